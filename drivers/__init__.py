@@ -1,0 +1,1 @@
+"""Cameras, light gates and recordings: what speaks to devices and disks. Nothing here computes."""

@@ -1,0 +1,54 @@
+"""Files that are there whole or not at all, and JSON that may be damaged."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RecordingError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place, durably, when the block ends without error."""
+    unfinished = path.with_name(f"{path.name}.tmp")
+    try:
+        yield unfinished
+        sync(unfinished)
+        unfinished.replace(path)
+    except BaseException:
+        unfinished.unlink(missing_ok=True)
+        raise
+    sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """Flush a file or a folder to its device."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_json(path: Path, document: Any) -> None:
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """Parsed content of a JSON file.
+
+    Raises
+    ------
+    RecordingError
+        The file is not there, or is not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as err:
+        raise RecordingError(path, f"cannot be read: {err.strerror}") from err
+    except (ValueError, RecursionError) as err:
+        raise RecordingError(path, f"is not JSON: {err}") from err

@@ -1,0 +1,256 @@
+"""The recording: a folder of bundles, the only format on disk for spool, archive and replay.
+
+`recording.json` says what was recorded and by which cameras, `rig.json` (optional) how they were
+calibrated, `bundles/<name>.tiff` holds one bundle each.
+"""
+
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.bundle_file import (
+    BundleHeader,
+    Compression,
+    read_bundle,
+    read_header,
+    require_cameras_of,
+    write_bundle,
+)
+from drivers.errors import RecordingError
+from drivers.files import read_json, sync, write_json
+from drivers.rig_file import read_rig, write_rig
+from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.rig import RigCalibration
+
+__all__ = [
+    "BundleHeader",
+    "Recording",
+    "RecordingWriter",
+    "open_recording",
+    "playback_order",
+    "read_bundle",
+    "read_header",
+    "require_unused",
+    "write_bundle",
+]
+
+FORMAT = "stonefall-recording/1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """A recording on disk, without its pixels."""
+
+    path: Path
+    camera_ids: tuple[CameraId, ...]
+    image_size_px: tuple[int, int]  # W, H
+    rig_name: str
+    is_simulated: bool
+    rig: RigCalibration | None
+    document: Mapping[str, Any]
+    """Content of recording.json."""
+    headers: tuple[BundleHeader, ...]
+    """In order of sequence."""
+    unreadable: tuple[RecordingError, ...]
+    """Bundles that cannot be used, and why."""
+
+    @property
+    def bundle_paths(self) -> tuple[Path, ...]:
+        """The usable bundles in order of sequence."""
+        return tuple(header.path for header in self.headers)
+
+
+def open_recording(path: Path) -> Recording:
+    """Read what a recording says of itself; reads every header and no pixels.
+
+    Raises
+    ------
+    RecordingError
+        recording.json or rig.json is missing, damaged or of another version, the rig is one of other
+        cameras, or no bundle can be used.
+    """
+    document_path = path / "recording.json"
+    if not document_path.is_file():
+        raise RecordingError(path, "is not a recording: it has no recording.json")
+    document = read_json(document_path)
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else None
+        raise RecordingError(document_path, f'format: must be "{FORMAT}", not {found!r}')
+    camera_ids = _camera_ids(document_path, document)
+    size_px = _image_size(document_path, document)
+    is_simulated = document.get("is_simulated")
+    if not isinstance(is_simulated, bool):
+        raise RecordingError(document_path, f"is_simulated: must be true or false, not {is_simulated!r}")
+    rig_path = path / "rig.json"
+    rig = read_rig(rig_path) if rig_path.exists() else None
+    if rig is not None:
+        _require_rig_of(rig_path, rig, camera_ids, size_px)
+    headers, unreadable = _read_headers(path / "bundles", camera_ids, size_px)
+    return Recording(
+        path=path,
+        camera_ids=camera_ids,
+        image_size_px=size_px,
+        rig_name=str(document.get("rig_name", "")),
+        is_simulated=is_simulated,
+        rig=rig,
+        document=document,
+        headers=headers,
+        unreadable=unreadable,
+    )
+
+
+def playback_order(recording: Recording) -> list[BundleHeader]:
+    """Bundles by sequence; backgrounds first when otherwise a stone would come before any of them."""
+    headers = list(recording.headers)
+    if headers and headers[0].kind is not BundleKind.BACKGROUND:
+        headers.sort(key=lambda header: header.kind is not BundleKind.BACKGROUND)
+    return headers
+
+
+class RecordingWriter:
+    """Writes a recording under a hidden name; the folder takes its own when the block ends without error.
+
+    Files that belong beside the bundles (`truth.jsonl`) go into `folder` meanwhile.
+
+    Raises
+    ------
+    RecordingError
+        `path` exists and is not an empty folder.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        camera_ids: Sequence[CameraId],
+        image_size_px: tuple[int, int],
+        rig: RigCalibration | None,
+        is_simulated: bool,
+        made_by: Mapping[str, Any],
+        rig_name: str = "",
+        camera_settings: Mapping[str, Any] | None = None,
+        gate_settings: Mapping[str, Any] | None = None,
+        compression: Compression = "zstd",
+    ) -> None:
+        self.path = path
+        self.folder = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+        self._camera_ids = tuple(camera_ids)
+        self._image_size_px = image_size_px
+        self._rig = rig
+        self._compression: Compression = compression
+        self._names: set[str] = set()
+        self._document = {
+            "format": FORMAT,
+            "created_at": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            "cameras": list(camera_ids),
+            "image_size_px": list(image_size_px),
+            "rig_name": rig_name or (rig.name if rig else ""),
+            "is_simulated": is_simulated,
+            "camera_settings": dict(camera_settings or {}),
+            "gate_settings": dict(gate_settings or {}),
+            "made_by": dict(made_by),
+        }
+        if rig is not None:
+            _require_rig_of(path / "rig.json", rig, self._camera_ids, image_size_px)
+
+    def __enter__(self) -> Self:
+        require_unused(self.path)
+        (self.folder / "bundles").mkdir(parents=True)
+        return self
+
+    def add(self, bundle: FrameBundle) -> None:
+        """Write one bundle.
+
+        Raises
+        ------
+        RecordingError
+            Its name is no file name or taken, its images are of another size, or `write_bundle` refuses it.
+        """
+        path = self.folder / "bundles" / f"{bundle.name}.tiff"
+        if bundle.name != path.stem or path.parent.name != "bundles" or bundle.name.startswith("."):
+            raise RecordingError(path, f"{bundle.name!r} cannot be the name of a file")
+        if bundle.name in self._names:
+            raise RecordingError(path, f"the recording already has a bundle {bundle.name}")
+        for frame in bundle.frames.values():
+            if (size_px := frame.image.shape[::-1]) != self._image_size_px:
+                raise RecordingError(path, f"camera {frame.camera}: {_sizes(size_px, self._image_size_px)}")
+        write_bundle(path, bundle, self._camera_ids, compression=self._compression)
+        self._names.add(bundle.name)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None:
+            if self._rig is not None:
+                write_rig(self.folder / "rig.json", self._rig)
+            write_json(self.folder / "recording.json", self._document)
+            self.folder.replace(self.path)
+            sync(self.path.parent)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def require_unused(path: Path) -> None:
+    """Refuse to write where something is."""
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise RecordingError(path, "exists already")
+
+
+def _read_headers(
+    folder: Path, camera_ids: tuple[CameraId, ...], size_px: tuple[int, int]
+) -> tuple[tuple[BundleHeader, ...], tuple[RecordingError, ...]]:
+    paths = sorted(folder.glob("*.tiff"))
+    if not paths:
+        raise RecordingError(folder, "holds no bundle")
+    headers: list[BundleHeader] = []
+    unreadable: list[RecordingError] = []
+    for path in paths:
+        try:
+            header = read_header(path)
+            require_cameras_of(header, camera_ids)
+            if header.image_size_px != size_px:
+                raise RecordingError(path, _sizes(header.image_size_px, size_px))
+        except RecordingError as err:
+            unreadable.append(err)
+        else:
+            headers.append(header)
+    if not headers:
+        raise RecordingError(folder, f"none of its {len(paths)} bundles can be used; {unreadable[0]}")
+    headers.sort(key=lambda header: (header.sequence, header.name))
+    return tuple(headers), tuple(unreadable)
+
+
+def _require_rig_of(
+    path: Path, rig: RigCalibration, camera_ids: Sequence[CameraId], size_px: tuple[int, int]
+) -> None:
+    if missing := sorted(set(camera_ids) - set(rig.camera_ids)):
+        raise RecordingError(path, f"is the rig of other cameras: it has no {', '.join(missing)}")
+    for camera in rig.cameras:
+        if camera.id in camera_ids and camera.image_size_px != size_px:
+            raise RecordingError(path, f"camera {camera.id}: {_sizes(camera.image_size_px, size_px)}")
+
+
+def _sizes(found_px: Sequence[int], expected_px: Sequence[int]) -> str:
+    found, expected = ("x".join(map(str, size_px)) for size_px in (found_px, expected_px))
+    return f"images of {found} in a recording of {expected} px"
+
+
+def _camera_ids(path: Path, document: Mapping[str, Any]) -> tuple[CameraId, ...]:
+    ids = document.get("cameras")
+    if not isinstance(ids, list) or not ids or not all(isinstance(item, str) and item for item in ids):
+        raise RecordingError(path, f"cameras: must be a list of camera ids, not {ids!r}")
+    if len(set(ids)) < len(ids):
+        raise RecordingError(path, "cameras: an id occurs twice")
+    return tuple(CameraId(item) for item in ids)
+
+
+def _image_size(path: Path, document: Mapping[str, Any]) -> tuple[int, int]:
+    size_px = document.get("image_size_px")
+    match size_px:
+        case [int(width_px), int(height_px)] if width_px > 0 and height_px > 0:
+            return width_px, height_px
+    raise RecordingError(path, f"image_size_px: must be [W, H] in pixels, not {size_px!r}")

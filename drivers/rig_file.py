@@ -1,0 +1,28 @@
+"""The rig file: the JSON document of `pipeline.rig` on disk."""
+
+from pathlib import Path
+
+from drivers.errors import RecordingError
+from drivers.files import read_json, write_json
+from pipeline.errors import RigError
+from pipeline.rig import RigCalibration, rig_from_document, rig_to_document
+
+
+def read_rig(path: Path) -> RigCalibration:
+    """The rig described by a file.
+
+    Raises
+    ------
+    RecordingError
+        Naming the file and the field that is damaged, missing or implausible.
+    """
+    document = read_json(path)
+    try:
+        return rig_from_document(document)
+    except RigError as err:
+        raise RecordingError(path, str(err)) from err
+
+
+def write_rig(path: Path, rig: RigCalibration) -> None:
+    """Write the rig with its checksum; the file is there whole or not at all."""
+    write_json(path, rig_to_document(rig))

@@ -1,0 +1,76 @@
+"""What the cameras saw: the types that travel the data's way from the drivers to the pipeline.
+
+Times are nanoseconds. `received_ns` is the host's monotonic clock at arrival, `device_ns` the
+device's own clock; the two are never subtracted from one another.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NewType
+
+import numpy as np
+from numpy.typing import NDArray
+
+CameraId = NewType("CameraId", str)
+"""Name of a camera's place in the rig, such as `c01`; not the serial number of the device in it."""
+
+Image = NDArray[np.uint8]
+"""Grey image (H, W), row major, pixel centres on integers, (u, v) = (column, row)."""
+
+
+class BundleKind(StrEnum):
+    """What was exposed."""
+
+    PARTICLE = "particle"
+    """A stone, counted by the light gate."""
+    BALL = "ball"
+    """The matte calibration ball."""
+    BACKGROUND = "background"
+    """The empty rig, exposed on purpose between stones; no trigger of the light gate."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One exposure of one camera."""
+
+    camera: CameraId
+    image: Image  # (H, W) uint8, read-only
+    frame_id: int  # the camera's own counter: may wrap, jump and restart; reveals loss, never matches
+    device_ns: int
+    received_ns: int
+
+    def __post_init__(self) -> None:
+        if self.image.ndim != 2 or self.image.dtype != np.uint8:
+            raise ValueError(f"camera {self.camera}: an image is (H, W) uint8, not {self.image.shape}")
+        self.image.setflags(write=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trigger:
+    """One stone passed the light gate (or, for `BACKGROUND`, the empty rig is exposed)."""
+
+    sequence: int  # counted by the gate; a gap reveals lost triggers
+    received_ns: int
+    device_ns: int
+    utc: str  # RFC 3339 with Z; for people, never for arithmetic
+    pulse_width_ns: int | None = None
+    kind: BundleKind = BundleKind.PARTICLE
+    name: str | None = None  # of the recorded bundle, in replay
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameBundle:
+    """The frames of one trigger; a camera without a usable frame is in `missing`, with the reason."""
+
+    trigger: Trigger
+    frames: Mapping[CameraId, Frame]
+    missing: Mapping[CameraId, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return self.trigger.name or f"{self.trigger.sequence:08d}"
+
+    @property
+    def kind(self) -> BundleKind:
+        return self.trigger.kind

@@ -1,0 +1,7 @@
+"""What the product says about one stone: sizes, form, angularity, and the bias of the method."""
+
+from pipeline.measuring.angularity import gradient_angularity
+from pipeline.measuring.hull_bias import sphere_hull_excess
+from pipeline.measuring.shape import ShapeMeasurement, measure_shape
+
+__all__ = ["ShapeMeasurement", "gradient_angularity", "measure_shape", "sphere_hull_excess"]

@@ -1,0 +1,239 @@
+"""The chain for one bundle: segment, judge the views, carve, mesh, measure."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+import trimesh
+
+from pipeline.carving import CarvingParameters, carve
+from pipeline.consistency import ConsistencyParameters, check_consistency
+from pipeline.errors import MeshError, RejectedError, RejectReason
+from pipeline.frames import CameraId, FrameBundle
+from pipeline.measuring import ShapeMeasurement, measure_shape
+from pipeline.measuring.angularity import gradient_angularity
+from pipeline.measuring.hull_bias import sphere_hull_excess
+from pipeline.meshing import ParticleMesh, mesh_hull
+from pipeline.rig import RigCalibration
+from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, ViewStatus, segment_all
+from pipeline.segmentation.subtraction import SegmentationParameters
+
+LAYER_TOLERANCE_DEG = 10.0
+"""Cameras whose elevations differ by less belong to one layer."""
+
+
+class Quality(StrEnum):
+    """How many views a result rests on (domain 4.3)."""
+
+    GOOD = "good"
+    REDUCED = "reduced"
+    DEGRADED = "degraded"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewsParameters:
+    """What becomes of a stone that some cameras did not see well."""
+
+    good: int = 14  # at least so many views make a good result
+    reduced: int = 12
+    min: int = 8  # fewer are not measured
+    max_unusable: int = 2  # views showing several bodies, or a cut one, before the whole bundle is rejected
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.min <= self.reduced <= self.good:
+            raise ValueError("views need 2 <= min <= reduced <= good")
+        if self.max_unusable < 0:
+            raise ValueError("max_unusable must not be negative")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuringParameters:
+    """What turns a shape into a stone."""
+
+    density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
+
+    def __post_init__(self) -> None:
+        if self.density_g_cm3 is not None and not 0.1 < self.density_g_cm3 < 25:
+            raise ValueError("density_g_cm3 must be between 0.1 and 25")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PipelineParameters:
+    """Everything that decides a result, apart from images, background and rig."""
+
+    segmentation: SegmentationParameters = field(default_factory=SegmentationParameters)
+    views: ViewsParameters = field(default_factory=ViewsParameters)
+    consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
+    carving: CarvingParameters = field(default_factory=CarvingParameters)
+    measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticleMeasurement:
+    """One measured particle."""
+
+    shape: ShapeMeasurement
+    """Of the mesh as carved, uncorrected."""
+    hull_excess: float
+    """Volume of the visual hull of a sphere of this size, seen by the same cameras, over the sphere's."""
+    angularity: float | None
+    """AIMS-type gradient angularity, mean over the views."""
+    mass_g: float | None
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume corrected for the least excess that any body's hull has, that of a sphere."""
+        return self.shape.volume_mm3 / self.hull_excess
+
+    @property
+    def equivalent_diameter_mm(self) -> float:
+        """Diameter of the sphere of the corrected volume."""
+        return float(np.cbrt(6 * self.volume_mm3 / np.pi))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticleResult:
+    """What one bundle gave: a measurement, or the reason why not."""
+
+    silhouettes: SilhouetteSet
+    views: tuple[CameraId, ...] = ()  # that carved
+    dropped: Mapping[CameraId, str] = field(default_factory=dict)
+    residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
+    quality: Quality | None = None
+    mesh: ParticleMesh | None = None
+    measurement: ParticleMeasurement | None = None
+    rejection: RejectedError | None = None
+
+
+def measure_bundle(
+    bundle: FrameBundle,
+    rig: RigCalibration,
+    background: BackgroundModel,
+    segmenter: Segmenter,
+    parameters: PipelineParameters,
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> ParticleResult:
+    """Measure the particle of one bundle; a bundle that shows none is a result with a `rejection`.
+
+    `on_stage` is told the name of each stage as it ends, so that the caller's clock can time it.
+
+    Raises
+    ------
+    RigError
+        The rig has no calibration for a camera of the bundle.
+    """
+    silhouettes = segment_all(bundle.frames, background, segmenter)
+    on_stage("segment")
+    dropped = dict(bundle.missing)
+    try:
+        _judge_views(silhouettes, dropped, rig, parameters)
+        consistency = check_consistency(silhouettes, rig, parameters.consistency)
+        on_stage("check")
+        dropped.update(consistency.suspects)
+        if not consistency.is_consistent:
+            raise RejectedError(
+                RejectReason.INCONSISTENT,
+                f"more than {parameters.consistency.max_suspect_views} views contradict each other",
+            )
+        carving = {camera: silhouette for camera, silhouette in silhouettes.items() if camera not in dropped}
+        quality = _quality(rig.subset(carving), rig, parameters.views)
+        hull = carve(carving, rig, parameters.carving)
+        on_stage("carve")
+        if hull.touches_border:
+            raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
+        mesh = mesh_hull(hull)
+        on_stage("mesh")
+        if mesh is None:
+            raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
+        measurement = _measure(mesh, carving, rig, parameters.measuring)
+        on_stage("measure")
+    except RejectedError as rejection:
+        return ParticleResult(silhouettes=silhouettes, dropped=dropped, rejection=rejection)
+    return ParticleResult(
+        silhouettes=silhouettes,
+        views=rig.subset(carving).camera_ids,
+        dropped=dropped,
+        residuals_px=consistency.residuals_px,
+        quality=quality,
+        mesh=mesh,
+        measurement=measurement,
+    )
+
+
+def _judge_views(
+    silhouettes: SilhouetteSet,
+    dropped: dict[CameraId, str],
+    rig: RigCalibration,
+    parameters: PipelineParameters,
+) -> None:
+    """Add the unusable views to `dropped`, or reject the bundle for what most of them show."""
+    for camera, silhouette in silhouettes.items():
+        if not silhouette.is_usable:
+            dropped[camera] = str(silhouette.status)
+    shown = [silhouette.status for silhouette in silhouettes.values()]
+    n_of = {status: shown.count(status) for status in ViewStatus}
+    if n_of[ViewStatus.EMPTY] > len(shown) / 2:
+        raise RejectedError(RejectReason.EMPTY, f"{n_of[ViewStatus.EMPTY]} of {len(shown)} views are empty")
+    if n_of[ViewStatus.NO_BACKGROUND] > len(shown) / 2:
+        raise RejectedError(RejectReason.NO_BACKGROUND, "the empty rig was not exposed yet")
+    if n_of[ViewStatus.MULTIPLE] > parameters.views.max_unusable:
+        raise RejectedError(
+            RejectReason.MULTIPLE, f"{n_of[ViewStatus.MULTIPLE]} views show more than one body"
+        )
+    n_cut = n_of[ViewStatus.CLIPPED] + n_of[ViewStatus.EMPTY]
+    if n_cut > parameters.views.max_unusable:
+        raise RejectedError(RejectReason.CLIPPED, f"the body leaves the image in {n_cut} views")
+    usable = [camera for camera, silhouette in silhouettes.items() if silhouette.is_usable]
+    _quality(rig.subset(usable), rig, parameters.views)
+
+
+def _quality(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
+    """Quality by the number of views; below `reduced` every layer of cameras needs two (domain 4.3)."""
+    n_views = len(used.cameras)
+    if n_views >= parameters.reduced:
+        return Quality.GOOD if n_views >= parameters.good else Quality.REDUCED
+    if n_views < parameters.min:
+        raise RejectedError(
+            RejectReason.INSUFFICIENT_VIEWS, f"{n_views} usable views, {parameters.min} are needed"
+        )
+    elevations, all_elevations = _elevations_deg(used), _elevations_deg(rig)
+    for elevation in all_elevations:
+        in_layer = int(np.sum(np.abs(elevations - elevation) < LAYER_TOLERANCE_DEG))
+        if in_layer < min(2, int(np.sum(np.abs(all_elevations - elevation) < LAYER_TOLERANCE_DEG))):
+            raise RejectedError(
+                RejectReason.INSUFFICIENT_VIEWS,
+                f"{in_layer} usable views in the layer at {elevation:.0f} degrees",
+            )
+    return Quality.DEGRADED
+
+
+def _elevations_deg(rig: RigCalibration) -> np.ndarray:
+    centers_mm = np.array([camera.center_mm for camera in rig.cameras]).reshape(-1, 3)
+    return np.asarray(np.rad2deg(np.arcsin(centers_mm[:, 2] / np.linalg.norm(centers_mm, axis=1))))
+
+
+def _measure(
+    mesh: ParticleMesh, carving: SilhouetteSet, rig: RigCalibration, parameters: MeasuringParameters
+) -> ParticleMeasurement:
+    try:
+        shape = measure_shape(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False))
+    except MeshError as err:
+        raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
+    excess = sphere_hull_excess(
+        np.array([camera.center_mm for camera in rig.subset(carving).cameras]),
+        np.array(shape.center_mm),
+        shape.equivalent_diameter_mm / 2,
+    )
+    angularities = [
+        gradient_angularity(silhouette.outline_uv)
+        for silhouette in carving.values()
+        if len(silhouette.outline_uv) >= 64
+    ]
+    density = parameters.density_g_cm3
+    return ParticleMeasurement(
+        shape=shape,
+        hull_excess=excess,
+        angularity=float(np.mean(angularities)) if angularities else None,
+        mass_g=None if density is None else density * shape.volume_mm3 / excess / 1000,
+    )

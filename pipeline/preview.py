@@ -1,0 +1,120 @@
+"""A picture of a mesh for people: softly lit, smooth, with a scale bar."""
+
+import cv2
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+FloatArray = NDArray[np.float32]
+
+VIEW_DIRECTION = (-0.55, 0.70, -0.45)
+"""From the viewer into the picture: the body is seen from the front, the right and above."""
+FILLING = 0.80
+"""Part of the picture that the larger side of the body's box takes."""
+SAMPLES_PER_PIXEL = 2  # along each axis
+LIGHTS = (
+    # toward the light, in the frame of the picture (right, down, away); brightness
+    ((-0.55, -0.65, -0.52), 0.62),
+    ((0.80, -0.10, -0.59), 0.22),
+)
+AMBIENT = 0.16
+STONE_RGB = (0.80, 0.75, 0.68)
+TOP_RGB, BOTTOM_RGB = (0.965, 0.97, 0.975), (0.87, 0.88, 0.895)
+INK_RGB = (70, 74, 80)
+BAR_LENGTHS_MM = (10.0, 1.0, 0.1)
+
+
+def render_preview(vertices_mm: ArrayLike, faces: ArrayLike, size_px: int = 480) -> NDArray[np.uint8]:
+    """RGB image (size, size, 3) of a closed mesh, vertices (N, 3) in mm and faces (M, 3).
+
+    Parallel projection along `VIEW_DIRECTION`, z up, scaled to fill the picture; a bar of 10 mm (1 mm
+    for a tiny body) shows the scale.
+    """
+    triangles = np.asarray(faces, dtype=np.int32)
+    if len(triangles) == 0:
+        raise ValueError("a mesh without faces has no picture")
+    points_mm = np.asarray(vertices_mm, dtype=np.float64) @ _picture_frame().T
+    used_mm = points_mm[triangles.ravel()]
+    low, high = used_mm.min(axis=0), used_mm.max(axis=0)
+    points_mm -= (low + high) / 2
+    px_per_mm = FILLING * size_px / float((high - low)[:2].max())
+
+    n_samples = size_px * SAMPLES_PER_PIXEL
+    axis_mm = (np.arange(n_samples) + 0.5 - n_samples / 2) / (px_per_mm * SAMPLES_PER_PIXEL)
+    half_width_mm, half_height_mm, half_depth_mm = (high - low) / 2
+    columns, rows = np.abs(axis_mm) <= half_width_mm, np.abs(axis_mm) <= half_height_mm
+    canvas = np.linspace(TOP_RGB, BOTTOM_RGB, n_samples, dtype=np.float32)[:, None].repeat(n_samples, axis=1)
+    body = np.ix_(rows, columns)
+    canvas[body] = _shaded(points_mm, triangles, axis_mm[columns], axis_mm[rows], half_depth_mm, canvas[body])
+    picture = cv2.resize(canvas, (size_px, size_px), interpolation=cv2.INTER_AREA)
+    image = np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
+    _draw_scale_bar(image, px_per_mm)
+    return image
+
+
+def _picture_frame() -> Array:
+    """World-to-picture rotation (3, 3); rows right, down, away from the viewer."""
+    away = np.array(VIEW_DIRECTION) / np.linalg.norm(VIEW_DIRECTION)
+    right = np.cross(away, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(away, right), away])
+
+
+def _shaded(
+    points_mm: Array,
+    triangles: NDArray[np.int32],
+    u_mm: Array,
+    v_mm: Array,
+    half_depth_mm: float,
+    behind: FloatArray,
+) -> FloatArray:
+    """The body (rows, columns, 3) in front of `behind`, sampled at every u of every v."""
+    scene = EmbreeScene()
+    TriangleMesh(scene, points_mm.astype(np.float32), triangles)
+    origins = np.empty((len(v_mm), len(u_mm), 3), dtype=np.float32)
+    origins[..., 0], origins[..., 1], origins[..., 2] = u_mm, v_mm[:, None], -half_depth_mm - 1
+    directions = np.zeros((origins.size // 3, 3), dtype=np.float32)
+    directions[:, 2] = 1
+    hits = scene.run(origins.reshape(-1, 3), directions, output=1)
+    is_hit = hits["primID"] >= 0
+
+    grey = _vertex_brightness(points_mm, triangles)[triangles[hits["primID"][is_hit]]]
+    u, v = hits["u"][is_hit], hits["v"][is_hit]
+    brightness = (1 - u - v) * grey[:, 0] + u * grey[:, 1] + v * grey[:, 2]
+    shaded = behind.reshape(-1, 3).copy()
+    shaded[is_hit] = brightness[:, None] * np.array(STONE_RGB, dtype=np.float32)
+    return shaded.reshape(behind.shape)
+
+
+def _vertex_brightness(points_mm: Array, triangles: NDArray[np.int32]) -> FloatArray:
+    """How bright each vertex (N,) looks, 0..1, by the mean normal of its faces weighted by area."""
+    a, b, c = (points_mm[triangles[:, k]] for k in range(3))
+    face_normals = np.cross(b - a, c - a)
+    corners = triangles.ravel()
+    sums = [np.bincount(corners, np.repeat(face_normals[:, k], 3), len(points_mm)) for k in range(3)]
+    normals: Array = np.column_stack(sums)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    # half Lambert: soft light from a wide source, no hard terminator
+    light = AMBIENT + sum(strength * (0.5 + 0.5 * normals @ toward) ** 2 for toward, strength in LIGHTS)
+    return np.asarray(light ** (1 / 2.2), dtype=np.float32)
+
+
+def _draw_scale_bar(image: NDArray[np.uint8], px_per_mm: float) -> None:
+    size_px = len(image)
+    length_mm = next((mm for mm in BAR_LENGTHS_MM if mm * px_per_mm < 0.6 * size_px), BAR_LENGTHS_MM[-1])
+    margin, thickness = round(0.04 * size_px), max(1, size_px // 160)
+    left, bottom = margin, size_px - margin
+    right = left + round(length_mm * px_per_mm)
+    cv2.rectangle(image, (left, bottom - thickness), (right, bottom), INK_RGB, cv2.FILLED)
+    cv2.putText(
+        image,
+        f"{length_mm:g} mm",
+        (left, bottom - 2 * thickness - 3),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        size_px / 960,
+        INK_RGB,
+        1,
+        cv2.LINE_AA,
+    )

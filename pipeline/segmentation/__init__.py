@@ -1,0 +1,26 @@
+"""Where the body is in each image: silhouettes with sub-pixel edges."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from pipeline.frames import CameraId, Frame
+from pipeline.segmentation.background import BackgroundModel
+from pipeline.segmentation.silhouette import Silhouette, SilhouetteSet, ViewStatus
+
+
+class Segmenter(Protocol):
+    """Finds the body in one view. The third of the three seams, beside `Camera` and `LightGate`."""
+
+    def __call__(self, frame: Frame, background: BackgroundModel) -> Silhouette:
+        """The silhouette, or a view whose `status` says why there is none. Never raises for an image."""
+        ...
+
+
+def segment_all(
+    frames: Mapping[CameraId, Frame], background: BackgroundModel, segmenter: Segmenter
+) -> SilhouetteSet:
+    """One silhouette per frame."""
+    return {camera: segmenter(frame, background) for camera, frame in frames.items()}
+
+
+__all__ = ["BackgroundModel", "Segmenter", "Silhouette", "SilhouetteSet", "ViewStatus", "segment_all"]

@@ -1,0 +1,59 @@
+"""One particle in one view: three-state labels and the signed distance to its sub-pixel edge."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.frames import CameraId
+
+OUTSIDE, UNKNOWN, INSIDE = np.uint8(0), np.uint8(128), np.uint8(255)
+
+MARGIN_PX = 40
+"""Width of the known surroundings of a silhouette; further out, all is outside by at least this much."""
+
+
+class ViewStatus(StrEnum):
+    """What a view shows."""
+
+    OK = "ok"
+    EMPTY = "empty"
+    MULTIPLE = "multiple"
+    CLIPPED = "clipped"
+    NO_BACKGROUND = "no_background"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Silhouette:
+    """Arrays cover a region of interest only; its pixel (0, 0) is `offset_uv` of the image.
+
+    A status other than `OK` leaves the arrays empty: such a view carves nothing.
+    """
+
+    camera: CameraId
+    status: ViewStatus
+    image_size_px: tuple[int, int]  # W, H
+    offset_uv: tuple[int, int] = (0, 0)
+    labels: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    """(h, w): OUTSIDE, UNKNOWN or INSIDE."""
+    distance_px: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    """(h, w) signed distance of the pixel centre to the edge of *inside or unknown*, positive within."""
+    outline_uv: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    """(N, 2) points on the edge in image coordinates, in order, only where the edge was seen."""
+
+    @property
+    def is_usable(self) -> bool:
+        return self.status is ViewStatus.OK
+
+    def label_image(self) -> NDArray[np.uint8]:
+        """(H, W) labels of the whole image."""
+        width_px, height_px = self.image_size_px
+        image = np.full((height_px, width_px), OUTSIDE)
+        u, v = self.offset_uv
+        height, width = self.labels.shape
+        image[v : v + height, u : u + width] = self.labels
+        return image
+
+
+SilhouetteSet = dict[CameraId, Silhouette]

@@ -1,0 +1,157 @@
+"""The empty rig: the inside of its housing as each camera sees it, out of focus.
+
+The cameras sit in a white spherical wall and look at its far side: panels with seams, screws and
+vents as dark dots, the apertures of the other cameras and the holes at the poles through which the
+stones enter and leave. All of it lies on one sphere in the world frame and is seen where the rig's
+geometry puts it. In the nominal rig no aperture or hole is in a field of view.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.frames import CameraId
+from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.synthesis.optics import FloatImage
+
+Array = NDArray[np.float64]
+
+APERTURE_RADIUS_MM = 12.0
+HOLE_RADIUS_MM = 40.0
+SEAM_SPACING_DEG = 18.0
+SEAM_WIDTH_MM = 2.0
+SEAM_SOFTNESS_MM = 0.5
+SEAM_DEPTH = 0.18
+N_DOTS = 210  # about two in a field of view
+DOT_RADIUS_MM = (1.2, 2.8)  # 12 to 29 px at the far side of the wall
+DEFOCUS_PX = 8.0
+"""Standard deviation of the blur disc of the far wall at about F8, focused on the centre."""
+COARSE_PX = 4
+"""The wall is computed on every fourth pixel: it is blurred over more than that."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Wall:
+    """What is on the wall, in the world frame."""
+
+    radius_mm: float
+    disc_directions: Array  # (N, 3) unit vectors to dots, apertures and holes
+    disc_radii_mm: Array  # (N,)
+    disc_reflectances: Array  # (N,) relative to the wall
+    panel_reflectances: Array  # (parallels, meridians)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Background:
+    """The empty view of one camera at the nominal flash."""
+
+    radiance: FloatImage  # (H, W) grey levels, read-only
+    gain: float  # of this camera and its light; scales bodies as well
+
+
+def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
+    """A wall with random dots and panels, and the apertures of the rig's cameras."""
+    dots = _scattered_directions(N_DOTS, rng)
+    apertures = np.array([camera.center_mm for camera in rig.cameras])
+    poles = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    distances_mm = np.linalg.norm(apertures, axis=1)
+    n_panels = round(180 / SEAM_SPACING_DEG)
+    return Wall(
+        radius_mm=float(distances_mm.mean()),
+        disc_directions=np.concatenate([dots, apertures / distances_mm[:, None], poles]),
+        disc_radii_mm=np.concatenate(
+            [
+                rng.uniform(*DOT_RADIUS_MM, size=len(dots)),
+                np.full(len(apertures), APERTURE_RADIUS_MM),
+                np.full(len(poles), HOLE_RADIUS_MM),
+            ]
+        ),
+        disc_reflectances=np.concatenate(
+            [
+                rng.uniform(0.15, 0.45, size=len(dots)),
+                np.full(len(apertures), 0.08),
+                np.full(len(poles), 0.04),
+            ]
+        ),
+        panel_reflectances=rng.normal(1.0, 0.012, size=(n_panels, 2 * n_panels)),
+    )
+
+
+def render_backgrounds(
+    rig: RigCalibration, wall: Wall, rng: np.random.Generator
+) -> Mapping[CameraId, Background]:
+    """The empty view of every camera."""
+    return {camera.id: _render_background(camera, wall, rng) for camera in rig.cameras}
+
+
+def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Generator) -> Background:
+    width, height = camera.image_size_px
+    # two cells of margin: the blur must not see the border
+    u = (np.arange(-2, -(-width // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
+    v = (np.arange(-2, -(-height // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
+    grid_uv = np.stack(np.meshgrid(u, v), axis=-1)
+    reflectance = _reflectance(_wall_directions(camera, grid_uv.reshape(-1, 2), wall), wall)
+    coarse = reflectance.reshape(len(v), len(u)).astype(np.float32)
+    blurred = cv2.GaussianBlur(coarse, (0, 0), DEFOCUS_PX / COARSE_PX)
+    fine = cv2.resize(blurred, None, fx=COARSE_PX, fy=COARSE_PX, interpolation=cv2.INTER_CUBIC)
+    fine = fine[2 * COARSE_PX :, 2 * COARSE_PX :][:height, :width]
+
+    gain = float(np.clip(rng.normal(1.0, 0.03), 0.93, 1.07))
+    x = np.linspace(-1, 1, width)[None, :]
+    y = np.linspace(-1, 1, height)[:, None]
+    tilt_x, tilt_y = rng.normal(0, 0.03, size=2)
+    vignetting = rng.uniform(0.04, 0.08)
+    light = 205.0 * gain * (1 + tilt_x * x + tilt_y * y - vignetting * (x**2 + y**2))
+    radiance = np.asarray(fine * light, dtype=np.float32)
+    radiance.setflags(write=False)
+    return Background(radiance=radiance, gain=gain)
+
+
+def _wall_directions(camera: CameraCalibration, pixels_uv: Array, wall: Wall) -> Array:
+    """Unit vectors (N, 3) from the origin to where the viewing rays meet the far side of the wall."""
+    center, rays = camera.center_mm, camera.rays(pixels_uv)
+    # |c + s d| = r, the larger s
+    half = rays @ center
+    distances = -half + np.sqrt(np.maximum(half**2 - center @ center + wall.radius_mm**2, 0))
+    points = center + distances[:, None] * rays
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def _reflectance(directions: Array, wall: Wall) -> Array:
+    """Reflectance (N,) of the wall in directions (N, 3) from the origin."""
+    elevation_deg = np.rad2deg(np.arcsin(np.clip(directions[:, 2], -1, 1))) + 90
+    azimuth_deg = np.rad2deg(np.arctan2(directions[:, 1], directions[:, 0])) % 360
+    rows, columns = elevation_deg / SEAM_SPACING_DEG, azimuth_deg / SEAM_SPACING_DEG
+    n_rows, n_columns = wall.panel_reflectances.shape
+    result = wall.panel_reflectances[
+        np.minimum(rows.astype(int), n_rows - 1), np.minimum(columns.astype(int), n_columns - 1)
+    ]
+    mm_per_spacing = np.deg2rad(SEAM_SPACING_DEG) * wall.radius_mm
+    parallel_mm = mm_per_spacing * np.cos(np.deg2rad(elevation_deg - 90))
+    to_seam_mm = np.minimum(
+        np.abs(rows - np.round(rows)) * mm_per_spacing, np.abs(columns - np.round(columns)) * parallel_mm
+    )
+    # a soft border of a cell's size, lest the coarse grid shows as steps
+    depth = np.clip((SEAM_WIDTH_MM / 2 - to_seam_mm) / SEAM_SOFTNESS_MM + 0.5, 0, 1)
+    result = result * (1 - SEAM_DEPTH * depth)
+    middle = directions.mean(axis=0)
+    middle /= np.linalg.norm(middle)
+    field = np.arccos((directions @ middle).min())
+    disc_angles = wall.disc_radii_mm / wall.radius_mm
+    in_field = np.arccos(np.clip(wall.disc_directions @ middle, -1, 1)) < field + disc_angles
+    for i in np.flatnonzero(in_field):
+        is_on_disc = directions @ wall.disc_directions[i] > np.cos(disc_angles[i])
+        result[is_on_disc] = wall.disc_reflectances[i]
+    return np.asarray(result)
+
+
+def _scattered_directions(count: int, rng: np.random.Generator) -> Array:
+    """Directions (count, 3) spread evenly (a Fibonacci spiral) and shaken by half their spacing."""
+    index = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
+    spiral = np.column_stack([np.sqrt(1 - z**2) * np.cos(azimuth), np.sqrt(1 - z**2) * np.sin(azimuth), z])
+    shaken = spiral + rng.normal(0, 0.5 * np.sqrt(4 * np.pi / count) / 2, size=(count, 3))
+    return np.asarray(shaken / np.linalg.norm(shaken, axis=1, keepdims=True))

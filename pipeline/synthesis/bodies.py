@@ -1,0 +1,95 @@
+"""Known bodies, in mm, centred on their centre of mass and star-shaped about it.
+
+The standards of the paper (matte ball d = 10, sphere d = 15, cylinder d = h = 15, cube 15) and any
+mesh that is passed in. Curved bodies are fine enough (facets within 0.002 mm of the ideal surface at
+15 mm) and scaled to the ideal volume, so that a mesh measures like its formula.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from pipeline.errors import MeshError
+from pipeline.frames import BundleKind
+
+SPHERE_SUBDIVISIONS = 5  # 20 480 faces; sagitta 0.0015 mm at r = 7.5 mm
+CYLINDER_SECTIONS = 360  # sagitta 0.0003 mm at r = 7.5 mm
+PITCH_MM = 0.5
+"""Edge length of flat faces: they are cut up to carry the texture."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Body:
+    """A closed surface and how it looks."""
+
+    name: str  # of its kind: `sphere`, `flaky`; part of the names of its bundles
+    mesh: trimesh.Trimesh  # mm, origin at the centre of mass
+    kind: BundleKind = BundleKind.PARTICLE
+    grey: float = 60.0  # mean grey level on a background of about 205
+    contrast: float = 0.22  # of its texture, relative sd
+
+    @property
+    def radius_mm(self) -> float:
+        """Largest distance of the surface from the centre of mass."""
+        return float(np.linalg.norm(self.mesh.vertices, axis=1).max())
+
+
+def ball(diameter_mm: float = 10.0) -> Body:
+    """The matte calibration ball."""
+    mesh = sphere_mesh(diameter_mm)
+    return Body(name="ball", mesh=mesh, kind=BundleKind.BALL, grey=55.0, contrast=0.04)
+
+
+def sphere(diameter_mm: float = 15.0) -> Body:
+    return Body(name="sphere", mesh=sphere_mesh(diameter_mm), grey=60.0, contrast=0.06)
+
+
+def cylinder(diameter_mm: float = 15.0, height_mm: float = 15.0) -> Body:
+    """Upright in the body frame."""
+    # a polygon's area is below its circle's by sin(x)/x
+    angle = 2 * np.pi / CYLINDER_SECTIONS
+    radius_mm = diameter_mm / 2 * np.sqrt(angle / np.sin(angle))
+    radii_mm = np.linspace(0, radius_mm, max(2, round(radius_mm / (2 * PITCH_MM)) + 1))
+    heights_mm = np.linspace(-height_mm / 2, height_mm / 2, max(2, round(height_mm / PITCH_MM) + 1))
+    profile = np.concatenate(
+        [
+            np.column_stack([radii_mm, np.full_like(radii_mm, -height_mm / 2)]),
+            np.column_stack([np.full_like(heights_mm, radius_mm), heights_mm])[1:-1],
+            np.column_stack([radii_mm[::-1], np.full_like(radii_mm, height_mm / 2)]),
+        ]
+    )
+    mesh = trimesh.creation.revolve(profile, sections=CYLINDER_SECTIONS)
+    return Body(name="cylinder", mesh=mesh, grey=60.0, contrast=0.06)
+
+
+def cube(edge_mm: float = 15.0) -> Body:
+    mesh = trimesh.creation.box(extents=[edge_mm] * 3)
+    while mesh.edges_unique_length.min() > PITCH_MM:
+        mesh = mesh.subdivide()
+    return Body(name="cube", mesh=mesh, grey=60.0, contrast=0.06)
+
+
+def body_from_mesh(name: str, mesh: trimesh.Trimesh) -> Body:
+    """Any closed mesh in mm, moved to its centre of mass.
+
+    Raises
+    ------
+    MeshError
+        When the mesh does not enclose a volume.
+    """
+    if not mesh.is_volume:
+        raise MeshError(f"{name}: the mesh does not enclose a volume (open, or inconsistently oriented)")
+    return Body(name=name, mesh=centred(mesh))
+
+
+def sphere_mesh(diameter_mm: float) -> trimesh.Trimesh:
+    """An icosphere of the ideal sphere's volume."""
+    unit = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
+    scale = np.cbrt(np.pi / 6 * diameter_mm**3 / unit.volume)
+    return trimesh.Trimesh(scale * unit.vertices, unit.faces, process=False)
+
+
+def centred(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with its centre of mass at the origin."""
+    return trimesh.Trimesh(mesh.vertices - mesh.center_mass, mesh.faces, process=False)

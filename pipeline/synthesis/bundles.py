@@ -1,0 +1,95 @@
+"""Exposures as bundles: counters and clocks as the devices of a rig would stamp them.
+
+The gate fires, the cameras wait for the stone to fall to the centre, expose together and transfer.
+Each camera's counter starts somewhere in its 16 bits and goes on after 65535 with 1; each device's
+clock has its own zero.
+"""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph
+
+TRIGGER_DELAY_NS = 247_400_000
+"""From the light gate to the exposure: 0.3 m of free fall."""
+TRANSFER_NS = 12_000_000
+"""From the end of the exposure to the last packet of a 1.3 MB frame on GigE."""
+TRANSFER_JITTER_NS = 1_000_000
+PERIOD_NS = 250_000_000
+FIRST_UTC = datetime(2026, 1, 1, tzinfo=UTC)
+FIRST_NS = 1_000_000_000_000
+LAST_FRAME_ID = 65535
+
+
+def stream(seed: int, *key: int) -> np.random.Generator:
+    """The random numbers of one thing in a recording, whatever else is in it."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def render_bundle(
+    bodies: Sequence[PlacedBody],
+    simulated: SimulatedRig,
+    rng: np.random.Generator,
+    *,
+    sequence: int,
+    label: str | None = None,
+    kind: BundleKind = BundleKind.PARTICLE,
+    period_ns: int = PERIOD_NS,
+) -> FrameBundle:
+    """The bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`."""
+    images = photograph(bodies, simulated, rng)
+    elapsed_ns = (sequence - 1) * period_ns
+    trigger_ns = FIRST_NS + elapsed_ns
+    trigger = Trigger(
+        sequence=sequence,
+        received_ns=trigger_ns,
+        device_ns=elapsed_ns + 40_000_000,
+        utc=_rfc3339(FIRST_UTC + timedelta(microseconds=elapsed_ns / 1000)),
+        pulse_width_ns=None if kind is BundleKind.BACKGROUND else int(rng.integers(4_000_000, 9_000_000)),
+        kind=kind,
+        name=f"{sequence:06d}-{label or kind.value}",
+    )
+    exposure_ns = round(simulated.parameters.exposure_us * 1000)
+    frames = {}
+    for position, (camera, image) in enumerate(images.items()):
+        clock_ns, first_frame_id = _zeros_of(position)
+        jitter_ns = int(rng.uniform(-TRANSFER_JITTER_NS, TRANSFER_JITTER_NS))
+        frames[camera] = Frame(
+            camera=camera,
+            image=image,
+            frame_id=(first_frame_id + sequence - 2) % LAST_FRAME_ID + 1,
+            device_ns=clock_ns + elapsed_ns + TRIGGER_DELAY_NS + int(rng.integers(-500, 500)),
+            received_ns=trigger_ns + TRIGGER_DELAY_NS + exposure_ns + TRANSFER_NS + jitter_ns,
+        )
+    return FrameBundle(trigger=trigger, frames=frames)
+
+
+def render_empty(
+    simulated: SimulatedRig, rng: np.random.Generator, *, sequence: int, period_ns: int = PERIOD_NS
+) -> FrameBundle:
+    """The empty rig, exposed on purpose."""
+    return render_bundle(
+        [], simulated, rng, sequence=sequence, kind=BundleKind.BACKGROUND, period_ns=period_ns
+    )
+
+
+def without_views(bundle: FrameBundle, cameras: Sequence[CameraId], reason: str) -> FrameBundle:
+    """The bundle as it is when these cameras delivered nothing."""
+    lost = set(cameras)
+    return FrameBundle(
+        trigger=bundle.trigger,
+        frames={camera: frame for camera, frame in bundle.frames.items() if camera not in lost},
+        missing={**bundle.missing, **dict.fromkeys(cameras, reason)},
+    )
+
+
+def _zeros_of(position: int) -> tuple[int, int]:
+    """Clock and first frame id of the camera at a place of the rig; some wrap early."""
+    return 7_000_000_000 * (position + 1), 1 + (65_401 + 4_099 * position) % LAST_FRAME_ID
+
+
+def _rfc3339(moment: datetime) -> str:
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,47 @@
+"""Where a falling body is in the middle of the exposure."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from pipeline.rig import RigCalibration
+from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.renderer import PlacedBody
+
+Array = NDArray[np.float64]
+
+OFFSET_SD_MM = 1.5
+MAX_OFFSET_SD = 3.0
+HALF_VOLUME_MM = 24.5
+"""Half the edge of the reconstructed cube, less a margin."""
+BORDER_PX = 8.0
+PX_PER_MM = 20.0  # in the middle of the design
+N_TRIES = 60
+
+
+def tumble(body: Body, rig: RigCalibration, rng: np.random.Generator) -> PlacedBody:
+    """The body in a random pose, near the centre, whole in every view and inside the volume.
+
+    A body too large for that anywhere near the centre is placed where least of it is cut off.
+    """
+    hull_mm = body.mesh.vertices[ConvexHull(body.mesh.vertices).vertices]
+    placements = []
+    for _ in range(N_TRIES):
+        R = Rotation.random(rng=rng).as_matrix()
+        offset_mm = OFFSET_SD_MM * np.clip(rng.normal(size=3), -MAX_OFFSET_SD, MAX_OFFSET_SD)
+        cut_px = _cut_off_px(hull_mm @ R.T + offset_mm, rig)
+        placements.append((cut_px, PlacedBody(body=body, R=R, offset_mm=offset_mm)))
+        if cut_px <= 0:
+            break
+    return min(placements, key=lambda placement: placement[0])[1]
+
+
+def _cut_off_px(points_world_mm: Array, rig: RigCalibration) -> float:
+    """How far the points reach beyond images or volume; at most 0 when they are inside."""
+    beyond = [float(np.abs(points_world_mm).max() - HALF_VOLUME_MM) * PX_PER_MM]
+    for camera in rig.cameras:
+        pixels_uv, _ = camera.project(points_world_mm)
+        far = np.array(camera.image_size_px) - 1 - BORDER_PX
+        beyond.append(float(max((BORDER_PX - pixels_uv).max(), (pixels_uv - far).max())))
+    return max(beyond)

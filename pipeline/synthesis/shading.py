@@ -1,0 +1,82 @@
+"""How bright a body's surface is: matte stone in the even light of a dome.
+
+A matte surface looks equally bright from everywhere, so each face's radiance is computed once an
+exposure: its texture times the part of the dome that it sees. Rays (embree) find what occludes it, and
+which face a pixel shows.
+"""
+
+import cv2
+import numpy as np
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from pipeline.rig import CameraCalibration
+from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.optics import FloatImage
+from pipeline.synthesis.outline import Window
+from pipeline.synthesis.stones import wave_noise
+
+Array = NDArray[np.float64]
+
+TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
+DOME_GRADIENT = 0.3
+"""The dome is brighter above than at its horizon by this part, and darker below."""
+RAYS_PER_FACE = 12
+STEP_PX = 2
+"""Texture is looked up on every second pixel; the lens blurs over more than that."""
+
+
+def embree_scene(mesh: trimesh.Trimesh) -> EmbreeScene:
+    """The mesh ready for ray casting (float32: within 2e-6 mm on a body of 40 mm)."""
+    scene = EmbreeScene()
+    TriangleMesh(scene, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32))
+    return scene
+
+
+def texture(body: Body, rng: np.random.Generator) -> Array:
+    """Grey level of each face (F,) under full light: mottled on three scales, with speckles."""
+    centers_mm = body.mesh.triangles_center
+    mottles = sum(wave_noise(centers_mm, wavelength, 12, rng) for wavelength in TEXTURE_WAVELENGTHS_MM)
+    speckles = rng.normal(size=len(centers_mm))
+    relative = body.contrast * (0.5 * mottles + 0.5 * speckles)
+    return np.asarray(body.grey * np.clip(1 + relative, 0.4, 1.7))
+
+
+def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generator) -> Array:
+    """Light (F,) that each face receives, 1 for a free one that looks to the horizon.
+
+    Monte-Carlo over cosine-distributed directions: what the body itself occludes is dark.
+    """
+    normals = np.repeat(mesh.face_normals, RAYS_PER_FACE, axis=0)
+    scatter = rng.normal(size=normals.shape)
+    scatter /= np.linalg.norm(scatter, axis=1, keepdims=True)
+    directions = normals + 0.999 * scatter
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = np.repeat(mesh.triangles_center, RAYS_PER_FACE, axis=0) + 1e-3 * normals
+    is_free = scene.run(origins.astype(np.float32), directions.astype(np.float32)) < 0
+    received = is_free * (1 + DOME_GRADIENT * directions[:, 2])
+    return np.asarray(received.reshape(-1, RAYS_PER_FACE).mean(axis=1))
+
+
+def surface_image(
+    scene: EmbreeScene, face_radiance: Array, camera: CameraCalibration, window: Window
+) -> FloatImage:
+    """Radiance (height, width) of the surface in a window, continued smoothly beyond the outline."""
+    u = window.left + (np.arange(-(-window.width // STEP_PX)) + 0.5) * STEP_PX - 0.5
+    v = window.top + (np.arange(-(-window.height // STEP_PX)) + 0.5) * STEP_PX - 0.5
+    grid_uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    rays = camera.rays(grid_uv).astype(np.float32)
+    origins = np.broadcast_to(camera.center_mm.astype(np.float32), rays.shape)
+    faces = scene.run(np.ascontiguousarray(origins), rays).reshape(len(v), len(u))
+    is_hit = (faces >= 0).astype(np.float32)
+    radiance = np.where(faces >= 0, face_radiance[faces], 0).astype(np.float32)
+    # beyond the outline: the mean of the surface nearby, so that edge pixels show its grey
+    near = cv2.GaussianBlur(is_hit, (0, 0), 3.0)
+    smooth = cv2.GaussianBlur(radiance, (0, 0), 3.0)
+    mean = float(face_radiance.mean())
+    continued = (smooth + 1e-4 * mean) / (near + 1e-4)
+    radiance = np.where(faces >= 0, radiance, continued).astype(np.float32)
+    fine = cv2.resize(radiance, (len(u) * STEP_PX, len(v) * STEP_PX), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[: window.height, : window.width])

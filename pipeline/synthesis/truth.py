@@ -1,0 +1,52 @@
+"""What is known about a photographed body: the reference that a measurement is judged by."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import trimesh
+
+from pipeline.frames import FrameBundle
+from pipeline.measuring.shape import ShapeMeasurement, measure_shape
+from pipeline.synthesis.renderer import PlacedBody
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TruthRecord:
+    """The body of one bundle at the middle of its exposure."""
+
+    bundle: str
+    sequence: int
+    placed: PlacedBody
+    mesh: trimesh.Trimesh  # world frame, mm
+    shape: ShapeMeasurement  # of that mesh
+
+
+def truth_of(placed: PlacedBody, bundle: FrameBundle) -> TruthRecord:
+    """The truth about the body in a bundle."""
+    mesh = placed.world_mesh
+    return TruthRecord(
+        bundle=bundle.name,
+        sequence=bundle.trigger.sequence,
+        placed=placed,
+        mesh=mesh,
+        shape=measure_shape(mesh),
+    )
+
+
+def truth_to_document(truth: TruthRecord) -> dict[str, Any]:
+    """A line of `truth.jsonl`: what the result record measures, under the same names, and the pose.
+
+    `x_world = R @ x_body + offset_mm`; `extents_mm` are the body's along its own axes.
+    """
+    body = truth.placed.body
+    return {
+        "bundle": truth.bundle,
+        "sequence": truth.sequence,
+        "kind": body.kind.value,
+        "body": body.name,
+        **asdict(truth.shape),
+        "extents_mm": body.mesh.extents.tolist(),
+        "R": truth.placed.R.tolist(),
+        "offset_mm": truth.placed.offset_mm.tolist(),
+        "mesh": f"truth/{truth.bundle}.ply",
+    }

@@ -1,0 +1,1 @@
+"""The daemon: wires drivers and pipeline, keeps the results, serves them."""

@@ -1,0 +1,27 @@
+"""Arm and disarm."""
+
+from typing import Any
+
+from fastapi import APIRouter, Depends
+
+from service.api.auth import require
+from service.api.context import Context
+from service.api.problems import documented
+from service.api.schemas import Acquisition, AcquisitionRequest
+from service.api.settings import Scope
+
+router = APIRouter(prefix="/acquisition", tags=["acquisition"])
+
+
+@router.get("", response_model=Acquisition, dependencies=[Depends(require(Scope.READ))], responses=documented())
+async def acquisition(context: Context) -> dict[str, Any]:
+    """Whether stones are being measured."""
+    return {"state": context.control.acquisition()}
+
+
+@router.put(
+    "", response_model=Acquisition, dependencies=[Depends(require(Scope.OPERATE))], responses=documented(409)
+)
+async def set_acquisition(context: Context, wanted: AcquisitionRequest) -> dict[str, Any]:
+    """Arm or disarm; repeating a request changes nothing, 409 when it cannot be done from the current state."""
+    return {"state": await context.control.set_acquisition(wanted.state)}

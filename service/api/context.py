@@ -1,0 +1,30 @@
+"""What every route works on, handed in by `create_app` and found on the application's state."""
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from service.api.settings import ApiSettings
+from service.control import Control
+from service.store import Store
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiContext:
+    """The store, the daemon and the settings."""
+
+    store: Store
+    control: Control
+    settings: ApiSettings
+    rendering: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
+    """Meshes and images are converted one at a time: readers must not take the processor from measuring."""
+
+
+def context_of(request: Request) -> ApiContext:
+    context: ApiContext = request.app.state.context
+    return context
+
+
+Context = Annotated[ApiContext, Depends(context_of)]

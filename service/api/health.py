@@ -1,0 +1,58 @@
+"""Is it alive, can it accept stones, and how is it?"""
+
+from typing import Any
+
+from fastapi import APIRouter, Depends
+
+from service.api.auth import require
+from service.api.context import Context
+from service.api.problems import Problem, documented
+from service.api.schemas import HealthDocument, Live, Ready
+from service.api.settings import Scope
+from service.api.version import API_VERSION
+from service.control import CheckStatus, Ne107
+
+router = APIRouter(prefix="/health", tags=["health"])
+
+STATUS = {Ne107.GOOD: CheckStatus.PASS, Ne107.FAILURE: CheckStatus.FAIL}
+
+
+@router.get("/live", response_model=Live)
+async def live() -> Live:
+    """The process answers; asks nothing of any other part and needs no key."""
+    return Live()
+
+
+@router.get("/ready", response_model=Ready, responses=documented(503))
+async def ready(context: Context) -> Ready:
+    """Stones can be accepted; otherwise 503 with the reasons. Needs no key."""
+    health = context.control.health()
+    if not health.ready:
+        detail = "; ".join(health.reasons) or "no reason given"
+        raise Problem(
+            503, "not-ready", detail, headers={"Retry-After": "5"}, reasons=list(health.reasons), retry_after_s=5
+        )
+    return Ready()
+
+
+@router.get("", response_model=HealthDocument, dependencies=[Depends(require(Scope.READ))])
+async def health(context: Context) -> dict[str, Any]:
+    """Each camera, the gate, queue, workers, disk, store, calibration and clock; always 200."""
+    state = context.control.health()
+    return {
+        "status": STATUS.get(state.ne107, CheckStatus.WARN),
+        "ne107": state.ne107,
+        "ready": state.ready,
+        "reasons": state.reasons,
+        "version": API_VERSION,
+        "instance_id": context.store.instance_id,
+        "checks": {
+            name: {
+                "status": check.status,
+                "observed_value": check.value,
+                "observed_unit": check.unit,
+                "detail": check.detail,
+            }
+            for name, check in state.checks.items()
+        },
+    }

@@ -1,0 +1,125 @@
+"""Errors as RFC 9457 problem details: one shape for everything that is not a success, and no stack traces."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from service.control import ConflictError
+from service.errors import StoreError
+
+TITLES = {
+    "cursor-ahead": "The cursor is ahead of the history",
+    "cursor-expired": "The cursor is older than what is kept",
+    "forbidden": "Not allowed",
+    "internal-error": "A fault of the service",
+    "invalid-request": "The request is not valid",
+    "not-acceptable": "No acceptable representation",
+    "not-kept": "This file was not kept",
+    "not-ready": "Not ready to measure stones",
+    "store-unavailable": "The store cannot be read or written",
+    "transition-conflict": "The acquisition cannot change to this state now",
+    "unauthorized": "A key is needed",
+    "unknown-camera": "No such camera",
+    "unknown-particle": "No such particle",
+}
+
+
+class Problem(Exception):  # noqa: N818  the name of RFC 9457
+    """An answer other than success, raised where it is found out."""
+
+    def __init__(
+        self,
+        status: int,
+        slug: str,
+        detail: str,
+        *,
+        headers: Mapping[str, str] | None = None,
+        **members: Any,
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.slug = slug
+        self.detail = detail
+        self.headers = headers
+        self.members = members  # further members of the problem object, beside the standard's
+
+
+def problem_response(request: Request, problem: Problem) -> JSONResponse:
+    """Write the problem as `application/problem+json`."""
+    return JSONResponse(
+        {
+            "type": f"urn:stonefall:problem:{problem.slug}",
+            "title": TITLES.get(problem.slug, HTTPStatus(problem.status).phrase),
+            "status": problem.status,
+            "detail": problem.detail,
+            "instance": request.url.path,
+            **problem.members,
+        },
+        status_code=problem.status,
+        headers=problem.headers,
+        media_type="application/problem+json",
+    )
+
+
+def install_handlers(app: FastAPI) -> None:
+    """Turn every exception that can leave a route into a problem."""
+    app.add_exception_handler(Problem, _own)
+    app.add_exception_handler(HTTPException, _of_http)
+    app.add_exception_handler(RequestValidationError, _of_validation)
+    app.add_exception_handler(ConflictError, _of_conflict)
+    app.add_exception_handler(StoreError, _of_store)
+    app.add_exception_handler(Exception, _of_bug)
+
+
+def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Describe for OpenAPI that a route answers with these problems, and any route with some."""
+    schema = {"$ref": "#/components/schemas/Problem"}
+    content = {"application/problem+json": {"schema": schema}}
+    return {
+        **{status: {"description": HTTPStatus(status).phrase, "content": content} for status in statuses},
+        "default": {"description": "Any other error", "content": content},
+    }
+
+
+async def _own(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, Problem)  # noqa: S101  the handler's registration says so, the type cannot
+    return problem_response(request, error)
+
+
+async def _of_http(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)  # noqa: S101
+    slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
+    return problem_response(request, Problem(error.status_code, slug, error.detail, headers=error.headers))
+
+
+async def _of_validation(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)  # noqa: S101
+    errors = [
+        {"field": ".".join(str(part) for part in item["loc"]), "message": item["msg"]}
+        for item in error.errors()
+    ]
+    detail = "; ".join(f"{item['field']}: {item['message']}" for item in errors)
+    return problem_response(request, Problem(422, "invalid-request", detail, errors=errors))
+
+
+async def _of_conflict(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, ConflictError)  # noqa: S101
+    return problem_response(
+        request, Problem(409, "transition-conflict", str(error), current=error.current, target=error.target)
+    )
+
+
+async def _of_store(request: Request, error: Exception) -> JSONResponse:
+    # the message names paths of this machine; it is in the journal, not in the answer
+    return problem_response(
+        request, Problem(503, "store-unavailable", "try again", headers={"Retry-After": "5"}, retry_after_s=5)
+    )
+
+
+async def _of_bug(request: Request, error: Exception) -> JSONResponse:
+    return problem_response(request, Problem(500, "internal-error", "the journal of the service says more"))

@@ -1,0 +1,192 @@
+"""What the interface answers, field by field; the source of the OpenAPI document.
+
+A result is served as it was stored: fields of later versions are missing from old records and served as
+null, and keys that this version does not know are served too.
+"""
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.control import AcquisitionState, AcquisitionTarget, CheckStatus, Ne107
+
+TIME = {"format": "date-time"}
+
+
+class Result(BaseModel):
+    """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
+
+    model_config = ConfigDict(extra="allow")
+
+    seq: int = Field(description="Place in the feed: strictly increasing, without gaps, never reused")
+    id: str = Field(description="Unique across stores; the key for removing duplicates")
+    session: int = Field(description="Run of the daemon in which the trigger came")
+    bundle: str = Field(description="Name of the bundle of images")
+    sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
+    kind: Literal["particle", "ball"] = Field(description="What was exposed")
+    outcome: Literal["measured", "rejected", "lost"]
+    reason: str | None = Field(description="Why rejected or lost, one word; null when measured")
+    detail: str | None = Field(description="The reason for people")
+    quality: Literal["good", "reduced", "degraded"] | None = Field(description="How well the stone was seen")
+    views: list[str] = Field(description="Cameras the measurement rests on")
+    dropped_views: dict[str, str] = Field(description="Cameras left out, each with the reason")
+    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
+    recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
+    volume_mm3: float | None = Field(description="Volume, corrected for the visual hull's bias, mm³")
+    volume_raw_mm3: float | None = Field(description="Volume of the visual hull, mm³")
+    surface_area_mm2: float | None = Field(description="Surface area of the mesh, mm²")
+    length_mm: float | None = Field(description="Longest axis of the D4791 triple, mm")
+    width_mm: float | None = Field(description="Middle axis of the D4791 triple, mm")
+    thickness_mm: float | None = Field(description="Shortest axis of the D4791 triple, mm")
+    max_feret_mm: float | None = Field(description="Greatest distance of two parallel tangent planes, mm")
+    min_feret_mm: float | None = Field(description="Least distance of two parallel tangent planes, mm")
+    min_box_mm: list[float] | None = Field(description="Edges of the smallest box, longest first, mm")
+    sieve_size_mm: float | None = Field(description="Smallest square aperture the body passes, mm")
+    equivalent_diameter_mm: float | None = Field(description="Diameter of the sphere of `volume_mm3`, mm")
+    equivalent_diameter_raw_mm: float | None = Field(description="The same of `volume_raw_mm3`, mm")
+    sphericity: float | None = Field(description="Area of the sphere of equal volume by surface area, 0..1")
+    convexity: float | None = Field(description="Volume by volume of the convex hull, 0..1")
+    elongation_ratio: float | None = Field(description="Width by length, 0..1")
+    flatness_ratio: float | None = Field(description="Thickness by width, 0..1")
+    zingg_class: str | None = Field(description="Form by Zingg's diagram")
+    angularity: float | None = Field(description="Angularity of the surface; larger is sharper")
+    mass_g: float | None = Field(description="Mass at the configured density, g; null without a density")
+    center_mm: list[float] | None = Field(description="Centroid in the rig's frame (x, y, z up), mm")
+    mesh: str | None = Field(description="Address of the mesh, relative to the base path; null without one")
+    view_residuals_px: dict[str, float] = Field(description="Silhouette against the hull, per camera, px")
+    timings_ms: dict[str, float] = Field(description="Computing time of each stage, ms")
+    calibration_id: str | None = Field(description="Calibration the measurement rests on")
+    algorithm_version: str | None = Field(description="Changes whenever results may")
+    is_simulated: bool | None = Field(description="True for replays and synthetic images: never production")
+
+
+_EMPTY: dict[str, Any] = {
+    **dict.fromkeys(Result.model_fields),
+    "views": [],
+    "dropped_views": {},
+    "view_residuals_px": {},
+    "timings_ms": {},
+}
+
+
+def result_document(record: dict[str, Any]) -> dict[str, Any]:
+    """Complete a stored record with null for what it does not know."""
+    return _EMPTY | record
+
+
+class ResultsPage(BaseModel):
+    """A stretch of the feed. Ask again with `after = next_after`; delivery is at least once."""
+
+    instance_id: str = Field(description="Identity of the history; when it changes, start again from 0")
+    first_seq: int = Field(description="Oldest result kept; `last_seq + 1` when there is none")
+    last_seq: int = Field(description="Newest result; 0 before the first")
+    next_after: int
+    items: list[Result]
+
+
+class ParticlesPage(BaseModel):
+    """Results that fit the filters, newest first."""
+
+    items: list[Result]
+    next_cursor: str | None = Field(description="Pass as `cursor` for the next page; null on the last")
+
+
+class AccountingDocument(BaseModel):
+    """`triggers = measured + rejected + lost + in_progress`."""
+
+    session: int | None = Field(description="The session counted; null for all")
+    triggers: int = Field(description="Stones and balls the light gate reported")
+    measured: int
+    rejected: int
+    lost: int
+    in_progress: int = Field(description="Triggers without an outcome yet")
+    is_balanced: bool = Field(description="Whether the sum holds; false is a fault")
+    backgrounds: int = Field(description="Exposures of the empty rig; not among the triggers")
+    by_reason: dict[str, int] = Field(description="Rejected and lost, by reason")
+    by_quality: dict[str, int] = Field(description="Measured, by quality")
+
+
+class Acquisition(BaseModel):
+    """Where the rig stands."""
+
+    state: AcquisitionState
+
+
+class AcquisitionRequest(BaseModel):
+    """What is asked for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    state: AcquisitionTarget
+
+
+class Camera(BaseModel):
+    """State and counters of one camera since the daemon started."""
+
+    id: str
+    state: str
+    last_error: str | None
+    frames: int = Field(description="Frames that arrived whole")
+    lost: int = Field(description="Frames reported lost")
+    late: int = Field(description="Frames that came after their bundle was closed")
+    duplicates: int = Field(description="Frames that came twice")
+    last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
+
+
+class Cameras(BaseModel):
+    """All cameras of the rig."""
+
+    items: list[Camera]
+
+
+class HealthCheck(BaseModel):
+    """One thing that was looked at."""
+
+    status: CheckStatus
+    observed_value: float | int | str | bool | None
+    observed_unit: str | None
+    detail: str | None
+
+
+class HealthDocument(BaseModel):
+    """Health in detail, modelled on the expired draft health+json."""
+
+    status: CheckStatus
+    ne107: Ne107 = Field(description="Device state in the words of NAMUR NE 107")
+    ready: bool = Field(description="Whether the next stone will be measured")
+    reasons: list[str]
+    version: str = Field(description="Version of this interface")
+    instance_id: str
+    checks: dict[str, HealthCheck]
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    status: Literal["pass"] = "pass"  # noqa: S105
+
+
+class Ready(BaseModel):
+    """Stones can be accepted."""
+
+    ready: Literal[True] = True
+
+
+class FieldError(BaseModel):
+    """One wrong field of a request."""
+
+    field: str
+    message: str
+
+
+class ProblemDocument(BaseModel):
+    """RFC 9457 problem details; further members depend on the type."""
+
+    model_config = ConfigDict(extra="allow", title="Problem")
+
+    type: str = Field(description="`urn:stonefall:problem:<kind>`")
+    title: str
+    status: int
+    detail: str
+    instance: str
+    errors: list[FieldError] = Field(default=[], description="Of `invalid-request`: every wrong field")

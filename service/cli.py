@@ -1,0 +1,50 @@
+"""The console script `stonefall`: one command a module in `service/commands`.
+
+A command's failure is one clear line on stderr and exit code 1; wrong usage exits with 2.
+"""
+
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import typer
+
+COMMANDS = {
+    "serve": "service.commands.serve",
+    "check-config": "service.commands.check_config",
+    "synthesize": "service.commands.synthesize",
+    "import": "service.commands.import_images",
+    "export": "service.commands.export_images",
+    "measure": "service.commands.measure",
+    "shape": "service.commands.shape",
+}
+"""Each module has one function `command`, whose docstring is its help."""
+
+
+def build_app() -> typer.Typer:
+    app = typer.Typer(
+        name="stonefall",
+        help="Photographs every stone leaving a crusher and knows its shape before it lands.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    for name, module in COMMANDS.items():
+        command: Callable[..., Any] = import_module(module).command
+        app.command(name)(command)
+    return app
+
+
+def main() -> None:
+    """Run the command line; expected failures become one line on stderr."""
+    # imported here: `stonefall --help` needs none of it
+    from drivers.errors import DriverError
+    from pipeline.errors import PipelineError
+    from service.errors import ServiceError
+
+    try:
+        build_app()()
+    except (DriverError, PipelineError, ServiceError, OSError) as err:
+        print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201
+        sys.exit(1)

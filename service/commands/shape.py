@@ -1,0 +1,118 @@
+"""`stonefall shape`: the pipeline's own measurement of mesh files."""
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import trimesh
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from pipeline.errors import MeshError
+from pipeline.measuring import measure_shape
+from service.errors import UsageError
+
+SUFFIXES = (".stl", ".ply", ".obj")
+MESHES_PER_TABLE = 3
+
+PARSER_ERRORS = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ImportError,  # trimesh asks for an encoding detector where a text file holds binary data
+    struct.error,
+    trimesh.exchange.stl.HeaderError,
+)
+"""What trimesh's parsers raise on damaged files."""
+
+ROWS = {
+    "volume_mm3": "volume, mm³",
+    "surface_area_mm2": "surface, mm²",
+    "length_mm": "length (D4791), mm",
+    "width_mm": "width (D4791), mm",
+    "thickness_mm": "thickness (D4791), mm",
+    "max_feret_mm": "greatest Feret, mm",
+    "min_feret_mm": "least Feret, mm",
+    "min_box_mm": "least box, mm",
+    "sieve_size_mm": "sieve size, mm",
+    "equivalent_diameter_mm": "equivalent diameter, mm",
+    "sphericity": "sphericity (Wadell)",
+    "convexity": "convexity",
+    "elongation_ratio": "elongation b/a",
+    "flatness_ratio": "flatness c/b",
+    "zingg_class": "Zingg class",
+    "krumbein": "Krumbein",
+    "corey": "Corey",
+    "center_mm": "centre of mass, mm",
+}
+
+
+def command(
+    meshes: Annotated[list[Path], typer.Argument(metavar="MESH...", help="Closed meshes in mm: STL, PLY, OBJ.")],
+    as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a mesh.")] = False,
+) -> None:
+    """Measure mesh files with the very functions of the pipeline."""
+    errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    measured: list[dict[str, Any]] = []
+    for path in track(meshes, "Measuring", console=errors, transient=True, disable=not errors.is_terminal):
+        try:
+            measured.append({"file": str(path)} | asdict(measure_shape(read_mesh(path))))
+        except (MeshError, UsageError, OSError) as err:
+            reason = err.strerror or err if isinstance(err, OSError) else err
+            errors.print(f"stonefall: {path}: {reason}")
+    if as_json:
+        typer.echo(json.dumps(measured, indent=2, allow_nan=False))
+    else:
+        console = Console()
+        for i in range(0, len(measured), MESHES_PER_TABLE):
+            console.print(_table(measured[i : i + MESHES_PER_TABLE]))
+    if len(measured) < len(meshes):
+        raise typer.Exit(1)
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """The mesh in a file, its equal vertices merged.
+
+    Raises
+    ------
+    UsageError
+        The file is not a mesh that can be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UsageError(f"is none of {', '.join(SUFFIXES)}")
+    try:
+        with path.open("rb") as file:
+            mesh = trimesh.load_mesh(file, file_type=suffix[1:], process=False)
+        if np.isfinite(mesh.vertices).all():
+            # STL repeats vertices for each face, OBJ where texture or normals break
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    except PARSER_ERRORS as err:
+        raise UsageError(f"is damaged, or not {suffix[1:].upper()}") from err
+    return mesh
+
+
+def _table(measured: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table()
+    table.add_column(no_wrap=True)
+    for shape in measured:
+        table.add_column(Path(shape["file"]).name, justify="right", overflow="fold")
+    for key, label in ROWS.items():
+        table.add_row(label, *(_text(shape[key]) for shape in measured))
+    return table
+
+
+def _text(value: Any) -> str:
+    match value:
+        case str():
+            return value
+        case tuple():
+            return " × ".join(f"{edge:.3f}" for edge in value)
+    return f"{value:.4g}" if value < 1 else f"{value:.3f}"

@@ -1,0 +1,144 @@
+"""What the REST interface may ask of the running daemon: one protocol, plain values, no web, no devices.
+
+The daemon implements `Control`; tests of the API put a fake in its place. Nothing here blocks: what a
+device must be asked for is asked by the daemon's own tasks, and the answer is remembered.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+from pipeline.frames import CameraId
+from service.errors import ServiceError
+
+
+class AcquisitionState(StrEnum):
+    """Where the rig stands between stones being ignored and stones being measured."""
+
+    DISARMED = "disarmed"
+    """Nobody listens to the light gate."""
+    ARMING = "arming"
+    ARMED = "armed"
+    """Every trigger becomes a bundle."""
+    HELD = "held"
+    """Armed is wanted, own trouble prevents it; the daemon keeps trying."""
+    DISARMING = "disarming"
+    STOPPING = "stopping"
+    """The daemon is on its way out; nothing can be asked of it any more."""
+
+
+class AcquisitionTarget(StrEnum):
+    """What may be asked for."""
+
+    ARMED = "armed"
+    DISARMED = "disarmed"
+
+
+TRANSITIONS: Mapping[tuple[AcquisitionState, AcquisitionTarget], AcquisitionState] = {
+    (AcquisitionState.DISARMED, AcquisitionTarget.ARMED): AcquisitionState.ARMING,
+    (AcquisitionState.ARMING, AcquisitionTarget.ARMED): AcquisitionState.ARMING,
+    (AcquisitionState.ARMED, AcquisitionTarget.ARMED): AcquisitionState.ARMED,
+    (AcquisitionState.HELD, AcquisitionTarget.ARMED): AcquisitionState.HELD,
+    (AcquisitionState.DISARMED, AcquisitionTarget.DISARMED): AcquisitionState.DISARMED,
+    (AcquisitionState.ARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.ARMED, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.HELD, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.DISARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+}
+"""The state that follows a request; asking for what already is or comes changes nothing. A pair that is
+absent is a conflict: arming while disarming, and anything while stopping."""
+
+
+class ConflictError(ServiceError):
+    """The acquisition cannot go from its current state to the one asked for."""
+
+    def __init__(self, current: AcquisitionState, target: AcquisitionTarget) -> None:
+        super().__init__(f"acquisition is {current} and cannot become {target} now")
+        self.current = current
+        self.target = target
+
+
+def next_state(current: AcquisitionState, target: AcquisitionTarget) -> AcquisitionState:
+    """Return the state after asking for `target`; raise `ConflictError` where the table has no answer."""
+    try:
+        return TRANSITIONS[current, target]
+    except KeyError:
+        raise ConflictError(current, target) from None
+
+
+class CheckStatus(StrEnum):
+    """Of one check, from best to worst."""
+
+    PASS = "pass"  # noqa: S105  the word of the health+json draft
+    WARN = "warn"
+    FAIL = "fail"
+
+
+class Ne107(StrEnum):
+    """Device state in the words of NAMUR NE 107."""
+
+    GOOD = "good"
+    CHECK_FUNCTION = "check_function"
+    """Results are temporarily not to be trusted: calibration, replay, service."""
+    MAINTENANCE_REQUIRED = "maintenance_required"
+    """Still right, but not for long."""
+    OUT_OF_SPECIFICATION = "out_of_specification"
+    """Results are less certain than promised."""
+    FAILURE = "failure"
+    """No results."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One thing that was looked at."""
+
+    status: CheckStatus
+    value: float | int | str | bool | None = None
+    unit: str | None = None
+    detail: str | None = None  # for people: what is wrong and where
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """The daemon's opinion of itself."""
+
+    ne107: Ne107
+    ready: bool  # the next stone will be measured
+    reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
+    checks: Mapping[str, Check] = field(default_factory=dict)
+    """By name: `camera:c01`, `gate`, `queue`, `workers`, `disk`, `store`, `calibration`, `clock`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraStatus:
+    """One camera's state and counters since the daemon started."""
+
+    id: CameraId
+    state: str  # closed, open, armed, lost
+    last_error: str | None = None
+    frames: int = 0
+    lost: int = 0  # reported as lost by the camera or its driver
+    late: int = 0  # arrived after their bundle was closed
+    duplicates: int = 0
+    last_frame_age_s: float | None = None
+
+
+class Control(Protocol):
+    """The running daemon as the REST interface sees it; every method is called on the event loop."""
+
+    def acquisition(self) -> AcquisitionState: ...
+
+    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
+        """Begin the transition and return the state it has reached; raises `ConflictError`."""
+        ...
+
+    def health(self) -> Health: ...
+
+    def cameras(self) -> list[CameraStatus]:
+        """All cameras of the rig, in page order."""
+        ...
+
+    async def snapshot(self, camera: CameraId) -> bytes | None:
+        """Return the camera's latest frame as PNG; `None` while there is none."""
+        ...

@@ -1,0 +1,25 @@
+"""What the service refuses.
+
+::
+
+    ServiceError
+    ├── SettingsError       a configuration file; names the file and every wrong field
+    ├── StoreError          the result store cannot be opened or written; fatal for the daemon
+    └── UsageError          a command's arguments contradict each other or the files they name
+"""
+
+
+class ServiceError(Exception):
+    """Root of what the service raises on purpose."""
+
+
+class SettingsError(ServiceError):
+    """The configuration cannot be used."""
+
+
+class StoreError(ServiceError):
+    """The result store cannot be opened, or a write did not become durable."""
+
+
+class UsageError(ServiceError):
+    """The arguments of a command cannot be carried out."""

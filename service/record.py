@@ -1,0 +1,117 @@
+"""The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed (design, section 4)."""
+
+from typing import Any
+
+from pipeline.frames import Trigger
+from pipeline.particle import ParticleMeasurement, ParticleResult
+
+ALGORITHM_VERSION = "1"
+"""Raised by every change that may change a result."""
+
+MEASURED_FIELDS = (
+    "volume_mm3",
+    "volume_raw_mm3",
+    "surface_area_mm2",
+    "length_mm",
+    "width_mm",
+    "thickness_mm",
+    "max_feret_mm",
+    "min_feret_mm",
+    "min_box_mm",
+    "sieve_size_mm",
+    "equivalent_diameter_mm",
+    "equivalent_diameter_raw_mm",
+    "sphericity",
+    "convexity",
+    "elongation_ratio",
+    "flatness_ratio",
+    "zingg_class",
+    "angularity",
+    "mass_g",
+    "center_mm",
+)
+"""Fields that are null unless the outcome is `measured`."""
+
+
+def result_record(
+    result: ParticleResult,
+    trigger: Trigger,
+    *,
+    bundle: str,
+    calibration_id: str,
+    is_simulated: bool,
+    timings_ms: dict[str, float],
+) -> dict[str, Any]:
+    """The record of a bundle that was looked at: `measured`, or `rejected` with the reason."""
+    measurement, rejection = result.measurement, result.rejection
+    record = _frame(trigger, bundle, calibration_id, is_simulated)
+    record |= {
+        "outcome": "rejected" if measurement is None else "measured",
+        "reason": None if rejection is None else str(rejection.reason),
+        "detail": None if rejection is None else rejection.detail,
+        "quality": None if result.quality is None else str(result.quality),
+        "views": list(result.views),
+        "dropped_views": dict(result.dropped),
+        "view_residuals_px": {camera: round(px, 4) for camera, px in result.residuals_px.items()},
+        "timings_ms": timings_ms,
+    }
+    if measurement is not None:
+        record |= _measured(measurement)
+    return record
+
+
+def lost_record(
+    trigger: Trigger | None, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
+) -> dict[str, Any]:
+    """The record of a trigger whose bundle was never looked at; `None` when even its header cannot be read."""
+    record = _frame(trigger, bundle, calibration_id, is_simulated)
+    return record | {"outcome": "lost", "reason": reason, "detail": detail}
+
+
+def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
+    """What every record has, with everything measured still null, in the order of the contract."""
+    return {
+        "bundle": bundle,
+        "sequence": None if trigger is None else trigger.sequence,
+        "kind": None if trigger is None else str(trigger.kind),
+        "captured_at": None if trigger is None else trigger.utc,
+        "outcome": None,
+        "reason": None,
+        "detail": None,
+        "quality": None,
+        "views": [],
+        "dropped_views": {},
+        **dict.fromkeys(MEASURED_FIELDS),
+        "mesh": None,
+        "view_residuals_px": {},
+        "timings_ms": {},
+        "calibration_id": calibration_id,
+        "algorithm_version": ALGORITHM_VERSION,
+        "is_simulated": is_simulated,
+    }
+
+
+def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
+    shape = measurement.shape
+    return {
+        "volume_mm3": measurement.volume_mm3,
+        "volume_raw_mm3": shape.volume_mm3,
+        "surface_area_mm2": shape.surface_area_mm2,
+        "length_mm": shape.length_mm,
+        "width_mm": shape.width_mm,
+        "thickness_mm": shape.thickness_mm,
+        "max_feret_mm": shape.max_feret_mm,
+        "min_feret_mm": shape.min_feret_mm,
+        "min_box_mm": list(shape.min_box_mm),
+        "sieve_size_mm": shape.sieve_size_mm,
+        "equivalent_diameter_mm": measurement.equivalent_diameter_mm,
+        "equivalent_diameter_raw_mm": shape.equivalent_diameter_mm,
+        "sphericity": shape.sphericity,
+        "convexity": shape.convexity,
+        "elongation_ratio": shape.elongation_ratio,
+        "flatness_ratio": shape.flatness_ratio,
+        "zingg_class": str(shape.zingg_class),
+        "angularity": measurement.angularity,
+        "mass_g": measurement.mass_g,
+        "center_mm": list(shape.center_mm),
+    }

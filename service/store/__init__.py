@@ -1,0 +1,6 @@
+"""Every trigger's outcome, durable before it is visible: SQLite, one writer, files beside it."""
+
+from service.store.reads import ParticleFilter, Record, ResultPage
+from service.store.store import Store, open_store
+
+__all__ = ["ParticleFilter", "Record", "ResultPage", "Store", "open_store"]

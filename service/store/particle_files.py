@@ -1,0 +1,57 @@
+"""The files of a particle, `particles/<id>/`: on the disk before the row that speaks of them.
+
+A folder without a row is what a crash left between the two; it is invisible, and whoever gets its number
+next removes it.
+"""
+
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+
+def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
+    """Bring `files` (a name in `folder` each; a file, or a folder of files) there, durably.
+
+    The sources stay until `drop_sources`, so that a transaction that fails afterwards can be repeated.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    if not files:
+        return
+    folder.mkdir(parents=True)
+    for name, source in files.items():
+        target = folder / name
+        if source.is_dir():
+            target.mkdir()
+            for entry in sorted(source.iterdir()):
+                _bring(entry, target / entry.name)
+            _flush(target)
+        else:
+            _bring(source, target)
+    _flush(folder)
+    _flush(folder.parent)
+
+
+def drop_sources(files: Mapping[str, Path]) -> None:
+    """Remove what `keep_files` has brought to safety."""
+    for source in files.values():
+        if source.is_dir():
+            shutil.rmtree(source)
+        else:
+            source.unlink()
+
+
+def _bring(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another file system (the spool is on tmpfs), or one without links
+        shutil.copyfile(source, target)
+    _flush(target)
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,110 @@
+"""What is read: queries on a read-only connection, and what they return."""
+
+import json
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+from service.ledger import Accounting
+
+Record = dict[str, Any]
+"""A result as stored: the fields of the pipeline's record, `seq`, `id`, `recorded_at`, and any other key."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultPage:
+    """A stretch of the feed, in order, and where the feed begins and ends at the same moment."""
+
+    first_seq: int  # oldest result kept; last_seq + 1 when there is none
+    last_seq: int  # 0 before the first result
+    items: list[Record]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticleFilter:
+    """Which results to list; `None` is no condition. Sizes in mm, both limits included."""
+
+    outcome: str | None = None
+    quality: str | None = None
+    kind: str | None = None
+    min_sieve_size_mm: float | None = None
+    max_sieve_size_mm: float | None = None
+    since: str | None = None  # captured at or after, as `writes.rfc3339_ms` writes it
+    until: str | None = None  # captured before
+
+
+def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:
+    (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
+    (first_seq,) = connection.execute("SELECT coalesce(min(seq), ?) FROM results", (last_seq + 1,)).fetchone()
+    rows = connection.execute(
+        "SELECT record FROM results WHERE seq > ? ORDER BY seq LIMIT ?", (seq, limit)
+    ).fetchall()
+    return ResultPage(
+        first_seq=first_seq, last_seq=last_seq, items=[json.loads(record) for (record,) in rows]
+    )
+
+
+def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
+    """Find the result with this id (text) or this seq (number)."""
+    column = "seq" if isinstance(key, int) else "id"
+    row = connection.execute(f"SELECT record FROM results WHERE {column} = ?", (key,)).fetchone()  # noqa: S608
+    return json.loads(row[0]) if row else None
+
+
+def particles(
+    connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int | None, limit: int
+) -> list[Record]:
+    """List the newest results that fit, newest first, older than `before_seq`."""
+    conditions = {
+        "outcome = ?": wanted.outcome,
+        "quality = ?": wanted.quality,
+        "kind = ?": wanted.kind,
+        "sieve_size_mm >= ?": wanted.min_sieve_size_mm,
+        "sieve_size_mm <= ?": wanted.max_sieve_size_mm,
+        "captured_at >= ?": wanted.since,
+        "captured_at < ?": wanted.until,
+        "seq < ?": before_seq,
+    }
+    given = {text: value for text, value in conditions.items() if value is not None}
+    rows = connection.execute(
+        f"SELECT record FROM results WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?",  # noqa: S608
+        (*given.values(), limit),
+    ).fetchall()
+    return [json.loads(record) for (record,) in rows]
+
+
+def accounting(connection: sqlite3.Connection, session: int | None) -> Accounting:
+    """Count over one session, or over all.
+
+    Triggers are counted where they were recorded and outcomes where they are served: the balance is a check.
+    """
+    states = dict(
+        connection.execute(
+            "SELECT state, count(*) FROM triggers WHERE session = coalesce(?, session) GROUP BY state",
+            (session,),
+        ).fetchall()
+    )
+    outcomes: dict[str, int] = {}
+    reasons: dict[str, int] = {}
+    qualities: dict[str, int] = {}
+    for outcome, reason, quality, count in connection.execute(
+        "SELECT outcome, reason, quality, count(*) FROM results WHERE session = coalesce(?, session)"
+        " GROUP BY outcome, reason, quality",
+        (session,),
+    ):
+        outcomes[outcome] = outcomes.get(outcome, 0) + count
+        if outcome == "measured":
+            qualities[quality] = qualities.get(quality, 0) + count
+        else:
+            reasons[reason] = reasons.get(reason, 0) + count
+    backgrounds = states.pop("background", 0)
+    return Accounting(
+        triggers=sum(states.values()),
+        measured=outcomes.get("measured", 0),
+        rejected=outcomes.get("rejected", 0),
+        lost=outcomes.get("lost", 0),
+        in_progress=states.get("open", 0),
+        backgrounds=backgrounds,
+        by_reason=reasons,
+        by_quality=qualities,
+    )

@@ -1,0 +1,185 @@
+"""The result store: one thread writes, readers look on, and whoever waits for results is woken.
+
+`open_store` and `close` block; everything else is for the event loop. A returned write is durable.
+"""
+
+import asyncio
+import fcntl
+import sqlite3
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from io import FileIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+
+from pipeline.frames import Trigger
+from service.errors import StoreError
+from service.ledger import Accounting
+from service.store import reads, writes
+from service.store.schema import connect_reader, connect_writer
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def open_store(state_dir: Path) -> "Store":
+    """Open `state_dir/results.sqlite`, creating what is missing.
+
+    Raises
+    ------
+    StoreError
+        Another process has the store open, the file is no database, or its schema is newer than this program.
+    """
+    try:
+        state_dir.mkdir(parents=True, exist_ok=True)
+        lock = FileIO(state_dir / "store.lock", "w")
+    except OSError as err:
+        raise StoreError(f"{state_dir}: {err}") from err
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as err:
+        lock.close()
+        raise StoreError(f"{state_dir}: another process has the store open") from err
+    writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="store-writer")
+    try:
+        connection = writer.submit(connect_writer, state_dir / "results.sqlite").result()
+    except StoreError:
+        writer.shutdown()
+        lock.close()
+        raise
+    return Store(state_dir, lock, writer, connection)
+
+
+class Store:
+    """Triggers, their outcomes and the files of the particles; made by `open_store`."""
+
+    def __init__(
+        self, state_dir: Path, lock: FileIO, writer: ThreadPoolExecutor, connection: sqlite3.Connection
+    ) -> None:
+        self.particles_dir = state_dir / "particles"
+        self._path = state_dir / "results.sqlite"
+        self._lock = lock  # held until the process ends or `close`
+        self._writer = writer
+        self._connection = connection  # of the writer thread alone
+        self._session: int | None = None
+        self._committed = asyncio.Event()  # replaced at each commit
+        self._released = False
+        with connect_reader(self._path) as reader:
+            row = reader.execute("SELECT instance_id, last_seq FROM store").fetchone()
+        self._instance_id: str = row[0]
+        self._last_seq: int = row[1]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the writer finish what it was given, then close the database."""
+        self._writer.submit(self._connection.close)
+        self._writer.shutdown()
+        self._lock.close()
+
+    @property
+    def instance_id(self) -> str:
+        """UUID of this history; a reader of the feed that sees another one starts again."""
+        return self._instance_id
+
+    @property
+    def last_seq(self) -> int:
+        """The newest durable result; 0 before the first."""
+        return self._last_seq
+
+    @property
+    def session(self) -> int | None:
+        """The session begun by this process."""
+        return self._session
+
+    async def begin_session(self, info: Mapping[str, Any]) -> int:
+        """Return the number of a new session; `info` (JSON) says what ran.
+
+        Its `calibration_id` and `is_simulated` go into the records of triggers that a crash leaves open.
+        """
+        self._session = await self._write(writes.begin_session, info)
+        return self._session
+
+    async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None:
+        """Make it known, durably, that `trigger` happened; `bundle` is unique within the session."""
+        await self._write(writes.record_trigger, session, trigger, bundle)
+
+    async def finish(
+        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+    ) -> int:
+        """End a trigger with `record` and return the result's `seq`.
+
+        `files` (`mesh.ply`, `silhouettes`, `bundle.tiff`) are moved to `particles/<id>/` first. A second
+        outcome for the same trigger is refused: nothing changes and the `seq` of the first is returned.
+        """
+        return await self._write(writes.finish, self.particles_dir, session, bundle, record, files or {})
+
+    async def lose_open(self, reason: str, detail: str | None = None) -> int:
+        """End as `lost` every trigger that an earlier session left open, all at once; how many they were."""
+        return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail)
+
+    async def accounting(self, session: int | None = None) -> Accounting:
+        """Count one session, or of the whole history."""
+        return await self._read(reads.accounting, session)
+
+    async def results_after(self, seq: int, limit: int) -> reads.ResultPage:
+        return await self._read(reads.results_after, seq, limit)
+
+    async def particle(self, key: str | int) -> reads.Record | None:
+        """One result by id (text) or seq (number)."""
+        return await self._read(reads.particle, key)
+
+    async def particles(
+        self, wanted: reads.ParticleFilter, before_seq: int | None, limit: int
+    ) -> list[reads.Record]:
+        """Newest first, older than `before_seq`."""
+        return await self._read(reads.particles, wanted, before_seq, limit)
+
+    async def wait_beyond(self, seq: int) -> None:
+        """Return when a result after `seq` is durable, or when waiting was ended by `release_waiters`."""
+        while self._last_seq <= seq and not self._released:
+            await self._committed.wait()
+
+    def release_waiters(self) -> None:
+        """End all waiting, now and from now on: the daemon is about to stop."""
+        self._released = True
+        self._wake()
+
+    def _wake(self) -> None:
+        self._committed.set()
+        self._committed = asyncio.Event()
+
+    async def _write(
+        self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> T:
+        def job() -> T:
+            try:
+                result = work(self._connection, *args, **kwargs)
+                (self._last_seq,) = self._connection.execute("SELECT last_seq FROM store").fetchone()
+            except (sqlite3.Error, OSError) as err:
+                raise StoreError(f"{self._path}: {err}") from err
+            return result
+
+        written = asyncio.wrap_future(self._writer.submit(job))
+        # on the inner future, and shielded: a caller cancelled meanwhile must not leave the readers asleep
+        written.add_done_callback(lambda _: self._wake())
+        return await asyncio.shield(written)
+
+    async def _read(
+        self, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> T:
+        def job() -> T:
+            try:
+                with connect_reader(self._path) as connection:
+                    return query(connection, *args, **kwargs)
+            except sqlite3.Error as err:
+                raise StoreError(f"{self._path}: {err}") from err
+
+        return await asyncio.to_thread(job)

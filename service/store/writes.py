@@ -1,0 +1,137 @@
+"""What is written: each function one transaction on the writer's connection.
+
+Invariants: every trigger ends in at most one result (`UNIQUE (trigger)`), and results are numbered without
+a gap, because the number is taken in the transaction that makes the result durable.
+"""
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pipeline.frames import BundleKind, Trigger
+from service.errors import StoreError
+from service.store.particle_files import drop_sources, keep_files
+from service.store.schema import transaction
+
+
+def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> int:
+    with transaction(connection):
+        (session,) = connection.execute(
+            "INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session",
+            (_now(), json.dumps(info, allow_nan=False)),
+        ).fetchone()
+    return int(session)
+
+
+def record_trigger(connection: sqlite3.Connection, session: int, trigger: Trigger, bundle: str) -> None:
+    state = "background" if trigger.kind is BundleKind.BACKGROUND else "open"
+    with transaction(connection):
+        connection.execute(
+            "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state)"
+            " VALUES (?, ?, ?, ?, ?, ?)",
+            (session, bundle, trigger.sequence, trigger.kind, rfc3339_ms(trigger.utc), state),
+        )
+
+
+def finish(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    session: int,
+    bundle: str,
+    record: Mapping[str, Any],
+    files: Mapping[str, Path],
+) -> int:
+    """Return the `seq` of the trigger's one result: of `record`, or of the one that was there before."""
+    with transaction(connection):
+        row = connection.execute(
+            "SELECT trigger, state, seq FROM triggers LEFT JOIN results USING (trigger)"
+            " WHERE triggers.session = ? AND bundle = ?",
+            (session, bundle),
+        ).fetchone()
+        if row is None:
+            raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
+        trigger, state, seq = row
+        if state == "background":
+            raise StoreError(f"session {session}, bundle {bundle}: a background has no outcome")
+        if seq is not None:
+            return int(seq)
+        seq = _end(connection, particles_dir, trigger, record, files)
+    drop_sources(files)
+    return seq
+
+
+def lose_open(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    live_session: int | None,
+    reason: str,
+    detail: str | None,
+) -> int:
+    """How many triggers of other sessions than `live_session` were open and are `lost` now."""
+    with transaction(connection):
+        rows = connection.execute(
+            "SELECT trigger, info FROM triggers JOIN sessions USING (session)"
+            " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
+            (live_session,),
+        ).fetchall()
+        for trigger, info_text in rows:
+            info = json.loads(info_text)
+            record = {"outcome": "lost", "reason": reason, "detail": detail}
+            record |= {name: info[name] for name in ("calibration_id", "is_simulated") if name in info}
+            _end(connection, particles_dir, trigger, record, {})
+    return len(rows)
+
+
+def _end(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    trigger: int,
+    record: Mapping[str, Any],
+    files: Mapping[str, Path],
+) -> int:
+    session, bundle, sequence, kind, captured_at = connection.execute(
+        "SELECT session, bundle, sequence, kind, captured_at FROM triggers WHERE trigger = ?", (trigger,)
+    ).fetchone()
+    seq, instance_id = connection.execute(
+        "UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq, instance_id"
+    ).fetchone()
+    particle_id = f"{instance_id[:8]}-{seq:08d}"
+    keep_files(particles_dir / particle_id, files)
+    stored = {
+        "seq": seq,
+        "id": particle_id,
+        "session": session,
+        **record,
+        "bundle": bundle,
+        "sequence": sequence,
+        "kind": kind,
+        "captured_at": captured_at,
+        "recorded_at": _now(),
+        # relative to the state directory, and likewise to the base path of the REST interface
+        "mesh": f"particles/{particle_id}/mesh.ply" if "mesh.ply" in files else None,
+    }
+    connection.execute(
+        "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
+        (seq, particle_id, trigger, session, json.dumps(stored, allow_nan=False)),
+    )
+    connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record["outcome"], trigger))
+    return int(seq)
+
+
+def rfc3339_ms(text: str) -> str:
+    """Write the same instant in UTC with milliseconds and `Z`, so that text order is time order."""
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
+        raise ValueError(f"time {text!r} has no offset from UTC")
+    try:
+        utc = moment.astimezone(UTC)
+    except OverflowError:
+        raise ValueError(f"time {text!r} is out of range") from None
+    return utc.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _now() -> str:
+    return rfc3339_ms(datetime.now(UTC).isoformat())

@@ -1,0 +1,71 @@
+"""The service manager's side door: sd_notify datagrams, the watchdog's interval, journal priorities.
+
+The protocol is that of sd_notify(3): assignments separated by newlines, one datagram to the socket in
+`NOTIFY_SOCKET`; a leading `@` stands for the NUL byte of an abstract socket.
+"""
+
+import logging
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceManager:
+    """systemd, or nobody (`address` None, every notification goes nowhere)."""
+
+    address: str | None = None
+    watchdog_s: float | None = None  # within this time it wants to hear of progress
+
+    def notify(self, *assignments: str) -> None:
+        """Tell, for example, `READY=1`, `STATUS=armed`; never blocks, an unreachable listener is logged."""
+        if self.address is None:
+            return
+        path = "\0" + self.address[1:] if self.address.startswith("@") else self.address
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.setblocking(False)
+            try:
+                sender.sendto("\n".join(assignments).encode(), path)
+            except OSError as err:
+                log.warning("the service manager did not hear us: %s notification=%s", err, assignments)
+
+
+def service_manager(environ: Mapping[str, str], pid: int) -> ServiceManager:
+    """Who started us, from the variables systemd sets; the watchdog counts only if it means this process."""
+    watchdog_us = environ.get("WATCHDOG_USEC", "")
+    is_ours = environ.get("WATCHDOG_PID", str(pid)) == str(pid)
+    return ServiceManager(
+        address=environ.get("NOTIFY_SOCKET") or None,
+        watchdog_s=int(watchdog_us) / 1e6 if watchdog_us.isdigit() and is_ours else None,
+    )
+
+
+PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
+
+
+class JournalFormatter(logging.Formatter):
+    """`<3>`-style prefixes on every line, so that journald knows the priority (sd-daemon(3))."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        prefix = f"<{PRIORITIES.get(record.levelno, 6)}>"
+        return "\n".join(prefix + line for line in super().format(record).splitlines())
+
+
+def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> None:
+    """Log to stderr: for people with the time, for the journal (which has the time) with priorities."""
+    handler = logging.StreamHandler()
+    if _is_journal(environ.get("JOURNAL_STREAM", "")):
+        handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
+    else:
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
+    logging.basicConfig(level=level, handlers=[handler], force=True)
+
+
+def _is_journal(stream: str) -> bool:
+    """Whether stderr is the very stream `device:inode` that the journal reads (systemd.exec(5))."""
+    status = os.fstat(2)
+    return stream == f"{status.st_dev}:{status.st_ino}"
+
+
+log = logging.getLogger(__name__)

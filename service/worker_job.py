@@ -1,0 +1,199 @@
+"""What a worker process does: one bundle file in, one result record and its files out.
+
+The offline command and the daemon run these very functions, so their results are equal bit for bit,
+whatever the number of workers.
+"""
+
+import os
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+
+from drivers.recording import read_bundle, write_bundle
+from drivers.rig_file import read_rig
+from pipeline.errors import RigError
+from pipeline.frames import CameraId
+from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
+from pipeline.rig import RigCalibration
+from pipeline.segmentation import BackgroundModel, Segmenter
+from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation.background import learn_background as learn
+from pipeline.segmentation.subtraction import BackgroundSegmenter
+from service.record import result_record
+
+
+class WorkerFailure(Exception):  # noqa: N818 - a bug or a broken environment, with its traceback as text
+    """A job ended with an exception that says nothing about the stone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerContext:
+    """What all jobs of a worker share."""
+
+    rig_path: Path
+    parameters: PipelineParameters
+    is_simulated: bool
+    segmenter: str = "background"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureJob:
+    """One bundle to measure; its files go into `out_dir`, which is made."""
+
+    bundle_path: Path
+    camera_ids: tuple[CameraId, ...]
+    background_path: Path | None
+    out_dir: Path
+    archive: bool = False  # keep the frames as `bundle.tiff`
+    save_silhouettes: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnJob:
+    """One exposure of the empty rig to fold into the background."""
+
+    bundle_path: Path
+    camera_ids: tuple[CameraId, ...]
+    previous_path: Path | None
+    out_path: Path
+
+
+@dataclass(slots=True)
+class _Worker:
+    context: WorkerContext
+    rig: RigCalibration
+    calibration_id: str
+    segmenter: Segmenter
+    background_path: Path | None = None
+    background: BackgroundModel | None = None
+
+    def background_at(self, path: Path | None) -> BackgroundModel:
+        """The model in a file; the last one is kept, files are never rewritten under their name."""
+        if path is None:
+            return {}
+        if self.background is None or path != self.background_path:
+            self.background, self.background_path = read_background(path), path
+        return self.background
+
+
+_worker: _Worker | None = None
+
+
+def initialize(context: WorkerContext) -> None:
+    """Prepare this process; frames come first, so workers yield the processor to the daemon."""
+    global _worker  # noqa: PLW0603 - a pool's initializer has no other place for it
+    os.nice(10)
+    cv2.setNumThreads(1)
+    rig = read_rig(context.rig_path)
+    _worker = _Worker(
+        context=context,
+        rig=rig,
+        calibration_id=rig.calibration_id,
+        segmenter=build_segmenter(context.segmenter, context.parameters),
+    )
+
+
+def build_segmenter(name: str, parameters: PipelineParameters) -> Segmenter:
+    """The segmenter of that name; `ValueError` for one this version does not have."""
+    if name != "background":
+        raise ValueError(f"segmenter must be background, not {name!r}")
+    return BackgroundSegmenter(parameters.segmentation)
+
+
+def measure(job: MeasureJob) -> dict[str, Any]:
+    """The result record of one bundle; writes `mesh.ply`, `silhouettes/<camera>.png` and `bundle.tiff`.
+
+    Raises
+    ------
+    RecordingError
+        Nothing of the bundle can be read.
+    WorkerFailure
+        Anything that is not the stone's fault; carries the traceback as text.
+    """
+    if _worker is None:
+        raise WorkerFailure("the worker was not initialized")
+    timings_ms: dict[str, float] = {}
+    stage_start = time.perf_counter()
+    bundle = read_bundle(job.bundle_path, job.camera_ids)
+
+    def on_stage(stage: str) -> None:
+        nonlocal stage_start
+        now = time.perf_counter()
+        timings_ms[stage] = round(1000 * (now - stage_start), 2)
+        stage_start = now
+
+    try:
+        background = _worker.background_at(job.background_path)
+        on_stage("load")
+        result = measure_bundle(
+            bundle, _worker.rig, background, _worker.segmenter, _worker.context.parameters, on_stage
+        )
+        _write_files(job, result)
+        if job.archive:
+            write_bundle(job.out_dir / "bundle.tiff", bundle, job.camera_ids, compression="zstd")
+        on_stage("write")
+    except RigError:
+        raise
+    except Exception as err:  # noqa: BLE001 - the worker boundary: ship the traceback home
+        raise WorkerFailure("".join(traceback.format_exception(err))) from None
+    timings_ms["total"] = round(sum(timings_ms.values()), 2)
+    record = result_record(
+        result,
+        bundle.trigger,
+        bundle=bundle.name,
+        calibration_id=_worker.calibration_id,
+        is_simulated=_worker.context.is_simulated,
+        timings_ms=timings_ms,
+    )
+    record["mesh"] = None if result.mesh is None else "mesh.ply"
+    return record
+
+
+def _write_files(job: MeasureJob, result: ParticleResult) -> None:
+    job.out_dir.mkdir(parents=True, exist_ok=True)
+    if result.mesh is not None:
+        mesh = trimesh.Trimesh(result.mesh.vertices_mm, result.mesh.faces, process=False)
+        (job.out_dir / "mesh.ply").write_bytes(mesh.export(file_type="ply"))
+    if job.save_silhouettes:
+        folder = job.out_dir / "silhouettes"
+        folder.mkdir(exist_ok=True)
+        for camera, silhouette in result.silhouettes.items():
+            # level 1: the labels are large flat areas, so speed costs no space
+            cv2.imwrite(
+                str(folder / f"{camera}.png"), silhouette.label_image(), [cv2.IMWRITE_PNG_COMPRESSION, 1]
+            )
+
+
+def learn_background(job: LearnJob) -> None:
+    """Fold one exposure of the empty rig into the background and write it as a new file."""
+    previous = {} if job.previous_path is None else read_background(job.previous_path)
+    bundle = read_bundle(job.bundle_path, job.camera_ids)
+    write_background(job.out_path, learn(previous, bundle.frames))
+
+
+def read_background(path: Path) -> BackgroundModel:
+    """The background model in a file written by `write_background`."""
+    with np.load(path) as arrays:
+        return {
+            CameraId(name): CameraBackground(mean=arrays[name], n_frames=int(arrays[f"{name}.n_frames"]))
+            for name in arrays.files
+            if not name.endswith(".n_frames")
+        }
+
+
+def write_background(path: Path, model: BackgroundModel) -> None:
+    """Write the model under a name that appears only when it is complete."""
+    arrays: dict[str, Any] = {}
+    for camera, background in model.items():
+        arrays[camera] = background.mean
+        arrays[f"{camera}.n_frames"] = np.int64(background.n_frames)
+    partial = path.with_suffix(".tmp")
+    with partial.open("wb") as file:
+        np.savez(file, **arrays)
+    partial.rename(path)

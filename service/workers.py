@@ -1,0 +1,183 @@
+"""Worker processes: N slots of one process each; a crash or a deadline costs one job one retry.
+
+A `ProcessPoolExecutor` of several workers breaks as a whole when one dies, so every slot has its own.
+Processes are spawned, never forked (drivers have threads of their own), end with the daemon however
+it ends, and leave Ctrl-C to it.
+"""
+
+import asyncio
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from typing import Any, TypeVar
+
+from service.errors import ServiceError
+from service.worker_job import WorkerFailure
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+log = logging.getLogger(__name__)
+
+START_DEADLINE_S = 120.0
+START_ATTEMPTS = 3
+
+
+class WorkerStartError(ServiceError):
+    """A worker process does not get through its initialization; fatal for the daemon."""
+
+
+class JobLostError(ServiceError):
+    """A job failed twice, each time in a fresh process; `reason` is `worker_crash` or `deadline`."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+        self.detail = detail
+
+
+class WorkerPool:
+    """Life cycle: `start`, any number of concurrent `run`, `close`; all on the event loop.
+
+    `initialize(context)` runs once in each new process; both must be picklable, like jobs and results.
+    """
+
+    def __init__(
+        self, *, slots: int, deadline_s: float, initialize: Callable[[Any], None], context: object
+    ) -> None:
+        self._slots = [_Slot(initialize, context) for _ in range(slots)]
+        self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
+        self._deadline_s = deadline_s
+        self.restarts = 0
+
+    @property
+    def size(self) -> int:
+        return len(self._slots)
+
+    @property
+    def pids(self) -> list[int]:
+        return [slot.pid for slot in self._slots if slot.pid is not None]
+
+    async def start(self) -> None:
+        """Return when every worker is warm.
+
+        Raises
+        ------
+        WorkerStartError
+        """
+        await asyncio.gather(*(slot.start() for slot in self._slots))
+        for slot in self._slots:
+            self._idle.put_nowait(slot)
+
+    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
+        """Return `function(job)`, computed in the first idle slot; a `WorkerFailure` counts as a crash.
+
+        Raises
+        ------
+        JobLostError
+            It failed twice.
+        WorkerStartError
+            The slot could not be rebuilt.
+        """
+        slot = await self._idle.get()
+        try:
+            try:
+                return await slot.run(function, job, self._deadline_s)
+            except JobLostError as err:
+                log.warning("%s, retrying in a fresh worker job=%s", err, job)
+            await self._rebuild(slot)
+            try:
+                return await slot.run(function, job, self._deadline_s)
+            except JobLostError:
+                await self._rebuild(slot)
+                raise
+        finally:
+            self._idle.put_nowait(slot)
+
+    async def _rebuild(self, slot: "_Slot") -> None:
+        self.restarts += 1
+        slot.kill()
+        await slot.start()
+
+    def close(self) -> None:
+        """End all processes now; whatever still runs in them is lost."""
+        for slot in self._slots:
+            slot.kill()
+
+
+class _Slot:
+    def __init__(self, initialize: Callable[[Any], None], context: object) -> None:
+        self._initargs = (initialize, context)
+        self._executor: ProcessPoolExecutor | None = None
+        self._process: BaseProcess | None = None
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._process is None else self._process.pid
+
+    async def start(self) -> None:
+        for attempt in range(1, START_ATTEMPTS + 1):
+            self._executor = ProcessPoolExecutor(
+                max_workers=1,
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=_initialize_worker,
+                initargs=self._initargs,
+            )
+            others = set(multiprocessing.active_children())
+            first_job = self._executor.submit(os.getpid)  # starts the process
+            (self._process,) = set(multiprocessing.active_children()) - others
+            try:
+                async with asyncio.timeout(START_DEADLINE_S):
+                    await asyncio.wrap_future(first_job)
+            except (BrokenProcessPool, TimeoutError) as err:
+                self.kill()
+                log.error("worker did not start: %s attempt=%d", str(err) or "deadline", attempt)
+            else:
+                return
+        raise WorkerStartError(f"a worker process failed to start {START_ATTEMPTS} times in a row")
+
+    async def run(self, function: Callable[[Job], Result], job: Job, deadline_s: float) -> Result:
+        if self._executor is None:
+            raise WorkerStartError("the worker pool is not running")
+        try:
+            async with asyncio.timeout(deadline_s):
+                return await asyncio.wrap_future(self._executor.submit(function, job))
+        except TimeoutError:
+            raise JobLostError("deadline", f"not finished within {deadline_s:g} s") from None
+        except BrokenProcessPool as err:
+            raise JobLostError("worker_crash", f"worker process {self.pid} died") from err
+        except WorkerFailure as err:
+            raise JobLostError("worker_crash", str(err)) from err
+
+    def kill(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+        if self._executor is not None:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+        self._process = self._executor = None
+
+
+def _initialize_worker(initialize: Callable[[Any], None], context: object) -> None:
+    """First thing in a new worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, name="end-with-parent", daemon=True).start()
+    initialize(context)
+
+
+def _end_with_parent() -> None:
+    """Kill this process as soon as its parent is gone.
+
+    The sentinel is a pipe whose other end only the parent holds. PR_SET_PDEATHSIG would not do: it
+    fires when the parent's *thread* that spawned us ends (prctl(2)).
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os.kill(os.getpid(), signal.SIGKILL)

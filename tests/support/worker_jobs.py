@@ -1,0 +1,46 @@
+"""Jobs for the worker pool that run, crash, hang or leave a trace, on demand."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.worker_job import WorkerFailure
+
+GREETING: list[str] = []
+
+
+def initialize(context: str) -> None:
+    if context == "die":
+        os._exit(7)
+    GREETING.append(context)
+
+
+def greeting_and_pid(name: str) -> tuple[str, int]:
+    return f"{GREETING[0]} {name}", os.getpid()
+
+
+@dataclass(frozen=True)
+class Stumble:
+    """Fail in the given way as long as fewer than `failures` attempts were noted in the `notes` folder."""
+
+    notes: Path
+    way: str
+    failures: int
+
+
+def stumble(job: Stumble) -> str:
+    attempt = len(list(job.notes.iterdir()))
+    (job.notes / f"{attempt}-{os.getpid()}").touch()
+    if attempt < job.failures:
+        if job.way == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if job.way == "hang":
+            time.sleep(60)
+        raise WorkerFailure("a bug in the pipeline")
+    return "done"
+
+
+def stay(_: None) -> None:
+    time.sleep(60)

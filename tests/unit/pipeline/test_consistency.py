@@ -1,0 +1,77 @@
+"""One bad view is found and named; the good ones are not condemned with it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.silhouettes import sphere_silhouette, sphere_silhouettes
+
+from pipeline.consistency import ConsistencyParameters, check_consistency
+from pipeline.frames import CameraId
+from pipeline.rig_design import as_built, nominal_rig
+
+RIG = as_built(nominal_rig(), seed=6)
+PARAMETERS = ConsistencyParameters()
+CENTER_MM = np.array([1.0, -1.0, 0.5])
+
+
+def seen_instead(camera: CameraId, center_mm: tuple[float, float, float], radius_mm: float) -> dict:
+    silhouettes = sphere_silhouettes(RIG, CENTER_MM)
+    view = RIG.subset([camera]).cameras[0]
+    return {**silhouettes, camera: sphere_silhouette(view, np.array(center_mm), radius_mm)}
+
+
+def test_good_views_agree() -> None:
+    found = check_consistency(sphere_silhouettes(RIG, CENTER_MM), RIG, PARAMETERS)
+    assert found.is_consistent
+    assert not found.suspects
+    assert set(found.residuals_px) == set(RIG.camera_ids)
+    assert max(found.residuals_px.values()) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("center_mm", "radius_mm"),
+    [
+        pytest.param((1.0, -1.0, 2.0), 7.5, id="one and a half millimetres too high"),
+        pytest.param((1.0, -1.0, 0.5), 9.0, id="too large"),
+        pytest.param((1.0, -1.0, 0.5), 4.0, id="too small"),
+        pytest.param((12.0, 8.0, 6.0), 5.0, id="another stone elsewhere"),
+    ],
+)
+@pytest.mark.parametrize("camera", ["c01", "c10"])
+def test_the_wrong_view_is_named_and_no_other(
+    camera: CameraId, center_mm: tuple[float, float, float], radius_mm: float
+) -> None:
+    found = check_consistency(seen_instead(camera, center_mm, radius_mm), RIG, PARAMETERS)
+    assert list(found.suspects) == [camera]
+    assert found.is_consistent
+    assert camera not in found.residuals_px
+
+
+@settings(max_examples=4)
+@given(st.lists(st.sampled_from(RIG.camera_ids), min_size=2, max_size=2, unique=True))
+def test_two_wrong_views_are_named(cameras: list[CameraId]) -> None:
+    silhouettes = sphere_silhouettes(RIG, CENTER_MM)
+    for camera, offset_mm in zip(cameras, (2.0, -2.0), strict=True):
+        view = RIG.subset([camera]).cameras[0]
+        silhouettes[camera] = sphere_silhouette(view, CENTER_MM + [0, 0, offset_mm], 7.5)
+    found = check_consistency(silhouettes, RIG, PARAMETERS)
+    assert set(found.suspects) == set(cameras)
+    assert found.is_consistent
+
+
+def test_more_wrong_views_than_may_be_dropped_are_not_one_body() -> None:
+    silhouettes = sphere_silhouettes(RIG, CENTER_MM)
+    for number, camera in enumerate(RIG.camera_ids[::2]):
+        view = RIG.subset([camera]).cameras[0]
+        silhouettes[camera] = sphere_silhouette(view, CENTER_MM + [0, 0, 2 + number], 7.5)
+    assert not check_consistency(silhouettes, RIG, PARAMETERS).is_consistent
+
+
+def test_views_of_nothing_in_common_are_inconsistent() -> None:
+    silhouettes = {
+        camera.id: sphere_silhouette(camera, np.array([0, 0, 15.0 * (-1) ** number]), 2.0)
+        for number, camera in enumerate(RIG.cameras)
+    }
+    found = check_consistency(silhouettes, RIG, PARAMETERS)
+    assert not found.is_consistent

@@ -1,0 +1,118 @@
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from support.worker_jobs import Stumble, greeting_and_pid, initialize, stumble
+
+from service.workers import JobLostError, WorkerPool, WorkerStartError
+
+
+@asynccontextmanager
+async def pool_of(slots: int, deadline_s: float = 10.0) -> AsyncIterator[WorkerPool]:
+    pool = WorkerPool(slots=slots, deadline_s=deadline_s, initialize=initialize, context="hello")
+    await pool.start()
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+async def test_each_slot_is_one_warm_process_of_its_own():
+    async with pool_of(2) as pool:
+        answers = await asyncio.gather(*(pool.run(greeting_and_pid, f"job {i}") for i in range(6)))
+        assert [text for text, _ in answers] == [f"hello job {i}" for i in range(6)]
+        assert {pid for _, pid in answers} == set(pool.pids)
+        assert len(set(pool.pids)) == 2
+        assert os.getpid() not in pool.pids
+
+
+@pytest.mark.parametrize("way", ["kill", "hang", "raise"])
+async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
+    async with pool_of(1, deadline_s=1.0) as pool:
+        (before,) = pool.pids
+        assert await pool.run(stumble, Stumble(tmp_path, way, failures=1)) == "done"
+        first, second = noted_pids(tmp_path)
+        assert first == before
+        assert [second] == pool.pids
+        assert pool.restarts == 1
+        assert not process_exists(first)
+
+
+@pytest.mark.parametrize(
+    ("way", "reason"), [("kill", "worker_crash"), ("hang", "deadline"), ("raise", "worker_crash")]
+)
+async def test_the_second_failure_loses_this_job_alone(way: str, reason: str, tmp_path: Path):
+    async with pool_of(1, deadline_s=1.0) as pool:
+        with pytest.raises(JobLostError) as lost:
+            await pool.run(stumble, Stumble(tmp_path, way, failures=9))
+        assert lost.value.reason == reason
+        assert len(noted_pids(tmp_path)) == 2
+        text, _ = await pool.run(greeting_and_pid, "again")
+        assert text == "hello again"
+
+
+async def test_a_worker_killed_while_idle_is_replaced():
+    async with pool_of(1) as pool:
+        (pid,) = pool.pids
+        os.kill(pid, signal.SIGKILL)
+        text, other = await pool.run(greeting_and_pid, "still here")
+        assert text == "hello still here"
+        assert other != pid
+
+
+async def test_a_worker_that_cannot_start_is_fatal():
+    pool = WorkerPool(slots=1, deadline_s=5, initialize=initialize, context="die")
+    with pytest.raises(WorkerStartError):
+        await pool.start()
+
+
+DAEMON = """
+import asyncio, sys
+from service.workers import WorkerPool
+from support.worker_jobs import initialize, stay
+
+async def main():
+    pool = WorkerPool(slots=2, deadline_s=60, initialize=initialize, context="hello")
+    await pool.start()
+    print(*pool.pids, flush=True)
+    await pool.run(stay, None)
+
+if __name__ == "__main__":
+    asyncio.run(main())
+"""
+
+
+def test_no_worker_outlives_a_killed_daemon(tmp_path: Path):
+    script = tmp_path / "fake_daemon.py"
+    script.write_text(DAEMON)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, env=environment) as daemon:
+        assert daemon.stdout is not None
+        pids = [int(pid) for pid in daemon.stdout.readline().split()]
+        assert len(pids) == 2
+        assert all(process_exists(pid) for pid in pids)
+        daemon.kill()
+    deadline = time.monotonic() + 10
+    while any(process_exists(pid) for pid in pids):
+        assert time.monotonic() < deadline, "orphaned workers"
+        time.sleep(0.01)
+
+
+def noted_pids(notes: Path) -> list[int]:
+    """Who attempted, in order."""
+    return [int(note.name.split("-")[1]) for note in sorted(notes.iterdir())]
+
+
+def process_exists(pid: int) -> bool:
+    """Whether it runs; a zombie nobody has reaped yet does not."""
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rsplit(") ", 1)[1][0] != "Z"
+    except FileNotFoundError:
+        return False
