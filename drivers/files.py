@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,32 @@ def replacing(path: Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
         raise
     sync(path.parent)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A hidden folder beside `path` that takes its place when the block ends without error.
+
+    Raises
+    ------
+    RecordingError
+        `path` exists and is not an empty folder.
+    """
+    require_unused(path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+    unfinished.mkdir(parents=True)
+    try:
+        yield unfinished
+        unfinished.replace(path)
+        sync(path.parent)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def require_unused(path: Path) -> None:
+    """Refuse to write where something is."""
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise RecordingError(path, "exists already")
 
 
 def sync(path: Path) -> None:

@@ -4,8 +4,6 @@
 calibrated, `bundles/<name>.tiff` holds one bundle each.
 """
 
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,7 +20,7 @@ from drivers.bundle_file import (
     write_bundle,
 )
 from drivers.errors import RecordingError
-from drivers.files import read_json, sync, write_json
+from drivers.files import new_folder, read_json, write_json
 from drivers.rig_file import read_rig, write_rig
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import RigCalibration
@@ -35,7 +33,6 @@ __all__ = [
     "playback_order",
     "read_bundle",
     "read_header",
-    "require_unused",
     "write_bundle",
 ]
 
@@ -137,8 +134,8 @@ class RecordingWriter:
         gate_settings: Mapping[str, Any] | None = None,
         compression: Compression = "zstd",
     ) -> None:
-        self.path = path
-        self.folder = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+        self.folder = path  # until the block is entered
+        self._creation = new_folder(path)
         self._camera_ids = tuple(camera_ids)
         self._image_size_px = image_size_px
         self._rig = rig
@@ -159,8 +156,11 @@ class RecordingWriter:
             _require_rig_of(path / "rig.json", rig, self._camera_ids, image_size_px)
 
     def __enter__(self) -> Self:
-        require_unused(self.path)
-        (self.folder / "bundles").mkdir(parents=True)
+        self.folder = self._creation.__enter__()
+        (self.folder / "bundles").mkdir()
+        write_json(self.folder / "recording.json", self._document)
+        if self._rig is not None:
+            write_rig(self.folder / "rig.json", self._rig)
         return self
 
     def add(self, bundle: FrameBundle) -> None:
@@ -185,19 +185,7 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if kind is None:
-            if self._rig is not None:
-                write_rig(self.folder / "rig.json", self._rig)
-            write_json(self.folder / "recording.json", self._document)
-            self.folder.replace(self.path)
-            sync(self.path.parent)
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def require_unused(path: Path) -> None:
-    """Refuse to write where something is."""
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise RecordingError(path, "exists already")
+        self._creation.__exit__(kind, error, traceback)
 
 
 def _read_headers(
@@ -214,6 +202,8 @@ def _read_headers(
             require_cameras_of(header, camera_ids)
             if header.image_size_px != size_px:
                 raise RecordingError(path, _sizes(header.image_size_px, size_px))
+            if header.name != path.stem:
+                raise RecordingError(path, f"holds bundle {header.name!r}: the file was renamed or copied")
         except RecordingError as err:
             unreadable.append(err)
         else:

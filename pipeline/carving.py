@@ -28,9 +28,9 @@ from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN, Silhouette
 
 Array = NDArray[np.float32]
-CHUNK = 1 << 19
-"""Voxels evaluated at a time: keeps the temporary arrays in the cache's reach."""
-ROW = 1 << 14
+CHUNK = 1 << 16
+"""Voxels evaluated at a time: the temporary arrays stay in the cache, and the allocator reuses them."""
+ROW = 1 << 12
 """Longest row OpenCV's `remap` is given (its images end at 32767)."""
 BLOCKS = (8, 4)
 """Edges of the blocks, in voxels, from coarse to fine."""
@@ -60,7 +60,10 @@ class CarvingParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VisualHull:
-    """The field around the body, positive side inside; `field[i, j, k]` belongs to `origin_mm + pitch_mm (i, j, k)`."""
+    """The field around the body, above `level` inside it.
+
+    `field[i, j, k]` belongs to the point `origin_mm + pitch_mm (i, j, k)`.
+    """
 
     field: Array  # (nx, ny, nz)
     level: float
@@ -258,7 +261,9 @@ def _project(
     return u, v, depth_mm
 
 
-def _sample(image: NDArray[np.generic], u: Array, v: Array, interpolation: int, border: float) -> Array:
+def _sample(
+    image: NDArray[np.float32] | NDArray[np.uint8], u: Array, v: Array, interpolation: int, border: float
+) -> Array:
     """Values (N,) of an image at pixels u, v."""
     n = len(u)
     rows = -(-n // ROW)

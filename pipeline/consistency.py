@@ -1,4 +1,4 @@
-"""Do the views show one rigid body? Which one does not?
+"""Whether the views show one rigid body, and which view does not.
 
 Every point of a silhouette's edge is the image of a point of the body: the viewing ray through it
 must touch the body, hence the hull of the other views. For a ray of view k the largest value along
@@ -120,7 +120,8 @@ def _clearances_px(
         directions = camera.rays(chosen)
         others = views[:index] + views[index + 1 :]
         closest_mm = directions @ (center_mm - camera.center_mm)
-        peak_mm, reach_mm, highest_mm = closest_mm, radius_mm, np.zeros(len(chosen))
+        peak_mm, reach_mm = closest_mm, radius_mm
+        highest_mm: NDArray[np.floating] = np.zeros(len(chosen))
         for steps in STEPS:
             along_mm = peak_mm[:, None] + np.linspace(-reach_mm, reach_mm, steps)
             points_mm = camera.center_mm + along_mm[..., None] * directions[:, None]

@@ -8,34 +8,271 @@ import asyncio
 import logging
 import shutil
 import signal
-import socket
 import time
-from collections.abc import Iterator
-from contextlib import AsyncExitStack, contextmanager
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import uvicorn
-
-from drivers.recording import open_recording
+from drivers.factory import build_devices
 from drivers.rig_file import read_rig
 from pipeline.frames import CameraId
 from service.acquisition import Acquisition
 from service.api.app import create_app
 from service.api.server import server_config
 from service.control import AcquisitionState, AcquisitionTarget, CameraStatus, Health
-from service.errors import ServiceError
 from service.health import Facts, assess
 from service.processing import Processing, ProcessingContext
+from service.record import ALGORITHM_VERSION
+from service.rest_server import RestServer, listen
 from service.settings import Settings
 from service.spool import Spool
-from service.store import open_store
-from service.supervision import Heartbeats
+from service.store import Store, open_store
+from service.supervision import Heartbeats, RestartPolicy
 from service.systemd import ServiceManager
 from service.worker_job import WorkerContext, initialize
-from service.workers import WorkerPool
+from service.workers import START_DEADLINE_S, WorkerPool
 
 log = logging.getLogger(__name__)
 
 DRAIN_S = 30.0
 """How long bundles already seen may take after SIGTERM before they are given up."""
+WATCH_S = 1.0
+"""How often progress is looked at; less when the service manager asks more often."""
+EXTENSION_US = 15_000_000
+"""While stopping makes progress, it may take so much longer."""
+PUMP_LIMIT_S = 5.0
+"""The pump of an armed rig turns twenty times a second."""
+
+
+@dataclass(slots=True)
+class StopRequests:
+    """What the signals have asked for."""
+
+    stop: asyncio.Event = field(default_factory=asyncio.Event)
+    hurry: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def listen(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._on_stop, number)
+        loop.add_signal_handler(
+            signal.SIGHUP, log.warning, "SIGHUP ignored: a new configuration needs a restart"
+        )
+
+    def _on_stop(self, number: signal.Signals) -> None:
+        log.info("stop requested signal=%s", number.name)
+        if self.stop.is_set():
+            self.hurry.set()
+        self.stop.set()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Daemon:
+    """The parts at work; to the REST interface they are its `Control`."""
+
+    settings: Settings
+    store: Store
+    session: int
+    calibration_id: str
+    folder: Path  # on tmpfs, for bundles and for the workers' files
+    pool: WorkerPool
+    spool: Spool
+    rig: Acquisition
+    processing: Processing
+    heartbeats: Heartbeats
+
+    def acquisition(self) -> AcquisitionState:
+        return self.rig.state
+
+    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
+        state = self.rig.request(target)
+        log.info("acquisition requested target=%s state=%s", target, state)
+        return state
+
+    def cameras(self) -> list[CameraStatus]:
+        return self.rig.cameras.statuses()
+
+    async def snapshot(self, camera: CameraId) -> bytes | None:
+        return await self.rig.cameras.snapshot(camera)
+
+    def health(self) -> Health:
+        return assess(
+            Facts(
+                acquisition=self.rig.state,
+                trouble=self.rig.trouble,
+                cameras=self.cameras(),
+                views=self.settings.views,
+                waiting=self.spool.held,
+                max_waiting=self.spool.max_bundles,
+                overflows=self.spool.overflows,
+                workers=len(self.pool.pids),
+                slots=self.pool.size,
+                worker_restarts=self.pool.restarts,
+                late=self.late(),
+                has_background=self.processing.has_background,
+                calibration_id=self.calibration_id,
+                free_bytes=shutil.disk_usage(self.settings.store.dir).free,
+            )
+        )
+
+    def late(self) -> list[str]:
+        """Parts that have something to do and make no progress."""
+        now_s = time.monotonic()
+        if self.rig.state is not AcquisitionState.ARMED:
+            self.heartbeats.beat("acquisition", now_s)
+        if self.spool.held == 0:
+            self.heartbeats.beat("processing", now_s)
+        return self.heartbeats.late(now_s)
+
+
+async def build(settings: Settings, store: Store) -> Daemon:
+    """Put the parts together; nothing runs yet, but what a killed predecessor left behind is settled."""
+    devices = await asyncio.to_thread(build_devices, settings.rig.backend_settings)
+    calibration_path = settings.rig.calibration_path
+    calibration_id = (await asyncio.to_thread(read_rig, calibration_path)).calibration_id
+    is_simulated = devices.belt is not None and devices.belt.recording.is_simulated
+    camera_ids = tuple(devices.cameras)
+    session = await store.begin_session(
+        {
+            "calibration_id": calibration_id,
+            "algorithm_version": ALGORITHM_VERSION,
+            "recording": str(settings.rig.recording),
+            "is_simulated": is_simulated,
+        }
+    )
+    if lost := await store.lose_open("crash", "the daemon ended before this bundle was measured"):
+        log.error("triggers lost in a crash of the daemon count=%d", lost)
+    folder = settings.spool.dir / store.instance_id  # so that daemons with other stores are not disturbed
+    await asyncio.to_thread(_make_empty, folder)
+    heartbeats = Heartbeats(
+        {"acquisition": PUMP_LIMIT_S, "processing": 3 * settings.workers.deadline_s + START_DEADLINE_S}
+    )
+    pool = WorkerPool(
+        slots=settings.workers.slots,
+        deadline_s=settings.workers.deadline_s,
+        initialize=initialize,
+        context=WorkerContext(
+            rig_path=calibration_path, parameters=settings.pipeline, is_simulated=is_simulated
+        ),
+    )
+    spool = Spool(folder, max_bundles=settings.spool.max_bundles, camera_ids=camera_ids)
+    if devices.belt is not None:
+        # in fast pace a new bundle comes for each that is through: enough to keep the workers busy
+        devices.belt.permit(min(2 * settings.workers.slots + 1, settings.spool.max_bundles))
+        spool.on_release = devices.belt.permit
+    rig = Acquisition(
+        devices,
+        session=session,
+        triggers=store,
+        bundling=settings.bundling,
+        min_cameras=settings.views.min,
+        policy=RestartPolicy(),
+        on_bundle=spool.offer,
+        on_progress=lambda: heartbeats.beat("acquisition", time.monotonic()),
+    )
+    processing = Processing(
+        ProcessingContext(
+            session=session,
+            camera_ids=camera_ids,
+            calibration_id=calibration_id,
+            is_simulated=is_simulated,
+            archive_raw=settings.store.archive_raw,
+            save_silhouettes=settings.store.save_silhouettes,
+            folder=folder,
+        ),
+        spool=spool,
+        pool=pool,
+        results=store,
+        on_progress=lambda: heartbeats.beat("processing", time.monotonic()),
+    )
+    return Daemon(
+        settings=settings,
+        store=store,
+        session=session,
+        calibration_id=calibration_id,
+        folder=folder,
+        pool=pool,
+        spool=spool,
+        rig=rig,
+        processing=processing,
+        heartbeats=heartbeats,
+    )
+
+
+def _make_empty(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+
+
+async def run(settings: Settings, manager: ServiceManager) -> None:
+    """Measure stones until a signal asks to stop.
+
+    Raises
+    ------
+    ServiceError, DriverError
+        A part cannot be started.
+    ExceptionGroup
+        A part failed beyond what it handles itself.
+    """
+    requests = StopRequests()
+    requests.listen()
+    async with AsyncExitStack() as ending:
+        listener = ending.enter_context(listen(settings.api.host, settings.api.port))
+        store = await asyncio.to_thread(open_store, settings.store.dir)
+        ending.push_async_callback(asyncio.to_thread, store.close)
+        daemon = await build(settings, store)
+        ending.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder)
+        ending.callback(daemon.pool.close)
+        server = RestServer(server_config(create_app(store, daemon, settings.api), settings.api))
+        manager.notify("STATUS=warming up the workers")
+        await daemon.pool.start()
+        async with asyncio.TaskGroup() as tasks:
+            serving = tasks.create_task(server.serve([listener]))
+            tasks.create_task(daemon.spool.write())
+            processing = tasks.create_task(daemon.processing.run())
+            acquiring = tasks.create_task(daemon.rig.run())
+            watching = tasks.create_task(watch(daemon, manager, requests))
+            await server.is_serving.wait()
+            log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
+            daemon.rig.request(AcquisitionTarget.ARMED)
+            await daemon.rig.settled.wait()
+            manager.notify("READY=1")
+            await requests.stop.wait()
+
+            manager.notify("STOPPING=1", "STATUS=disarming")
+            daemon.rig.stop()
+            await acquiring
+            daemon.spool.finish()
+            await drain(processing, requests)
+            daemon.processing.abandon()
+            await processing
+            daemon.pool.close()
+            log.info("stopped %s", await store.accounting(daemon.session))
+            watching.cancel()
+            store.release_waiters()
+            server.should_exit = True
+            await serving
+
+
+async def drain(processing: "asyncio.Task[None]", requests: StopRequests) -> None:
+    """Wait until everything is measured, somebody is in a hurry, or it takes too long."""
+    hurry = asyncio.create_task(requests.hurry.wait())
+    await asyncio.wait([processing, hurry], timeout=DRAIN_S, return_when=asyncio.FIRST_COMPLETED)
+    hurry.cancel()
+
+
+async def watch(daemon: Daemon, manager: ServiceManager, requests: StopRequests) -> None:
+    """Feed the service manager's watchdog with progress, and with nothing else."""
+    pause_s = min(WATCH_S, (manager.watchdog_s or 3 * WATCH_S) / 3)
+    while True:
+        if late := daemon.late():
+            log.error("no progress of %s", ", ".join(late))
+        else:
+            manager.notify(
+                "WATCHDOG=1",
+                f"STATUS={daemon.rig.state}, {daemon.spool.held} bundles waiting, "
+                f"last result {daemon.store.last_seq}",
+            )
+            if requests.stop.is_set():
+                manager.notify(f"EXTEND_TIMEOUT_USEC={EXTENSION_US}")
+        await asyncio.sleep(pause_s)

@@ -86,9 +86,7 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     )
     checks["calibration"] = Check(status=CheckStatus.PASS, value=facts.calibration_id)
     checks["disk"] = Check(
-        status=_status(
-            warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10
-        ),
+        status=_status(warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10),
         value=facts.free_bytes,
         unit="bytes",
         detail=f"{facts.free_bytes / 1e9:.1f} GB free for results",
@@ -98,7 +96,9 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
 
 def _camera(camera: CameraStatus) -> Check:
     is_lost = camera.state == "lost"
-    return Check(status=_status(fail=is_lost), value=camera.state, detail=camera.last_error if is_lost else None)
+    return Check(
+        status=_status(fail=is_lost), value=camera.state, detail=camera.last_error if is_lost else None
+    )
 
 
 def _queue(facts: Facts) -> Check:

@@ -107,7 +107,7 @@ class Processing:
             turns.put_nowait(None)
 
     def abandon(self) -> None:
-        """Measure nothing more: what has no result yet becomes lost `shutdown`, durably, and `run` returns."""
+        """Measure nothing more: what has no result yet becomes lost `shutdown`, and `run` returns soon."""
         self._is_abandoned = True
         for job in self._jobs:
             job.cancel()
@@ -183,4 +183,3 @@ class Processing:
 
 
 _Turn = tuple[SpooledBundle, asyncio.Task[_Measured | _Learnt | Loss]]
-

@@ -8,13 +8,14 @@ a file of its own.
 import os
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
 
 from drivers.errors import RecordingError
+from drivers.factory import ReplayBackend
 from drivers.recording import open_recording
 from drivers.rig_file import read_rig
 from pipeline.carving import CarvingParameters
@@ -29,7 +30,7 @@ from service.errors import SettingsError
 
 
 def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
-    folder: Path = info.context["folder"]
+    folder: Path = (info.context or {})["folder"]
     return Path(os.path.normpath(folder / path))
 
 
@@ -51,7 +52,11 @@ class RigSettings:
         if not 0.01 <= self.speed <= 100:
             raise ValueError(f"speed must be in 0.01..100, not {self.speed:g}")
         if self.pace == "fast" and self.speed != 1.0:
-            raise ValueError("speed scales the recorded pace and means nothing with pace = \"fast\"")
+            raise ValueError('speed scales the recorded pace and means nothing with pace = "fast"')
+
+    @property
+    def backend_settings(self) -> ReplayBackend:
+        return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
 
     @property
     def calibration_path(self) -> Path:
@@ -101,7 +106,7 @@ class Settings(BaseModel):
     rig: RigSettings
     spool: SpoolSettings
     store: StoreSettings
-    bundling: BundlingParameters = field(default_factory=BundlingParameters)
+    bundling: BundlingParameters = BundlingParameters()
     segmentation: SegmentationParameters = SegmentationParameters()
     views: ViewsParameters = ViewsParameters()
     consistency: ConsistencyParameters = ConsistencyParameters()
@@ -112,7 +117,9 @@ class Settings(BaseModel):
 
     @property
     def pipeline(self) -> PipelineParameters:
-        return PipelineParameters(**{part.name: getattr(self, part.name) for part in fields(PipelineParameters)})
+        return PipelineParameters(
+            **{part.name: getattr(self, part.name) for part in fields(PipelineParameters)}
+        )
 
 
 def load_settings(path: Path) -> Settings:

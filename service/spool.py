@@ -41,8 +41,7 @@ class SpooledBundle:
 class Spool:
     """`offer` on one side, `take` and `release` on the other, `write` as a task in between.
 
-    `folder` exists and belongs to this spool alone. `on_release` is called on the loop whenever there
-    is room for one more bundle.
+    `folder` exists and belongs to this spool alone.
     """
 
     def __init__(
@@ -51,17 +50,17 @@ class Spool:
         *,
         max_bundles: int,
         camera_ids: Sequence[CameraId],
-        on_release: Callable[[], None] = lambda: None,
     ) -> None:
         self._folder = folder
         self._camera_ids = tuple(camera_ids)
-        self._on_release = on_release
         self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
         self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
         self.max_bundles = max_bundles
         self.held = 0
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
+        self.on_release: Callable[[], None] = lambda: None
+        """Called on the loop for every bundle that is through, lost ones included."""
         self._written = 0
 
     def offer(self, bundle: FrameBundle) -> None:
@@ -71,7 +70,9 @@ class Spool:
             self._lose(bundle, Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered"))
         elif self.held >= self.max_bundles:
             self.overflows += 1
-            log.warning("bundle lost, the spool is full bundle=%s max_bundles=%d", bundle.name, self.max_bundles)
+            log.warning(
+                "bundle lost, the spool is full bundle=%s max_bundles=%d", bundle.name, self.max_bundles
+            )
             self._lose(bundle, Loss(reason="queue_full", detail=f"{self.held} bundles were waiting"))
         else:
             self.held += 1
@@ -95,14 +96,11 @@ class Spool:
         """Forget a taken bundle that has its outcome."""
         if isinstance(bundle.content, Path):
             await asyncio.to_thread(bundle.content.unlink)
-            self._free()
+            self.held -= 1
+        self.on_release()
 
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
         self._offered.put_nowait(SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss))
-
-    def _free(self) -> None:
-        self.held -= 1
-        self._on_release()
 
     async def _spooled(self, bundle: FrameBundle) -> SpooledBundle:
         self._written += 1  # sequences may repeat when the gate restarts, file names must not
@@ -111,7 +109,7 @@ class Spool:
             await asyncio.to_thread(write_bundle, path, bundle, self._camera_ids, compression="none")
         except OSError as err:  # a full tmpfs is a full queue
             log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)
-            self._free()
+            self.held -= 1
             loss = Loss(reason="queue_full", detail=f"spool: {err.strerror}")
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)

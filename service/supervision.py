@@ -1,9 +1,8 @@
 """What may fail is restarted with back-off until its budget is used up; what should move is watched.
 
-Time enters as an argument except in `supervise`, the only function here that waits.
+Time enters as an argument, except in `supervise`.
 """
 
-import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -41,15 +40,15 @@ class FailureLog:
 async def supervise(
     name: str,
     session: Callable[[], Awaitable[None]],
-    *,
-    expected: type[Exception] | tuple[type[Exception], ...],
+    expected: type[Exception],
     policy: RestartPolicy,
-    pause: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    pause: Callable[[Exception, float], Awaitable[None]],
 ) -> None:
-    """Run `session` until it returns; start it anew, after `pause`, when it ends with an `expected` failure.
+    """Run `session` until it returns; start it anew when it ends with an `expected` failure.
 
-    Cancellation and every other exception pass through at once; so does the expected failure that
-    exceeds the policy's budget. The same cause is logged once.
+    Before that, `pause` is awaited with the failure and the seconds to wait. Cancellation and every other
+    exception pass through at once; so does the expected failure that exceeds the policy's budget. The same
+    cause is logged once.
     """
     failures = FailureLog(policy)
     last_cause = ""
@@ -64,7 +63,7 @@ async def supervise(
             level = logging.DEBUG if cause == last_cause else logging.ERROR
             log.log(level, "%s failed: %s restart_in_s=%g", name, cause, delay_s)
             last_cause = cause
-            await pause(delay_s)
+            await pause(err, delay_s)
         else:
             return
 

@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from threadpoolctl import threadpool_limits
 
 from drivers.recording import read_bundle, write_bundle
 from drivers.rig_file import read_rig
@@ -87,9 +88,11 @@ _worker: _Worker | None = None
 
 def initialize(context: WorkerContext) -> None:
     """Prepare this process; frames come first, so workers yield the processor to the daemon."""
-    global _worker  # noqa: PLW0603 - a pool's initializer has no other place for it
+    global _worker
     os.nice(10)
+    # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
+    threadpool_limits(1)
     rig = read_rig(context.rig_path)
     _worker = _Worker(
         context=context,
@@ -159,7 +162,7 @@ def _write_files(job: MeasureJob, result: ParticleResult) -> None:
     job.out_dir.mkdir(parents=True, exist_ok=True)
     if result.mesh is not None:
         mesh = trimesh.Trimesh(result.mesh.vertices_mm, result.mesh.faces, process=False)
-        (job.out_dir / "mesh.ply").write_bytes(mesh.export(file_type="ply"))
+        mesh.export(job.out_dir / "mesh.ply")
     if job.save_silhouettes:
         folder = job.out_dir / "silhouettes"
         folder.mkdir(exist_ok=True)

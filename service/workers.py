@@ -91,7 +91,7 @@ class WorkerPool:
             try:
                 return await slot.run(function, job, self._deadline_s)
             except JobLostError as err:
-                log.warning("%s, retrying in a fresh worker job=%s", err, job)
+                log.warning("%s; retrying in a fresh worker", err)
             await self._rebuild(slot)
             try:
                 return await slot.run(function, job, self._deadline_s)
@@ -166,7 +166,8 @@ class _Slot:
 
 def _initialize_worker(initialize: Callable[[Any], None], context: object) -> None:
     """First thing in a new worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):  # a terminal sends them to the whole process group
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="end-with-parent", daemon=True).start()
     initialize(context)
 

@@ -23,13 +23,14 @@ Objective = Callable[[Array, Array, Array], Array]
 
 N_RANKED = 400
 """Coarse frames among which the starts are chosen."""
-N_STARTS = 12
-N_FINALISTS = 4
-"""Starts still followed after the first zoom."""
-START_SPACING_RAD = 0.15
-MAX_MOVES = 4
-"""Steps at one radius; on smooth bodies the least value lies in a long flat valley."""
-ZOOM = 0.4
+BEAM = 12
+"""Frames followed while the zoom may still jump from one local minimum to another."""
+NARROW_BEAM = 3
+NARROW_RAD = 0.01
+N_CHILDREN = 4
+"""Neighbours of a frame that are looked at closely."""
+START_SPACING_RAD = 0.1
+ZOOM = 0.6
 FINAL_RADIUS_RAD = 2e-5
 """Turning a body of extent D by this changes a width by at most 2e-5 D."""
 GRID = np.linspace(-1.0, 1.0, 5)
@@ -56,23 +57,33 @@ def sieve_size_mm(vertices_mm: Array, width_mm: Array) -> float:
 
 def _least(vertices_mm: Array, width_mm: Array, objective: Objective) -> Array:
     """The frame (3, 3), axes in rows, with the least objective."""
-    frames = _starts(width_mm, objective)
-    values = _values(vertices_mm, frames, objective)
+    directions, _ = half_sphere()
+    triples = near_frames()
+    scores = objective(*width_mm[triples].T)
+    ranked = triples[np.argpartition(scores, N_RANKED)[:N_RANKED]]
+    frames = _orthonormal(directions[ranked[:, 0]], directions[ranked[:, 1]])
+    frames = _best(frames, vertices_mm, objective, BEAM, START_SPACING_RAD)
     radius = COVERING_RAD
     while radius > FINAL_RADIUS_RAD:
-        for _ in range(MAX_MOVES):
-            reached_mm = _reachable(vertices_mm, frames, 2 * radius)
-            turned, on_border = _best_neighbours(reached_mm, frames, radius, objective)
-            turned_values = _values(reached_mm, turned, objective)
-            better = turned_values < values
-            frames = np.where(better[:, None, None], turned, frames)
-            values = np.where(better, turned_values, values)
-            if not (better & on_border).any():
-                break
-        finalists = np.argsort(values)[:N_FINALISTS]
-        frames, values = frames[finalists], values[finalists]
+        reached_mm = _reachable(vertices_mm, frames, 2 * radius)
+        children = _neighbours(reached_mm, frames, radius, objective)
+        n_kept = BEAM if radius > NARROW_RAD else NARROW_BEAM
+        frames = _best(np.concatenate([frames, children]), reached_mm, objective, n_kept, radius / 2)
         radius *= ZOOM
     return frames[0]
+
+
+def _best(frames: Array, vertices_mm: Array, objective: Objective, n: int, spacing_rad: float) -> Array:
+    """The best n of the frames (K, 3, 3), best first, none a near twin of a better one."""
+    values = objective(*_widths(vertices_mm, frames.reshape(-1, 3)).reshape(-1, 3).T)
+    frames = frames[np.argsort(values)]
+    kept: list[Array] = []
+    while len(frames) and len(kept) < n:
+        kept.append(frames[0])
+        # twins have the same three axes, in any order
+        cosines = np.abs(frames @ frames[0].T).max(axis=2).min(axis=1)
+        frames = frames[cosines < np.cos(spacing_rad)]
+    return np.array(kept)
 
 
 def _reachable(vertices_mm: Array, frames: Array, angle_rad: float) -> Array:
@@ -88,29 +99,8 @@ def _reachable(vertices_mm: Array, frames: Array, angle_rad: float) -> Array:
     return vertices_mm[(depths <= np.tan(angle_rad) * distances).any(axis=0)]
 
 
-def _starts(width_mm: Array, objective: Objective) -> Array:
-    """The best coarse frames (K, 3, 3), none a near twin of a better one."""
-    directions, _ = half_sphere()
-    triples = near_frames()
-    first, second, third = width_mm[triples].T
-    scores = objective(first, second, third)
-    ranked = np.argpartition(scores, N_RANKED)[:N_RANKED]
-    ranked = ranked[np.argsort(scores[ranked])]
-    frames = _orthonormal(directions[triples[ranked, 0]], directions[triples[ranked, 1]])
-    starts = []
-    while len(frames) and len(starts) < N_STARTS:
-        starts.append(frames[0])
-        # twins have the same three axes in any order, up to the spacing
-        nearest = np.abs(frames @ frames[0].T).max(axis=2).min(axis=1)
-        frames = frames[nearest < np.cos(START_SPACING_RAD)]
-    return np.array(starts)
-
-
-def _best_neighbours(
-    vertices_mm: Array, frames: Array, radius: float, objective: Objective
-) -> tuple[Array, NDArray[np.bool_]]:
-    """For each frame the best of the frames turned by (x, y, z) in a cube of +-radius, and whether it is
-    on the cube's border.
+def _neighbours(vertices_mm: Array, frames: Array, radius: float, objective: Objective) -> Array:
+    """For each frame the best `N_CHILDREN` of the frames turned by (x, y, z) in a cube of +-radius.
 
     To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths of 3 m^2
     directions give the objective at m^3 rotations.
@@ -127,21 +117,12 @@ def _best_neighbours(
         ]
     )
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    width_mm = _widths(vertices_mm, directions.reshape(-1, 3))
-    w1, w2, w3 = width_mm.reshape(3, len(frames), m, m)
-    values = objective(w1[:, None, :, :], w2[:, :, None, :], w3[:, :, :, None])
-    x, y, z = np.unravel_index(values.reshape(len(frames), -1).argmin(axis=1), (m, m, m))
-    turn = steps[np.stack([x, y, z])][:, :, None]
-    e1, e2, e3 = frames[:, 0], frames[:, 1], frames[:, 2]
-    turned = _orthonormal(e1 + turn[2] * e2 - turn[1] * e3, e2 - turn[2] * e1 + turn[0] * e3)
-    on_border = (np.stack([x, y, z]) % (m - 1) == 0).any(axis=0)
-    return turned, on_border
-
-
-def _values(vertices_mm: Array, frames: Array, objective: Objective) -> Array:
-    width_mm = _widths(vertices_mm, frames.reshape(-1, 3))
-    first, second, third = width_mm.reshape(-1, 3).T
-    return objective(first, second, third)
+    w1, w2, w3 = _widths(vertices_mm, directions.reshape(-1, 3)).reshape(3, len(frames), m, m)
+    values = objective(w1[:, None, :, :], w2[:, :, None, :], w3[:, :, :, None]).reshape(len(frames), -1)
+    best = np.argpartition(values, N_CHILDREN, axis=1)[:, :N_CHILDREN]
+    x, y, z = (steps[index].reshape(-1, 1) for index in np.unravel_index(best, (m, m, m)))
+    e1, e2, e3 = (np.repeat(frames[:, k], N_CHILDREN, axis=0) for k in range(3))
+    return _orthonormal(e1 + z * e2 - y * e3, e2 - z * e1 + x * e3)
 
 
 def _orthonormal(first: Array, second: Array) -> Array:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from pipeline.segmentation.silhouette import MARGIN_PX
 
 NEAR_PX = 10
-"""Up to here the distance is exact: a cell of marching cubes, 4 to 5 px wide, reaches no further. Beyond,
+"""Up to here the distance is the true one: a cell of marching cubes, 4 to 5 px wide, reaches no further. Beyond,
 where only the sign and the rough size count, it is OpenCV's, to the pixels beside the edge."""
-HALF_PIECE_PX = 0.7
-"""Half the length of the piece of edge that a pixel owns."""
+HALF_PIECE_PX = 1.3
+"""Half the length of the piece of edge that a pixel owns; long enough for the pieces of neighbours to overlap."""
 
 
 def signed_distance(
@@ -24,7 +24,7 @@ def signed_distance(
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Distance in px to the edge of `body`, positive within, and the edge points that were seen.
 
-    Distances are exact up to `NEAR_PX` and cut off at +-`MARGIN_PX`.
+    Distances are those to the sub-pixel edge up to `NEAR_PX` and cut off at +-`MARGIN_PX`.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def _edge_points(
         crossing_v, crossing_u = np.nonzero(body[first] != body[second])
         a, b = level[first][crossing_v, crossing_u], level[second][crossing_v, crossing_u]
         known = ~(unknown[first] | unknown[second])[crossing_v, crossing_u]
-        straddles = ((a - 0.5) * (b - 0.5) < 0) & known
+        straddles = ((a - 0.5) * (b - 0.5) <= 0) & known
         share = np.where(straddles, (a - 0.5) / np.where(a == b, 1, a - b), 0.5).astype(np.float32)
         point_u = crossing_u + (share if axis == 1 else 0)
         point_v = crossing_v + (share if axis == 0 else 0)

@@ -82,10 +82,12 @@ class BackgroundSegmenter:
             offset_uv=(columns.start, rows.start),
             labels=labels,
             distance_px=distance_px,
-            outline_uv=outline + [columns.start, rows.start],
+            outline_uv=outline + np.array([columns.start, rows.start]),
         )
 
-    def _locate(self, coarse: Array, expected: Array, dark_below: float) -> tuple[ViewStatus, tuple[int, int, int, int] | None]:
+    def _locate(
+        self, coarse: Array, expected: Array, dark_below: float
+    ) -> tuple[ViewStatus, tuple[int, int, int, int] | None]:
         """Box (x, y, width, height) of the body in coarse pixels, or why there is none.
 
         What lies on both sides of a dark dot is one body: the dot may hide the bridge.
@@ -108,7 +110,7 @@ class BackgroundSegmenter:
     def _delineate(self, image: Array, expected: Array, dark_below: float) -> tuple[Mask, Mask, Array]:
         """Masks of the body (with the unknown pixels it may hide behind) and of the unknown, and coverage c."""
         difference = expected - image
-        unknown = cv2.dilate((expected < dark_below).astype(np.uint8), _disc(2)).astype(bool)
+        unknown: Mask = cv2.dilate((expected < dark_below).astype(np.uint8), _disc(2)).astype(bool)
         differs = (np.abs(difference) > self.parameters.min_contrast * expected + 4) & ~unknown
         # half of the body's typical contrast is near enough to the edge to find the core behind it
         typical = np.float32(np.median(difference[differs])) if differs.any() else np.float32(0)
@@ -116,11 +118,12 @@ class BackgroundSegmenter:
         core = cv2.erode(rough.astype(np.uint8), _disc(CORE_DEPTH_PX)).astype(np.float32)
         weight = cv2.blur(core, (REACH_PX, REACH_PX))
         level = cv2.blur(image * core, (REACH_PX, REACH_PX))
-        # slivers too thin for a core take the typical contrast instead
-        level = np.where(weight > 1e-3, level / np.maximum(weight, np.float32(1e-3)), expected - typical)
+        # slivers too thin for a core, and edges beside the unknown, take the body's typical level instead
+        body_level = np.float32(np.median(image[rough])) if rough.any() else np.float32(0)
+        level = np.where(weight > 1e-3, level / np.maximum(weight, np.float32(1e-3)), body_level)
         contrast = expected - level
         unknown |= np.abs(contrast) < self.parameters.min_contrast * expected
-        coverage = np.clip(difference / np.where(unknown, np.float32(1), contrast), 0, 1)
+        coverage: Array = np.clip(difference / np.where(unknown, np.float32(1), contrast), 0, 1)
         inside = (coverage > 0.5) & ~unknown
         body = _largest_with_holes_filled(inside, unknown, self.parameters.hole_px)
         return body, unknown, coverage

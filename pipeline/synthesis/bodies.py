@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from pipeline.errors import MeshError
 from pipeline.frames import BundleKind
+from pipeline.measuring.solid import solid_of
 
 SPHERE_SUBDIVISIONS = 5  # 20 480 faces; sagitta 0.0015 mm at r = 7.5 mm
 CYLINDER_SECTIONS = 360  # sagitta 0.0003 mm at r = 7.5 mm
@@ -76,11 +76,11 @@ def body_from_mesh(name: str, mesh: trimesh.Trimesh) -> Body:
     Raises
     ------
     MeshError
-        When the mesh does not enclose a volume.
+        The mesh is not a closed surface around a volume.
     """
-    if not mesh.is_volume:
-        raise MeshError(f"{name}: the mesh does not enclose a volume (open, or inconsistently oriented)")
-    return Body(name=name, mesh=centred(mesh))
+    solid = solid_of(mesh)
+    faces = mesh.faces if mesh.volume > 0 else mesh.faces[:, ::-1]
+    return Body(name=name, mesh=trimesh.Trimesh(mesh.vertices - solid.center_mm, faces, process=False))
 
 
 def sphere_mesh(diameter_mm: float) -> trimesh.Trimesh:
@@ -88,8 +88,3 @@ def sphere_mesh(diameter_mm: float) -> trimesh.Trimesh:
     unit = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
     scale = np.cbrt(np.pi / 6 * diameter_mm**3 / unit.volume)
     return trimesh.Trimesh(scale * unit.vertices, unit.faces, process=False)
-
-
-def centred(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with its centre of mass at the origin."""
-    return trimesh.Trimesh(mesh.vertices - mesh.center_mass, mesh.faces, process=False)

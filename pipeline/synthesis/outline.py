@@ -10,10 +10,7 @@ so that the covered area has no bias and an error of at most 1/32 px on an exact
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-
-from pipeline.rig import CameraCalibration
 
 Array = NDArray[np.float64]
 
@@ -43,19 +40,32 @@ def intersection(a: Window, b: Window) -> Window | None:
     return Window(left, top, right - left, bottom - top) if left < right and top < bottom else None
 
 
-def outline_edges(mesh: trimesh.Trimesh, camera: CameraCalibration) -> NDArray[np.int64]:
-    """Directed edges (E, 2) of vertices between a face that looks to the camera and one that does not."""
-    toward_camera = camera.center_mm - mesh.triangles[:, 0]
-    is_front = np.einsum("ij,ij->i", mesh.face_normals, toward_camera) > 0
-    # every edge of the border belongs to exactly one front face, which gives its direction
-    first, second = mesh.face_adjacency.T
-    is_border = is_front[first] != is_front[second]
-    faces = np.where(is_front[first], first, second)[is_border]
-    edges = mesh.face_adjacency_edges[is_border]
-    corners = mesh.faces[faces]
-    follows = np.roll(corners, -1, axis=1)
-    is_forward = ((corners == edges[:, :1]) & (follows == edges[:, 1:])).any(axis=1)
-    return np.asarray(np.where(is_forward[:, None], edges, edges[:, ::-1]))
+class Edges(NamedTuple):
+    """The undirected edges of a closed mesh, and which of them each face runs along."""
+
+    vertices: NDArray[np.int64]  # (E, 2)
+    of_faces: NDArray[np.int64]  # (F, 3) indices of edges
+    signs: NDArray[np.int64]  # (F, 3) 1 where the face runs from the first vertex to the second, else -1
+
+
+def edges_of(faces: NDArray[np.int64]) -> Edges:
+    """The edges of faces (F, 3)."""
+    starts, ends = faces, np.roll(faces, -1, axis=1)
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    n_vertices = int(faces.max()) + 1
+    keys, index = np.unique(low * n_vertices + high, return_inverse=True)
+    vertices = np.column_stack([keys // n_vertices, keys % n_vertices])
+    return Edges(vertices, index.reshape(faces.shape), np.where(starts == low, 1, -1))
+
+
+def border(edges: Edges, is_front: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Directed edges (B, 2) of vertices around the faces (F,) that look to the camera: closed loops."""
+    turns = np.bincount(
+        edges.of_faces[is_front].ravel(), edges.signs[is_front].ravel(), len(edges.vertices)
+    ).astype(np.int64)
+    forward = np.repeat(edges.vertices, np.maximum(turns, 0), axis=0)
+    backward = np.repeat(edges.vertices[:, ::-1], np.maximum(-turns, 0), axis=0)
+    return np.concatenate([forward, backward])
 
 
 def coverage(starts_uv: Array, ends_uv: Array, window: Window) -> NDArray[np.float32]:
@@ -68,6 +78,8 @@ def coverage(starts_uv: Array, ends_uv: Array, window: Window) -> NDArray[np.flo
     lines, crossings, winding = lines[order], crossings[order], np.cumsum(turns[order])
     before = np.concatenate([[0], winding[:-1]])  # every line ends with winding 0
     begins, ends = (before == 0) & (winding != 0), (before != 0) & (winding == 0)
+    if winding.size and winding[-1] != 0:
+        raise ValueError("the border is not closed: the mesh has holes")
     area = _to_the_right(lines[begins], crossings[begins], window)
     area -= _to_the_right(lines[ends], crossings[ends], window)
     return np.asarray(area / LINES_PER_PIXEL, dtype=np.float32)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
+from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Image
@@ -76,7 +77,8 @@ class _Surface:
 
     mesh: trimesh.Trimesh  # world frame
     center_mm: Array  # (1, 3)
-    scene: object
+    edges: outline.Edges
+    scene: EmbreeScene
     face_radiance: Array  # (F,)
 
 
@@ -84,7 +86,13 @@ def _surface(placed: PlacedBody, rng: np.random.Generator) -> _Surface:
     mesh = placed.world_mesh
     scene = shading.embree_scene(mesh)
     face_radiance = shading.texture(placed.body, rng) * shading.irradiance(mesh, scene, rng)
-    return _Surface(mesh=mesh, center_mm=placed.offset_mm[None, :], scene=scene, face_radiance=face_radiance)
+    return _Surface(
+        mesh=mesh,
+        center_mm=placed.offset_mm[None, :],
+        edges=outline.edges_of(mesh.faces),
+        scene=scene,
+        face_radiance=face_radiance,
+    )
 
 
 def _flash(sd: float, rng: np.random.Generator) -> float:
@@ -113,8 +121,10 @@ def _compose(
     window = outline.intersection(outline.window_around(pixels_uv, margin_px), seen)
     if window is None:
         return
-    edges = outline.outline_edges(surface.mesh, camera)
-    covered = outline.coverage(pixels_uv[edges[:, 0]], pixels_uv[edges[:, 1]], window)
+    toward_camera_mm = camera.center_mm - surface.mesh.triangles[:, 0]
+    is_front = np.einsum("ij,ij->i", surface.mesh.face_normals, toward_camera_mm) > 0
+    border_uv = pixels_uv[outline.border(surface.edges, is_front)]
+    covered = outline.coverage(border_uv[:, 0], border_uv[:, 1], window)
     shown = shading.surface_image(surface.scene, surface.face_radiance * gain, camera, window)
     covered, shown = blurred(covered, kernel), blurred(shown, kernel)
 

@@ -4,7 +4,7 @@ A stone is a rounded polytope: the gauge of an ellipsoid and of random planes, c
 (the larger p, the sharper the edges), with a few shallow dents and with roughness on several scales.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
-from pipeline.synthesis.bodies import SPHERE_SUBDIVISIONS, Body, centred
+from pipeline.synthesis.bodies import SPHERE_SUBDIVISIONS, Body, body_from_mesh
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ STONE_FORMS = {
     "irregular": StoneForm(
         width_to_length=(0.68, 0.85),
         thickness_to_width=(0.65, 0.85),
-        n_facets=12,
+        n_facets=16,
         facet_distance=(0.75, 0.95),
         sharpness=25.0,
         dent_depth=0.05,
@@ -52,7 +52,7 @@ STONE_FORMS = {
     "angular": StoneForm(
         width_to_length=(0.75, 0.92),
         thickness_to_width=(0.70, 0.90),
-        n_facets=16,
+        n_facets=24,
         facet_distance=(0.68, 0.88),
         sharpness=110.0,
         dent_depth=0.03,
@@ -61,7 +61,7 @@ STONE_FORMS = {
     "flaky": StoneForm(
         width_to_length=(0.70, 0.90),
         thickness_to_width=(0.30, 0.45),
-        n_facets=14,
+        n_facets=18,
         facet_distance=(0.72, 0.92),
         sharpness=70.0,
         dent_depth=0.03,
@@ -70,7 +70,7 @@ STONE_FORMS = {
     "elongated": StoneForm(
         width_to_length=(0.40, 0.52),
         thickness_to_width=(0.75, 0.95),
-        n_facets=14,
+        n_facets=18,
         facet_distance=(0.72, 0.92),
         sharpness=70.0,
         dent_depth=0.03,
@@ -98,9 +98,8 @@ def stone(form_name: str, size_mm: float, rng: np.random.Generator) -> Body:
 
     points = radii[:, None] * directions * axes
     points *= size_mm / pdist(points[ConvexHull(points).vertices]).max()
-    mesh = trimesh.Trimesh(points, sphere.faces, process=False)
-    grey, contrast = rng.uniform(45, 80), rng.uniform(0.12, 0.25)
-    return Body(name=form_name, mesh=centred(mesh), grey=grey, contrast=contrast)
+    body = body_from_mesh(form_name, trimesh.Trimesh(points, sphere.faces, process=False))
+    return replace(body, grey=rng.uniform(45, 80), contrast=rng.uniform(0.12, 0.25))
 
 
 def random_size_mm(rng: np.random.Generator) -> float:

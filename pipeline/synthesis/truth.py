@@ -6,7 +6,7 @@ from typing import Any
 import trimesh
 
 from pipeline.frames import FrameBundle
-from pipeline.measuring.shape import ShapeMeasurement, measure_shape
+from pipeline.measuring.shape import ShapeMeasurement
 from pipeline.synthesis.renderer import PlacedBody
 
 
@@ -18,25 +18,24 @@ class TruthRecord:
     sequence: int
     placed: PlacedBody
     mesh: trimesh.Trimesh  # world frame, mm
-    shape: ShapeMeasurement  # of that mesh
+    shape: ShapeMeasurement  # of the body, in its own frame
 
 
-def truth_of(placed: PlacedBody, bundle: FrameBundle) -> TruthRecord:
-    """The truth about the body in a bundle."""
-    mesh = placed.world_mesh
+def truth_of(placed: PlacedBody, bundle: FrameBundle, shape: ShapeMeasurement) -> TruthRecord:
+    """The truth about the body in a bundle; `shape` is that of `placed.body.mesh`."""
     return TruthRecord(
         bundle=bundle.name,
         sequence=bundle.trigger.sequence,
         placed=placed,
-        mesh=mesh,
-        shape=measure_shape(mesh),
+        mesh=placed.world_mesh,
+        shape=shape,
     )
 
 
 def truth_to_document(truth: TruthRecord) -> dict[str, Any]:
     """A line of `truth.jsonl`: what the result record measures, under the same names, and the pose.
 
-    `x_world = R @ x_body + offset_mm`; `extents_mm` are the body's along its own axes.
+    `x_world = R @ x_body + center_mm`; `extents_mm` are the body's along its own axes.
     """
     body = truth.placed.body
     return {
@@ -45,8 +44,8 @@ def truth_to_document(truth: TruthRecord) -> dict[str, Any]:
         "kind": body.kind.value,
         "body": body.name,
         **asdict(truth.shape),
+        "center_mm": truth.placed.offset_mm.tolist(),
         "extents_mm": body.mesh.extents.tolist(),
         "R": truth.placed.R.tolist(),
-        "offset_mm": truth.placed.offset_mm.tolist(),
         "mesh": f"truth/{truth.bundle}.ply",
     }

@@ -13,7 +13,9 @@ from service.api.settings import Scope
 router = APIRouter(prefix="/acquisition", tags=["acquisition"])
 
 
-@router.get("", response_model=Acquisition, dependencies=[Depends(require(Scope.READ))], responses=documented())
+@router.get(
+    "", response_model=Acquisition, dependencies=[Depends(require(Scope.READ))], responses=documented()
+)
 async def acquisition(context: Context) -> dict[str, Any]:
     """Whether stones are being measured."""
     return {"state": context.control.acquisition()}
@@ -23,5 +25,5 @@ async def acquisition(context: Context) -> dict[str, Any]:
     "", response_model=Acquisition, dependencies=[Depends(require(Scope.OPERATE))], responses=documented(409)
 )
 async def set_acquisition(context: Context, wanted: AcquisitionRequest) -> dict[str, Any]:
-    """Arm or disarm; repeating a request changes nothing, 409 when it cannot be done from the current state."""
+    """Arm or disarm; repeating a request changes nothing, 409 when the current state forbids it."""
     return {"state": await context.control.set_acquisition(wanted.state)}

@@ -13,7 +13,9 @@ from service.api.context import Context
 from service.api.problems import Problem
 from service.api.settings import ApiKey, Scope
 
-bearer = HTTPBearer(auto_error=False, scheme_name="key", description="A key of the configuration, as bearer token")
+bearer = HTTPBearer(
+    auto_error=False, scheme_name="key", description="A key of the configuration, as bearer token"
+)
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 
 
@@ -31,7 +33,10 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
         key = _key_of(credentials.credentials, keys)
         if key is None:
             raise Problem(
-                401, "unauthorized", "this key is not known", headers={"WWW-Authenticate": 'Bearer error="invalid_token"'}
+                401,
+                "unauthorized",
+                "this key is not known",
+                headers={"WWW-Authenticate": 'Bearer error="invalid_token"'},
             )
         if scope not in key.scopes:
             raise Problem(

@@ -1,6 +1,5 @@
 """No request body above the limit, whether announced in its header or only found out while reading."""
 
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -21,8 +20,7 @@ class BodyLimit:
         request = Request(scope)
         announced = request.headers.get("content-length", "0")
         if not announced.isdecimal() or int(announced) > self._max_body_bytes:
-            problem = Problem(413, "content-too-large", self._detail)
-            await problem_response(request, problem)(scope, receive, send)
+            await problem_response(request, self._problem())(scope, receive, send)
             return
         n_bytes = 0
 
@@ -31,11 +29,12 @@ class BodyLimit:
             message = await receive()
             n_bytes += len(message.get("body", b""))
             if n_bytes > self._max_body_bytes:
-                raise HTTPException(413, self._detail)
+                raise self._problem()
             return message
 
         await self._app(scope, counted, send)
 
-    @property
-    def _detail(self) -> str:
-        return f"a request body may have {self._max_body_bytes} bytes at most"
+    def _problem(self) -> Problem:
+        return Problem(
+            413, "content-too-large", f"a request body may have {self._max_body_bytes} bytes at most"
+        )

@@ -34,7 +34,7 @@ async def camera_status(context: Context, camera: CameraName) -> dict[str, Any]:
     responses={200: {"content": {"image/png": {}}}, **documented(404)},
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
-    """The camera's latest frame."""
+    """Show the camera's latest frame."""
     png = await context.control.snapshot(_status_of(context, camera).id)
     if png is None:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")

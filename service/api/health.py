@@ -1,4 +1,4 @@
-"""Is it alive, can it accept stones, and how is it?"""
+"""Whether the process is alive, whether it can accept stones, and how it is."""
 
 from typing import Any
 
@@ -17,27 +17,34 @@ router = APIRouter(prefix="/health", tags=["health"])
 STATUS = {Ne107.GOOD: CheckStatus.PASS, Ne107.FAILURE: CheckStatus.FAIL}
 
 
-@router.get("/live", response_model=Live)
+@router.get("/live", response_model=Live, responses=documented())
 async def live() -> Live:
-    """The process answers; asks nothing of any other part and needs no key."""
+    """Answer, as long as the process does; asks nothing of any other part and needs no key."""
     return Live()
 
 
 @router.get("/ready", response_model=Ready, responses=documented(503))
 async def ready(context: Context) -> Ready:
-    """Stones can be accepted; otherwise 503 with the reasons. Needs no key."""
+    """Answer 200 when stones can be accepted, otherwise 503 with the reasons. Needs no key."""
     health = context.control.health()
     if not health.ready:
         detail = "; ".join(health.reasons) or "no reason given"
         raise Problem(
-            503, "not-ready", detail, headers={"Retry-After": "5"}, reasons=list(health.reasons), retry_after_s=5
+            503,
+            "not-ready",
+            detail,
+            headers={"Retry-After": "5"},
+            reasons=list(health.reasons),
+            retry_after_s=5,
         )
     return Ready()
 
 
-@router.get("", response_model=HealthDocument, dependencies=[Depends(require(Scope.READ))])
+@router.get(
+    "", response_model=HealthDocument, dependencies=[Depends(require(Scope.READ))], responses=documented()
+)
 async def health(context: Context) -> dict[str, Any]:
-    """Each camera, the gate, queue, workers, disk, store, calibration and clock; always 200."""
+    """Look at each camera, the gate, queue, workers, disk, store, calibration and clock; always 200."""
     state = context.control.health()
     return {
         "status": STATUS.get(state.ne107, CheckStatus.WARN),

@@ -17,6 +17,7 @@ TITLES = {
     "cursor-expired": "The cursor is older than what is kept",
     "forbidden": "Not allowed",
     "internal-error": "A fault of the service",
+    "content-too-large": "The request is too large",
     "invalid-request": "The request is not valid",
     "not-acceptable": "No acceptable representation",
     "not-kept": "This file was not kept",
@@ -29,7 +30,7 @@ TITLES = {
 }
 
 
-class Problem(Exception):  # noqa: N818  the name of RFC 9457
+class Problem(HTTPException):
     """An answer other than success, raised where it is found out."""
 
     def __init__(
@@ -41,11 +42,8 @@ class Problem(Exception):  # noqa: N818  the name of RFC 9457
         headers: Mapping[str, str] | None = None,
         **members: Any,
     ) -> None:
-        super().__init__(detail)
-        self.status = status
+        super().__init__(status, detail, headers)
         self.slug = slug
-        self.detail = detail
-        self.headers = headers
         self.members = members  # further members of the problem object, beside the standard's
 
 
@@ -54,13 +52,13 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
     return JSONResponse(
         {
             "type": f"urn:stonefall:problem:{problem.slug}",
-            "title": TITLES.get(problem.slug, HTTPStatus(problem.status).phrase),
-            "status": problem.status,
+            "title": TITLES.get(problem.slug, HTTPStatus(problem.status_code).phrase),
+            "status": problem.status_code,
             "detail": problem.detail,
-            "instance": request.url.path,
+            "instance": request.scope["path"],
             **problem.members,
         },
-        status_code=problem.status,
+        status_code=problem.status_code,
         headers=problem.headers,
         media_type="application/problem+json",
     )
@@ -68,7 +66,6 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
 
 def install_handlers(app: FastAPI) -> None:
     """Turn every exception that can leave a route into a problem."""
-    app.add_exception_handler(Problem, _own)
     app.add_exception_handler(HTTPException, _of_http)
     app.add_exception_handler(RequestValidationError, _of_validation)
     app.add_exception_handler(ConflictError, _of_conflict)
@@ -86,13 +83,10 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-async def _own(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, Problem)  # noqa: S101  the handler's registration says so, the type cannot
-    return problem_response(request, error)
-
-
 async def _of_http(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, HTTPException)  # noqa: S101
+    if isinstance(error, Problem):
+        return problem_response(request, error)
+    assert isinstance(error, HTTPException)  # noqa: S101  the handler's registration says so, the type cannot
     slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
     return problem_response(request, Problem(error.status_code, slug, error.detail, headers=error.headers))
 

@@ -21,7 +21,9 @@ async def results(
     context: Context,
     after: Annotated[int, Query(ge=0, le=MAX_SEQ, description="The last `seq` you have")] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    wait_s: Annotated[float, Query(ge=0, le=30, description="How long to wait when there is nothing new")] = 0,
+    wait_s: Annotated[
+        float, Query(ge=0, le=30, description="How long to wait when there is nothing new")
+    ] = 0,
 ) -> JSONResponse:
     """Results after `after`, in order, without gaps, at least once.
 

@@ -55,7 +55,9 @@ ROWS = {
 
 
 def command(
-    meshes: Annotated[list[Path], typer.Argument(metavar="MESH...", help="Closed meshes in mm: STL, PLY, OBJ.")],
+    meshes: Annotated[
+        list[Path], typer.Argument(metavar="MESH...", help="Closed meshes in mm: STL, PLY, OBJ.")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a mesh.")] = False,
 ) -> None:
     """Measure mesh files with the very functions of the pipeline."""

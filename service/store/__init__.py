@@ -2,5 +2,6 @@
 
 from service.store.reads import ParticleFilter, Record, ResultPage
 from service.store.store import Store, open_store
+from service.store.writes import rfc3339_ms
 
-__all__ = ["ParticleFilter", "Record", "ResultPage", "Store", "open_store"]
+__all__ = ["ParticleFilter", "Record", "ResultPage", "Store", "open_store", "rfc3339_ms"]

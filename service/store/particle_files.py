@@ -9,6 +9,8 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
+from drivers.files import sync
+
 
 def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
     """Bring `files` (a name in `folder` each; a file, or a folder of files) there, durably.
@@ -25,11 +27,11 @@ def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
             target.mkdir()
             for entry in sorted(source.iterdir()):
                 _bring(entry, target / entry.name)
-            _flush(target)
+            sync(target)
         else:
             _bring(source, target)
-    _flush(folder)
-    _flush(folder.parent)
+    sync(folder)
+    sync(folder.parent)
 
 
 def drop_sources(files: Mapping[str, Path]) -> None:
@@ -46,12 +48,4 @@ def _bring(source: Path, target: Path) -> None:
         os.link(source, target)
     except OSError:  # another file system (the spool is on tmpfs), or one without links
         shutil.copyfile(source, target)
-    _flush(target)
-
-
-def _flush(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    sync(target)

@@ -100,11 +100,10 @@ def _end(
     ).fetchone()
     particle_id = f"{instance_id[:8]}-{seq:08d}"
     keep_files(particles_dir / particle_id, files)
-    stored = {
+    identity = {
         "seq": seq,
         "id": particle_id,
         "session": session,
-        **record,
         "bundle": bundle,
         "sequence": sequence,
         "kind": kind,
@@ -113,6 +112,7 @@ def _end(
         # relative to the state directory, and likewise to the base path of the REST interface
         "mesh": f"particles/{particle_id}/mesh.ply" if "mesh.ply" in files else None,
     }
+    stored = identity | dict(record) | identity  # first to be read first, last to have the last word
     connection.execute(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
         (seq, particle_id, trigger, session, json.dumps(stored, allow_nan=False)),

@@ -54,7 +54,7 @@ def test_two_wrong_views_are_named(cameras: list[CameraId]) -> None:
     silhouettes = sphere_silhouettes(RIG, CENTER_MM)
     for camera, offset_mm in zip(cameras, (2.0, -2.0), strict=True):
         view = RIG.subset([camera]).cameras[0]
-        silhouettes[camera] = sphere_silhouette(view, CENTER_MM + [0, 0, offset_mm], 7.5)
+        silhouettes[camera] = sphere_silhouette(view, CENTER_MM + np.array([0, 0, offset_mm]), 7.5)
     found = check_consistency(silhouettes, RIG, PARAMETERS)
     assert set(found.suspects) == set(cameras)
     assert found.is_consistent
@@ -64,7 +64,7 @@ def test_more_wrong_views_than_may_be_dropped_are_not_one_body() -> None:
     silhouettes = sphere_silhouettes(RIG, CENTER_MM)
     for number, camera in enumerate(RIG.camera_ids[::2]):
         view = RIG.subset([camera]).cameras[0]
-        silhouettes[camera] = sphere_silhouette(view, CENTER_MM + [0, 0, 2 + number], 7.5)
+        silhouettes[camera] = sphere_silhouette(view, CENTER_MM + np.array([0, 0, 2 + number]), 7.5)
     assert not check_consistency(silhouettes, RIG, PARAMETERS).is_consistent
 
 

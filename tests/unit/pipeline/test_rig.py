@@ -74,8 +74,8 @@ def test_a_bare_projection_matrix_is_enough() -> None:
         entry["projection"] = ((-3.0) ** (number % 3) * np.array(entry["projection"])).tolist()
     read = rig_from_document(document)
     for camera, expected in zip(read.cameras, BUILT.cameras, strict=True):
-        assert camera.K == pytest.approx(expected.K, abs=1e-6)
-        assert camera.R == pytest.approx(expected.R, abs=1e-9)
+        assert pytest.approx(expected.K, abs=1e-6) == camera.K
+        assert pytest.approx(expected.R, abs=1e-9) == camera.R
         assert camera.t_mm == pytest.approx(expected.t_mm, abs=1e-6)
 
 

@@ -33,6 +33,13 @@ def test_never_more_restarts_than_the_budget_within_a_window(steps_s: list[float
             assert sum(time_s > now_s - POLICY.window_s for time_s in restarts) <= POLICY.budget
 
 
+async def no_pause(_error: Exception, _delay_s: float) -> None: ...
+
+
+async def pause(_error: Exception, delay_s: float) -> None:
+    await asyncio.sleep(delay_s)
+
+
 class Flaky:
     def __init__(self, failures: int, error: type[Exception] = OSError) -> None:
         self.failures = failures
@@ -49,7 +56,7 @@ class Flaky:
 
 async def test_an_expected_failure_is_restarted_and_logged_once(caplog: pytest.LogCaptureFixture):
     session = Flaky(3)
-    await supervise("acquisition", session, expected=OSError, policy=AT_ONCE)
+    await supervise("acquisition", session, OSError, AT_ONCE, no_pause)
     assert session.runs == 4
     errors = [record for record in caplog.records if record.levelno >= logging.ERROR]
     assert [record.message for record in errors] == ["acquisition failed: camera c03 is gone restart_in_s=0"]
@@ -58,21 +65,21 @@ async def test_an_expected_failure_is_restarted_and_logged_once(caplog: pytest.L
 async def test_a_used_up_budget_lets_the_failure_through():
     session = Flaky(9)
     with pytest.raises(OSError, match="c03"):
-        await supervise("acquisition", session, expected=OSError, policy=AT_ONCE)
+        await supervise("acquisition", session, OSError, AT_ONCE, no_pause)
     assert session.runs == 4
 
 
 async def test_a_bug_is_not_restarted():
     session = Flaky(9, error=KeyError)
     with pytest.raises(KeyError):
-        await supervise("acquisition", session, expected=OSError, policy=AT_ONCE)
+        await supervise("acquisition", session, OSError, AT_ONCE, no_pause)
     assert session.runs == 1
 
 
 async def test_cancellation_passes_through_while_waiting_to_restart():
     session = Flaky(9)
     slow = RestartPolicy(delays_s=(60,), budget=3, window_s=100)
-    task = asyncio.create_task(supervise("acquisition", session, expected=OSError, policy=slow))
+    task = asyncio.create_task(supervise("acquisition", session, OSError, slow, pause))
     await session.has_run.wait()
     task.cancel()
     with pytest.raises(asyncio.CancelledError):

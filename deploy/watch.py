@@ -1,0 +1,123 @@
+"""Prints each stone as it is measured: a small client of the REST feed, to start an own one from.
+
+Keeps its cursor, asks with a long poll, and needs nothing but the standard library.
+"""
+
+import argparse
+import json
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+ROW = "{:>6}  {:<22} {:<9} {:<8} {:>10} {:>9} {:>9} {:>9} {:>8}  {}"
+HEAD = ROW.format(
+    "id",
+    "bundle",
+    "outcome",
+    "quality",
+    "volume mm3",
+    "error %",
+    "sieve mm",
+    "d_V error",
+    "time ms",
+    "remarks",
+)
+
+
+def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
+    with urllib.request.urlopen(f"{base}/api/v1{path}", timeout=timeout_s) as answer:  # noqa: S310
+        return dict(json.load(answer))
+
+
+def wait_until_ready(base: str, process: int | None, patience_s: float = 120) -> None:
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            get(base, "/health/live", timeout_s=2)
+        except (urllib.error.URLError, ConnectionError, TimeoutError):
+            if process is not None and not is_running(process):
+                sys.exit("the daemon ended")
+            if time.monotonic() > deadline:
+                sys.exit(f"no answer from {base} within {patience_s:.0f} s")
+            time.sleep(0.2)
+        else:
+            return
+
+
+def is_running(process: int) -> bool:
+    """False for a process that ended, even while its parent has not asked for its exit code."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def row(item: dict[str, Any], truth: dict[str, Any] | None) -> str:
+    measured = item["outcome"] == "measured"
+    volume_error = diameter_error = ""
+    if measured and truth is not None:
+        volume_error = f"{100 * (item['volume_mm3'] / truth['volume_mm3'] - 1):+.2f}"
+        diameter_error = f"{item['equivalent_diameter_mm'] - truth['equivalent_diameter_mm']:+.3f}"
+    dropped = ", ".join(f"{camera}: {why}" for camera, why in item["dropped_views"].items())
+    return ROW.format(
+        item["seq"],
+        item["bundle"],
+        item["outcome"],
+        item["quality"] or "",
+        f"{item['volume_mm3']:.1f}" if measured else "",
+        volume_error,
+        f"{item['sieve_size_mm']:.2f}" if measured else "",
+        diameter_error,
+        f"{item['timings_ms'].get('total', 0):.0f}",
+        item["detail"] or dropped,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("base", help="such as http://127.0.0.1:8080")
+    parser.add_argument("--truth", type=Path, help="truth.jsonl of a synthetic recording")
+    parser.add_argument("--once", action="store_true", help="end when all triggers have their outcome")
+    parser.add_argument("--while-process", type=int, help="stop waiting when this process is gone")
+    arguments = parser.parse_args()
+    truth = {}
+    if arguments.truth:
+        records = [json.loads(line) for line in arguments.truth.read_text().splitlines()]
+        truth = {record["bundle"]: record for record in records}
+    wait_until_ready(arguments.base, arguments.while_process)
+    print(f"results   {arguments.base}/api/v1/results")
+    print(f"health    {arguments.base}/api/v1/health")
+    print(f"API       {arguments.base}/api/v1/docs\n")
+    print(HEAD, flush=True)
+    cursor = 0
+    while True:
+        try:
+            page = get(arguments.base, f"/results?after={cursor}&wait_s=2")
+        except (urllib.error.URLError, ConnectionError, TimeoutError):
+            if arguments.while_process is not None and not is_running(arguments.while_process):
+                sys.exit("the daemon ended")
+            time.sleep(0.5)  # keep the cursor over an outage
+            continue
+        for item in page["items"]:
+            # a replay in a loop numbers its rounds behind the name
+            print(row(item, truth.get(item["bundle"].partition("@")[0])), flush=True)
+        cursor = page["next_after"]
+        if arguments.once and not page["items"]:
+            counts = get(arguments.base, "/accounting")
+            state = get(arguments.base, "/acquisition")["state"]
+            if counts["triggers"] > 0 and counts["in_progress"] == 0 and state == "disarmed":
+                return summary(counts)
+
+
+def summary(counts: dict[str, Any]) -> int:
+    parts = {name: counts[name] for name in ("measured", "rejected", "lost")}
+    holds = counts["triggers"] == sum(parts.values())
+    print(f"\n{counts['triggers']} triggers = " + " + ".join(f"{n} {name}" for name, n in parts.items()))
+    return 0 if holds and parts["measured"] > 0 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""The REST interface put together."""
+
+from fastapi import APIRouter, Depends, FastAPI
+from fastapi.responses import HTMLResponse, RedirectResponse
+
+from service.api import accounting, acquisition, cameras, health, particles, results
+from service.api.auth import require
+from service.api.body_limit import BodyLimit
+from service.api.context import ApiContext
+from service.api.docs import docs_page
+from service.api.openapi import describe
+from service.api.problems import install_handlers
+from service.api.settings import ApiSettings, Scope
+from service.api.version import API_VERSION, BASE
+from service.control import Control
+from service.store import Store
+
+
+def create_app(store: Store, control: Control, settings: ApiSettings) -> FastAPI:
+    """Build the application that serves `store` and steers `control`."""
+    app = build_routes()
+    app.state.context = ApiContext(store=store, control=control, settings=settings)
+    app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
+    return app
+
+
+def build_routes() -> FastAPI:
+    """Everything but what it works on: enough to describe the interface."""
+    app = FastAPI(
+        title="stonefall",
+        version=API_VERSION,
+        summary="The shape of every stone that leaves the crusher",
+        openapi_url=f"{BASE}/openapi.json",
+        docs_url=None,  # FastAPI's own pages load scripts from a public network: dead in a plant
+        redoc_url=None,
+        redirect_slashes=False,
+        generate_unique_id_function=lambda route: route.name,
+    )
+    # these decide by themselves, route by route: live and ready need no key, arming needs another one
+    for module in (health, acquisition):
+        app.include_router(module.router, prefix=BASE)
+    readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
+    for module in (results, particles, cameras, accounting):
+        readable.include_router(module.router)
+    app.include_router(readable, prefix=BASE)
+
+    @app.get("/", include_in_schema=False)
+    async def root() -> RedirectResponse:
+        return RedirectResponse(f"{BASE}/docs")
+
+    @app.get(f"{BASE}/docs", include_in_schema=False)
+    async def docs() -> HTMLResponse:
+        return HTMLResponse(
+            docs_page(app.openapi()),
+            headers={"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'"},
+        )
+
+    install_handlers(app)
+    describe(app)
+    return app

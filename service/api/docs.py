@@ -1,0 +1,115 @@
+"""The documentation page: one piece of HTML made from the OpenAPI document, without a script or a font."""
+
+from collections.abc import Iterator, Sequence
+from html import escape
+from typing import Any
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
+  color: #222 }
+h2 { margin: 2.5rem 0 .5rem; border-bottom: 2px solid #b5a48a; text-transform: capitalize }
+summary { cursor: pointer; padding: .4rem .5rem; background: #f5f2ec; border-radius: 4px }
+details { margin: .4rem 0 } details > div { padding: .2rem 1rem }
+code { font: 13px/1.4 ui-monospace, monospace } b.method { display: inline-block; width: 3.2rem }
+b.PUT { color: #a35200 } b.GET { color: #1d6b3f }
+table { border-collapse: collapse; width: 100%; margin: .5rem 0 }
+td { vertical-align: top; padding: .2rem .8rem .2rem 0; border-bottom: 1px solid #e5e0d6 }
+@media (prefers-color-scheme: dark) {
+  body { background: #1c1b19; color: #ddd } summary { background: #2b2925 } a { color: #9cf }
+  b.GET { color: #7fcf9f } b.PUT { color: #f0a868 } td { border-color: #3a3731 }
+}
+"""
+
+
+def docs_page(document: dict[str, Any]) -> str:
+    """Show every operation by tag, then every schema."""
+    info = document["info"]
+    by_tag: dict[str, list[str]] = {}
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            by_tag.setdefault(operation["tags"][0], []).append(_operation(path, method.upper(), operation))
+    sections = "".join(f"<h2>{escape(tag)}</h2>{''.join(parts)}" for tag, parts in by_tag.items())
+    schemas = "".join(_schema(name, schema) for name, schema in document["components"]["schemas"].items())
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(info["title"])}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style>'
+        f"<h1>{escape(info['title'])} <small>{escape(info['version'])}</small></h1>"
+        f'<p>{escape(info["summary"])}. For programs: <a href="openapi.json">openapi.json</a> '
+        f"(OpenAPI {escape(document['openapi'])}).</p>{sections}<h2>Schemas</h2>{schemas}</html>"
+    )
+
+
+def _operation(path: str, method: str, operation: dict[str, Any]) -> str:
+    description = operation.get("description", "")
+    parameters = [
+        (item["name"], item["in"], _type(item["schema"]), item.get("description", ""))
+        for item in operation.get("parameters", [])
+    ]
+    if "requestBody" in operation:
+        (content,) = operation["requestBody"]["content"].values()
+        parameters.append(("body", "body", _type(content["schema"]), ""))
+    answers = [
+        (status, ", ".join(_contents(answer)), answer.get("description", ""))
+        for status, answer in operation["responses"].items()
+    ]
+    return (
+        f'<details><summary><b class="method {method}">{method}</b> <code>{escape(path)}</code></summary>'
+        f"<div><p>{_prose(description)}</p>{_table(parameters)}{_table(answers)}</div></details>"
+    )
+
+
+def _schema(name: str, schema: dict[str, Any]) -> str:
+    fields = [
+        (field, _type(body), body.get("description", ""))
+        for field, body in schema.get("properties", {}).items()
+    ]
+    values = f"<p>{_type(schema)}</p>" if not fields else ""
+    return (
+        f'<details id="{escape(name)}"><summary><code>{escape(name)}</code></summary><div>'
+        f"<p>{_prose(schema.get('description', ''))}</p>{values}{_table(fields)}</div></details>"
+    )
+
+
+def _contents(answer: dict[str, Any]) -> Iterator[str]:
+    for media_type, content in answer.get("content", {}).items():
+        yield _type(content["schema"]) if content.get("schema") else f"<code>{escape(media_type)}</code>"
+
+
+def _type(schema: dict[str, Any]) -> str:
+    """Say a JSON schema in a few words of HTML."""
+    if "$ref" in schema:
+        name = escape(schema["$ref"].rsplit("/", 1)[-1])
+        return f'<a href="#{name}">{name}</a>'
+    if "anyOf" in schema:
+        return " or ".join(_type(part) for part in schema["anyOf"])
+    if "enum" in schema or "const" in schema:
+        return ", ".join(
+            f"<code>{escape(str(value))}</code>" for value in schema.get("enum", [schema.get("const")])
+        )
+    if schema.get("type") == "array":
+        return f"list of {_type(schema['items'])}"
+    if isinstance(schema.get("additionalProperties"), dict):
+        return f"map to {_type(schema['additionalProperties'])}"
+    limits = [
+        f"{sign} {schema[key]:g}" for key, sign in (("minimum", "≥"), ("maximum", "≤")) if key in schema
+    ]
+    words = [schema.get("format", schema.get("type", "any")), *limits]
+    if "default" in schema:
+        words.append(f"(default {schema['default']})")
+    return escape(" ".join(words))
+
+
+def _prose(text: str) -> str:
+    """Escape text and set what stands between backticks as code."""
+    parts = escape(text).split("`")
+    return "".join(f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(parts))
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Set rows of which the first cell is a name, the last is prose and the others are HTML already."""
+    lines = (
+        f"<tr><td><code>{escape(first)}</code></td>{''.join(f'<td>{cell}</td>' for cell in middle)}"
+        f"<td>{_prose(last)}</td></tr>"
+        for first, *middle, last in rows
+    )
+    return f"<table>{''.join(lines)}</table>" if rows else ""

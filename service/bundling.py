@@ -1,0 +1,298 @@
+"""Frames and triggers become bundles: time decides, counters verify. No I/O; time is an argument.
+
+A trigger at time T opens a window of T + expected delay +- `window_ms`; a frame belongs to the trigger in
+whose window it arrived, whatever its number. Windows are disjoint because the gate's dead time exceeds
+their width. Every trigger leaves as exactly one bundle, in order: complete, or at its deadline with
+what is missing. Frame ids only count what was lost.
+
+Events may come in any order within one window's half width; a frame that comes before its trigger waits.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from drivers.interfaces import (
+    CameraLost,
+    DeviceEvent,
+    FrameLost,
+    GateLost,
+    PlaybackEnded,
+    TriggersIgnored,
+)
+from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
+from service.frame_checks import ExposureCheck, id_step
+
+NO_FRAME = "no_frame"
+"""Nothing came from the camera until the deadline."""
+CAMERA_LOST = "camera_lost"
+"""The camera does not answer."""
+AMBIGUOUS = "ambiguous"
+"""Two different frames came for one trigger."""
+OTHER_EXPOSURE = "other_exposure"
+"""By its camera's clock the frame was exposed for another trigger."""
+DEAD_TIME = "dead_time"
+"""The trigger followed another within the gate's dead time; the frames belong to the first."""
+
+REMEMBERED_TRIGGERS = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BundlingParameters:
+    """When frames are expected, and how close triggers may follow one another."""
+
+    expected_delay_ms: float = 259.4  # trigger delay 247.4, exposure, transfer
+    window_ms: float = 100.0  # half width; more than jitter and packet resends take
+    dead_time_ms: float = 220.0  # least time between two triggers, as the gate enforces it
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.expected_delay_ms <= 10_000:
+            raise ValueError(f"expected_delay_ms must be in 0..10000, not {self.expected_delay_ms:g}")
+        if not 1 <= self.window_ms <= 5_000:
+            raise ValueError(f"window_ms must be in 1..5000, not {self.window_ms:g}")
+        if not self.dead_time_ms > 2 * self.window_ms:
+            raise ValueError(
+                f"dead_time_ms must exceed twice window_ms, {2 * self.window_ms:g}, not {self.dead_time_ms:g}"
+            )
+
+
+@dataclass(slots=True, kw_only=True)
+class CameraCounters:
+    """What became of one camera's frames."""
+
+    used: int = 0
+    missing: int = 0  # bundles without a frame of this camera
+    lost: int = 0  # losses the driver told of
+    late: int = 0
+    duplicates: int = 0
+    extra: int = 0  # several different frames for one trigger
+    other_exposure: int = 0
+    strays: int = 0  # frames without a trigger
+    not_exposed: int = 0  # triggers its frame ids did not count
+    unannounced: int = 0  # exposures without a trigger, by its frame ids
+    id_restarts: int = 0
+
+
+@dataclass(slots=True, kw_only=True)
+class BundlingCounters:
+    """Totals since the assembler was made; `triggers = complete + incomplete` once nothing is open."""
+
+    triggers: int = 0
+    complete: int = 0
+    incomplete: int = 0
+    in_dead_time: int = 0  # of the incomplete
+    triggers_ignored: int = 0  # merged by the gate itself
+    cameras: dict[CameraId, CameraCounters] = field(default_factory=dict)
+
+
+@dataclass(slots=True, kw_only=True)
+class _Window:
+    trigger: Trigger
+    ordinal: int  # among triggers that expose
+    expected_ns: int
+    frames: dict[CameraId, Frame] = field(default_factory=dict)
+    lost: dict[CameraId, str] = field(default_factory=dict)
+    in_dead_time: bool = False
+    refused: set[CameraId] = field(default_factory=set)
+
+
+class _Closed(NamedTuple):
+    expected_ns: int
+    frame_ids: dict[CameraId, int]
+
+
+class BundleAssembler:
+    """Single-threaded; feed it every event of the inbox, and the time at `next_deadline_ns`.
+
+    Read the clock *before* asking the inbox; if that finds nothing, `advance` to the reading: then
+    nothing that was delivered in time can come too late.
+    """
+
+    def __init__(self, camera_ids: Iterable[CameraId], parameters: BundlingParameters) -> None:
+        self._camera_ids = tuple(camera_ids)
+        self._delay_ns = round(parameters.expected_delay_ms * 1e6)
+        self._window_ns = round(parameters.window_ms * 1e6)
+        self._dead_time_ns = round(parameters.dead_time_ms * 1e6)
+        self._open: deque[_Window] = deque()
+        self._closed: deque[_Closed] = deque(maxlen=REMEMBERED_TRIGGERS)
+        self._held: list[Frame | FrameLost] = []
+        self._gone: set[CameraId] = set()
+        self._n_exposing = 0
+        self._last_trigger_ns: int | None = None
+        self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
+        self._last_used: dict[CameraId, tuple[int, int]] = {}  # frame id, ordinal
+        self.counters = BundlingCounters(cameras={camera: CameraCounters() for camera in self._camera_ids})
+
+    @property
+    def next_deadline_ns(self) -> int | None:
+        """When to call `advance` if no event comes before."""
+        return self._deadline_ns(self._open[0]) if self._open else None
+
+    def feed(self, event: DeviceEvent) -> list[FrameBundle]:
+        """Take one event; returns the bundles it finished, in the order of their triggers."""
+        match event:
+            case Trigger():
+                self._open_window(event)
+            case Frame() | FrameLost():
+                if isinstance(event, Frame):
+                    self._gone.discard(event.camera)
+                else:
+                    self.counters.cameras[event.camera].lost += 1
+                if not self._place(event):
+                    self._held.append(event)
+            case CameraLost():
+                self._gone.add(event.camera)
+                for window in self._open:
+                    if event.camera not in window.frames:
+                        window.lost.setdefault(event.camera, CAMERA_LOST)
+            case TriggersIgnored():
+                self.counters.triggers_ignored += event.count
+            case PlaybackEnded():
+                return self.flush()
+            case GateLost():
+                pass
+        return self.advance(event.received_ns)
+
+    def advance(self, now_ns: int) -> list[FrameBundle]:
+        """Close what is complete or past its deadline."""
+        overdue = [event for event in self._held if now_ns - event.received_ns > self._window_ns]
+        if overdue:
+            self._held = [event for event in self._held if now_ns - event.received_ns <= self._window_ns]
+            self._count_unplaced(overdue)
+        bundles = []
+        while self._open and (self._is_complete(self._open[0]) or now_ns >= self._deadline_ns(self._open[0])):
+            bundles.append(self._close(self._open.popleft()))
+        return bundles
+
+    def flush(self, reason: str = NO_FRAME) -> list[FrameBundle]:
+        """Close everything now; `reason` is that of the frames still expected."""
+        self._count_unplaced(self._held)
+        self._held = []
+        bundles = [self._close(window, reason) for window in self._open]
+        self._open.clear()
+        return bundles
+
+    def _open_window(self, trigger: Trigger) -> None:
+        self.counters.triggers += 1
+        window = _Window(
+            trigger=trigger, ordinal=self._n_exposing, expected_ns=trigger.received_ns + self._delay_ns
+        )
+        self._open.append(window)
+        last_ns = self._last_trigger_ns
+        if last_ns is not None and trigger.received_ns - last_ns < self._dead_time_ns:
+            self.counters.in_dead_time += 1
+            window.in_dead_time = True
+            window.lost = dict.fromkeys(self._camera_ids, DEAD_TIME)
+            return
+        self._last_trigger_ns = trigger.received_ns
+        self._n_exposing += 1
+        window.lost = dict.fromkeys(self._gone, CAMERA_LOST)
+        self._held = [event for event in self._held if not self._place(event)]
+
+    def _place(self, event: Frame | FrameLost) -> bool:
+        """Give the event to the trigger in whose window it came; false when there is none yet."""
+        for window in self._open:
+            if not window.in_dead_time and self._is_within(event, window.expected_ns):
+                if isinstance(event, Frame):
+                    self._take(window, event)
+                elif event.camera not in window.frames:
+                    window.lost.setdefault(event.camera, event.reason)
+                return True
+        for expected_ns, frame_ids in self._closed:
+            if self._is_within(event, expected_ns):
+                if isinstance(event, Frame):
+                    self._count_after_close(event, frame_ids)
+                return True
+        return False
+
+    def _take(self, window: _Window, frame: Frame) -> None:
+        counters = self.counters.cameras[frame.camera]
+        if window.lost.get(frame.camera) == AMBIGUOUS:
+            counters.extra += 1
+            return
+        known = window.frames.get(frame.camera)
+        if known is not None and known.frame_id == frame.frame_id:
+            counters.duplicates += 1
+            return
+        if not self._exposures[frame.camera].belongs(
+            frame.device_ns, window.trigger.received_ns, is_first_trigger=window.ordinal == 0
+        ):
+            counters.other_exposure += 1
+            window.refused.add(frame.camera)
+            return
+        if known is not None:
+            counters.extra += 2  # neither is used
+            del window.frames[frame.camera]
+            window.lost[frame.camera] = AMBIGUOUS
+            return
+        window.lost.pop(frame.camera, None)
+        window.frames[frame.camera] = frame
+
+    def _close(self, window: _Window, reason: str = NO_FRAME) -> FrameBundle:
+        missing = {}
+        for camera in self._camera_ids:
+            if camera in window.frames:
+                self._verify_id(camera, window.frames[camera].frame_id, window.ordinal)
+                self.counters.cameras[camera].used += 1
+                continue
+            self.counters.cameras[camera].missing += 1
+            unexplained = OTHER_EXPOSURE if camera in window.refused else reason
+            missing[camera] = window.lost.get(camera, unexplained)
+        if missing:
+            self.counters.incomplete += 1
+        else:
+            self.counters.complete += 1
+        if not window.in_dead_time:
+            frame_ids = {camera: frame.frame_id for camera, frame in window.frames.items()}
+            self._closed.append(_Closed(window.expected_ns, frame_ids))
+        frames = {camera: window.frames[camera] for camera in self._camera_ids if camera in window.frames}
+        return FrameBundle(trigger=window.trigger, frames=frames, missing=missing)
+
+    def _verify_id(self, camera: CameraId, frame_id: int, ordinal: int) -> None:
+        """Compare how far the camera's counter went with how many triggers there were."""
+        last = self._last_used.get(camera)
+        self._last_used[camera] = (frame_id, ordinal)
+        if last is None:
+            return
+        counters = self.counters.cameras[camera]
+        n_exposed = id_step(last[0], frame_id)
+        if n_exposed is None:
+            counters.id_restarts += 1
+            return
+        n_triggers = ordinal - last[1]
+        counters.not_exposed += max(0, n_triggers - n_exposed)
+        counters.unannounced += max(0, n_exposed - n_triggers)
+
+    def _count_after_close(self, frame: Frame, frame_ids: dict[CameraId, int]) -> None:
+        counters = self.counters.cameras[frame.camera]
+        used_id = frame_ids.get(frame.camera)
+        if used_id is None:
+            counters.late += 1
+        elif used_id == frame.frame_id:
+            counters.duplicates += 1
+        else:
+            counters.extra += 1
+
+    def _count_unplaced(self, events: Iterable[Frame | FrameLost]) -> None:
+        """Count frames outside of every window: late when the last trigger before lacks it, else strays."""
+        before = [*self._closed, *(_Closed(w.expected_ns, dict.fromkeys(w.frames, 0)) for w in self._open)]
+        for event in events:
+            if not isinstance(event, Frame):
+                continue
+            counters = self.counters.cameras[event.camera]
+            earlier = [window for window in before if window.expected_ns < event.received_ns]
+            if earlier and event.camera not in earlier[-1].frame_ids:
+                counters.late += 1
+            else:
+                counters.strays += 1
+
+    def _is_complete(self, window: _Window) -> bool:
+        return len(window.frames.keys() | window.lost.keys()) == len(self._camera_ids)
+
+    def _is_within(self, event: Frame | FrameLost, expected_ns: int) -> bool:
+        return abs(event.received_ns - expected_ns) <= self._window_ns
+
+    def _deadline_ns(self, window: _Window) -> int:
+        # one half width past the window's end, for what arrived in time and is still on its way
+        return window.expected_ns + 2 * self._window_ns

@@ -1,0 +1,117 @@
+"""`stonefall import`: a recording from images that others took."""
+
+import re
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from drivers.errors import RecordingError
+from drivers.png_file import read_png
+from drivers.recording import RecordingWriter
+from drivers.rig_file import read_rig
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.errors import UsageError
+
+SPACING_NS = 250_000_000
+EXPOSURE_DELAY_NS = 247_400_000
+TRANSFER_NS = 12_000_000
+"""Images carry no times: these are those of the paper's rig at four stones a second."""
+
+
+def command(
+    source: Annotated[
+        Path, typer.Argument(help="Folder with one folder a bundle, in it <camera id>.png each.")
+    ],
+    out: Annotated[Path, typer.Argument(help="Folder of the new recording.")],
+    rig: Annotated[Path, typer.Option(help="Rig file of the cameras.")],
+    background: Annotated[
+        list[str] | None, typer.Option(help="Name of a folder that shows the empty rig; may be repeated.")
+    ] = None,
+    simulated: Annotated[bool, typer.Option("--simulated", help="The images are not photographs.")] = False,
+) -> None:
+    """Make a recording from folders of 8-bit grey PNG images; a missing file is a missing view."""
+    calibration = read_rig(rig)
+    folders = _bundle_folders(source, background or [])
+    size_px = calibration.cameras[0].image_size_px
+    started_at = datetime.now(UTC)
+    with RecordingWriter(
+        out,
+        camera_ids=calibration.camera_ids,
+        image_size_px=size_px,
+        rig=calibration,
+        is_simulated=simulated,
+        made_by={"command": "import", "source": source.name, "times": "invented"},
+    ) as writer:
+        console = Console(file=sys.stderr)
+        for sequence, (folder, kind) in enumerate(track(folders, "importing", console=console)):
+            bundle = _bundle(folder, kind, sequence, calibration.camera_ids, size_px, started_at)
+            writer.add(bundle)
+
+
+def _bundle_folders(source: Path, backgrounds: Sequence[str]) -> list[tuple[Path, BundleKind]]:
+    """The folders in the order of their names, numbers by value, those of the empty rig first."""
+    if not source.is_dir():
+        raise RecordingError(source, "is not a folder")
+    folders = [path for path in source.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    if not folders:
+        raise RecordingError(source, "has no folder of images")
+    if unknown := sorted(set(backgrounds) - {folder.name for folder in folders}):
+        raise UsageError(f"--background {unknown[0]}: {source} has no such folder")
+
+    def in_order(folder: Path) -> tuple[bool, list[tuple[int, str]], str]:
+        numbers_and_words = re.findall(r"(\d+)|(\D+)", folder.name)
+        key = [(int(number or 0), word) for number, word in numbers_and_words]
+        return folder.name not in backgrounds, key, folder.name
+
+    return [
+        (folder, BundleKind.BACKGROUND if folder.name in backgrounds else BundleKind.PARTICLE)
+        for folder in sorted(folders, key=in_order)
+    ]
+
+
+def _bundle(
+    folder: Path,
+    kind: BundleKind,
+    sequence: int,
+    camera_ids: Sequence[CameraId],
+    size_px: tuple[int, int],
+    started_at: datetime,
+) -> FrameBundle:
+    files = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() == ".png":
+            if path.stem not in camera_ids:
+                raise RecordingError(path, f"{path.stem!r} is no camera of the rig")
+            files[CameraId(path.stem)] = path
+    if not files:
+        raise RecordingError(folder, "has no image <camera id>.png")
+    trigger_ns = (sequence + 1) * SPACING_NS
+    utc = started_at + timedelta(microseconds=trigger_ns / 1000)
+    frames = {
+        camera: Frame(
+            camera=camera,
+            image=read_png(path, size_px),
+            frame_id=sequence + 1,
+            device_ns=trigger_ns + EXPOSURE_DELAY_NS,
+            received_ns=trigger_ns + EXPOSURE_DELAY_NS + TRANSFER_NS,
+        )
+        for camera, path in files.items()
+    }
+    return FrameBundle(
+        trigger=Trigger(
+            sequence=sequence,
+            received_ns=trigger_ns,
+            device_ns=trigger_ns,
+            utc=utc.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            kind=kind,
+            name=folder.name,
+        ),
+        frames=frames,
+        missing={camera: "no_image" for camera in camera_ids if camera not in files},
+    )

@@ -1,0 +1,32 @@
+"""`stonefall serve`: the daemon."""
+
+import asyncio
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.daemon import run
+from service.errors import SettingsError
+from service.settings import load_settings, problems
+from service.systemd import configure_logging, service_manager
+
+log = logging.getLogger(__name__)
+
+
+def command(
+    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
+) -> None:
+    """Measure the stones of a rig, keep the results and serve them, until SIGTERM."""
+    settings = load_settings(config)
+    if wrong := "; ".join(problems(settings)):
+        raise SettingsError(f"{config}: {wrong}")
+    configure_logging(os.environ)
+    try:
+        asyncio.run(run(settings, service_manager(os.environ, os.getpid())))
+    except BaseExceptionGroup:
+        log.critical("fatal, the daemon ends", exc_info=True)
+        sys.exit(1)

@@ -1,0 +1,167 @@
+"""`stonefall synthesize`: a recording of known bodies, with the truth beside it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from drivers.recording import RecordingWriter
+from drivers.rig_file import read_rig, write_rig
+from pipeline.errors import MeshError
+from pipeline.frames import FrameBundle
+from pipeline.measuring import ShapeMeasurement, measure_shape
+from pipeline.rig_design import as_built, nominal_rig
+from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
+from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
+from pipeline.synthesis.optics import ExposureParameters
+from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.renderer import SimulatedRig, simulate_rig
+from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
+from pipeline.synthesis.truth import TruthRecord, truth_of, truth_to_document
+from service.commands.shape import read_mesh
+from service.errors import UsageError
+
+STANDARDS: dict[str, Callable[[], Body]] = {
+    "ball": ball,
+    "sphere": sphere,
+    "cylinder": cylinder,
+    "cube": cube,
+}
+STONES = "stones"
+MAX_RADIUS_MM = 100.0
+
+HOUSING, BACKGROUND, PARTICLE = range(3)
+"""Keys of the random streams: what a bundle shows does not depend on how many others there are."""
+
+Turn = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
+"""What falls when it is an item's turn for the n-th time (from 0), and its true shape."""
+
+
+def command(
+    out: Annotated[Path, typer.Argument(help="Folder of the recording; must not exist, or be empty.")],
+    bodies: Annotated[
+        str,
+        typer.Option(
+            help=f"What falls, in turns, separated by commas: {', '.join(STANDARDS)}, {STONES} "
+            f"(in turn {', '.join(STONE_FORMS)}), one of these classes, or mesh files in mm."
+        ),
+    ] = f"{','.join(STANDARDS)},{STONES}",
+    count: Annotated[int, typer.Option(min=0, max=100_000, help="Number of bodies.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal images.")] = 0,
+    rig: Annotated[
+        Path | None,
+        typer.Option(help="The rig that photographs; default: the design, built with seeded deviations."),
+    ] = None,
+    backgrounds: Annotated[int, typer.Option(min=0, max=1000, help="Exposures of the empty rig, first.")] = 5,
+    size_mm: Annotated[
+        float | None, typer.Option(min=1, max=45, help="Greatest diameter of the stones; default: 5 to 40.")
+    ] = None,
+    exposure_us: Annotated[
+        float, typer.Option(min=0, max=1000, help="Motion blur is 1 px per 20 us.")
+    ] = 20.0,
+    rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Render a recording of known bodies as the rig would photograph them, with the truth beside it."""
+    if backgrounds + count == 0:
+        raise typer.BadParameter("there is nothing to render", param_hint="--count")
+    design = nominal_rig(created_at=FIRST_UTC.isoformat().replace("+00:00", "Z"))
+    true_rig = as_built(design, seed) if rig is None else read_rig(rig)
+    names = [name.strip() for name in bodies.split(",")]
+    writer = RecordingWriter(
+        out,
+        camera_ids=true_rig.camera_ids,
+        image_size_px=true_rig.cameras[0].image_size_px,
+        rig=true_rig,
+        is_simulated=True,
+        made_by={
+            "command": "synthesize",
+            "bodies": names,
+            "count": count,
+            "seed": seed,
+            "size_mm": size_mm,
+            "rig": "rig.json took the images" + ("; rig-nominal.json is its design" if rig is None else ""),
+            "truth": "truth.jsonl; truth/*.ply in world coordinates in the middle of the exposure",
+        },
+        camera_settings={"exposure_us": exposure_us},
+        gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": rate_hz},
+    )
+    with writer:
+        turns = [_turn(name, size_mm) for name in names]
+        simulated = simulate_rig(true_rig, stream(seed, HOUSING), ExposureParameters(exposure_us=exposure_us))
+        if rig is None:
+            write_rig(writer.folder / "rig-nominal.json", design)
+        (writer.folder / "truth").mkdir()
+        with (writer.folder / "truth.jsonl").open("w", encoding="utf-8") as truth_lines:
+            period_ns = round(1e9 / rate_hz)
+            numbers = range(1, backgrounds + count + 1)
+            for sequence in track(numbers, "synthesizing", console=Console(stderr=True)):
+                index = sequence - 1 - backgrounds
+                if index < 0:
+                    rng = stream(seed, BACKGROUND, sequence)
+                    writer.add(render_empty(simulated, rng, sequence=sequence, period_ns=period_ns))
+                    continue
+                turn, time = turns[index % len(turns)], index // len(turns)
+                rng = stream(seed, PARTICLE, index)
+                bundle, truth = _dropped(*turn(time, rng), simulated, rng, sequence, period_ns)
+                writer.add(bundle)
+                truth.mesh.export(writer.folder / "truth" / f"{bundle.name}.ply")
+                truth_lines.write(json.dumps(truth_to_document(truth), allow_nan=False) + "\n")
+    summary = {
+        "recording": str(out),
+        "backgrounds": backgrounds,
+        "bodies": count,
+        "rig": true_rig.calibration_id,
+    }
+    typer.echo(
+        json.dumps(summary) if as_json else f"{out}: {count} bodies, {backgrounds} exposures of the empty rig"
+    )
+
+
+def _dropped(
+    body: Body,
+    shape: ShapeMeasurement,
+    simulated: SimulatedRig,
+    rng: np.random.Generator,
+    sequence: int,
+    period_ns: int,
+) -> tuple[FrameBundle, TruthRecord]:
+    placed = tumble(body, simulated.rig, rng)
+    bundle = render_bundle(
+        [placed], simulated, rng, sequence=sequence, label=body.name, kind=body.kind, period_ns=period_ns
+    )
+    return bundle, truth_of(placed, bundle, shape)
+
+
+def _turn(name: str, size_mm: float | None) -> Turn:
+    """What an item of `--bodies` stands for."""
+    if name in STONE_FORMS or name == STONES:
+        forms = list(STONE_FORMS) if name == STONES else [name]
+
+        def next_stone(time: int, rng: np.random.Generator) -> tuple[Body, ShapeMeasurement]:
+            body = stone(forms[time % len(forms)], size_mm or random_size_mm(rng), rng)
+            return body, measure_shape(body.mesh)
+
+        return next_stone
+    body = STANDARDS[name]() if name in STANDARDS else _body_from_file(name)
+    shape = measure_shape(body.mesh)
+    return lambda time, rng: (body, shape)
+
+
+def _body_from_file(name: str) -> Body:
+    path = Path(name)
+    if not path.is_file():
+        known = ", ".join([*STANDARDS, STONES, *STONE_FORMS])
+        raise typer.BadParameter(f"{name!r} is neither a mesh file nor one of {known}", param_hint="--bodies")
+    try:
+        body = body_from_mesh(path.stem, read_mesh(path))
+    except (UsageError, MeshError) as err:
+        raise UsageError(f"{path}: {err}") from err
+    if body.radius_mm > MAX_RADIUS_MM:
+        raise UsageError(f"{path}: reaches {body.radius_mm:.0f} mm from its centre; is it in mm?")
+    return body

@@ -1,0 +1,41 @@
+"""uvicorn as a task among others: the socket is bound first, signals and the end are the daemon's."""
+
+import asyncio
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import uvicorn
+
+from service.errors import ServiceError
+
+
+class RestServer(uvicorn.Server):
+    """uvicorn without its own ideas about signals, and with an event for the moment it serves."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.is_serving = asyncio.Event()
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self.is_serving.set()
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Listen before anything else is started: an address in use is an error of the first second.
+
+    Raises
+    ------
+    ServiceError
+        Naming the address.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server(address[:2], family=family)
+    except OSError as err:
+        raise ServiceError(f"api: cannot listen on {host} port {port}: {err.strerror}") from err

@@ -1,0 +1,52 @@
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from support.rest import FakeControl, client_of
+
+from service.api.app import create_app
+from service.api.settings import ApiSettings
+from service.store import Store, open_store
+
+
+@pytest.fixture
+def state_dir(tmp_path: Path) -> Path:
+    return tmp_path / "state"
+
+
+@pytest.fixture
+def store(state_dir: Path) -> Iterator[Store]:
+    with open_store(state_dir) as store:
+        yield store
+
+
+@pytest.fixture
+async def session(store: Store) -> int:
+    return await store.begin_session({"calibration_id": "0123", "is_simulated": True})
+
+
+@pytest.fixture
+def control() -> FakeControl:
+    return FakeControl()
+
+
+@pytest.fixture
+async def client(store: Store, control: FakeControl) -> AsyncIterator[httpx.AsyncClient]:
+    async with client_of(create_app(store, control, ApiSettings())) as client:
+        yield client
+
+
+@pytest.fixture
+def waiting(store: Store, monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
+    """Set once a reader sleeps."""
+    event = asyncio.Event()
+    wait_beyond = store.wait_beyond
+
+    async def observed(seq: int) -> None:
+        event.set()
+        await wait_beyond(seq)
+
+    monkeypatch.setattr(store, "wait_beyond", observed)
+    return event

@@ -1,0 +1,107 @@
+"""Health, acquisition, cameras and accounting, as the daemon tells them."""
+
+import httpx
+import pytest
+from support.rest import PNG, SICK_HEALTH, FakeControl, add, measured, rejected, trigger
+
+from service.api.schemas import HealthDocument
+from service.control import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
+from service.store import Store
+
+
+async def test_live_does_not_ask_the_daemon(client: httpx.AsyncClient, control: FakeControl) -> None:
+    control.condition = SICK_HEALTH
+    answer = await client.get("/health/live")
+    assert (answer.status_code, answer.json()) == (200, {"status": "pass"})
+
+
+async def test_ready_or_why_not(client: httpx.AsyncClient, control: FakeControl) -> None:
+    assert (await client.get("/health/ready")).json() == {"ready": True}
+    control.condition = SICK_HEALTH
+    answer = await client.get("/health/ready")
+    assert (answer.status_code, answer.headers["Retry-After"]) == (503, "5")
+    assert answer.json()["type"] == "urn:stonefall:problem:not-ready"
+    assert answer.json()["reasons"] == ["camera c02 is lost"]
+
+
+async def test_health_in_detail(client: httpx.AsyncClient, control: FakeControl, store: Store) -> None:
+    good = (await client.get("/health")).json()
+    assert (good["status"], good["ne107"], good["instance_id"]) == ("pass", "good", store.instance_id)
+    assert good["checks"]["camera:c01"] == {
+        "status": "pass",
+        "observed_value": 0.2,
+        "observed_unit": "s",
+        "detail": None,
+    }
+    control.condition = SICK_HEALTH
+    answer = await client.get("/health")
+    sick = HealthDocument.model_validate(answer.json())
+    assert (answer.status_code, sick.status, sick.ready, sick.ne107) == (200, "fail", False, "failure")
+    assert sick.checks["camera:c02"].detail == "does not answer"
+
+
+async def test_arm_and_disarm(client: httpx.AsyncClient, control: FakeControl) -> None:
+    assert (await client.get("/acquisition")).json() == {"state": "disarmed"}
+    for state in ("armed", "armed", "disarmed"):
+        answer = await client.put("/acquisition", json={"state": state})
+        assert (answer.status_code, answer.json()) == (200, {"state": state})
+    control.state = AcquisitionState.DISARMING
+    answer = await client.put("/acquisition", json={"state": "armed"})
+    assert (answer.status_code, answer.json()["type"]) == (409, "urn:stonefall:problem:transition-conflict")
+    assert (answer.json()["current"], answer.json()["target"]) == ("disarming", "armed")
+
+
+@pytest.mark.parametrize("body", [{"state": "held"}, {"state": None}, {}, {"state": "armed", "for_s": 5}, []])
+async def test_only_two_states_can_be_asked_for(client: httpx.AsyncClient, body: object) -> None:
+    assert (await client.put("/acquisition", json=body)).status_code == 422
+
+
+def test_transitions_lead_to_what_was_asked_for() -> None:
+    leads_to = {
+        AcquisitionTarget.ARMED: {AcquisitionState.ARMING, AcquisitionState.ARMED, AcquisitionState.HELD},
+        AcquisitionTarget.DISARMED: {AcquisitionState.DISARMING, AcquisitionState.DISARMED},
+    }
+    for (current, target), state in TRANSITIONS.items():
+        assert state in leads_to[target]
+        assert next_state(state, target) == state  # asking again changes nothing
+        assert next_state(current, target) == state
+    with pytest.raises(ConflictError, match="stopping"):
+        next_state(AcquisitionState.STOPPING, AcquisitionTarget.DISARMED)
+
+
+async def test_cameras(client: httpx.AsyncClient, control: FakeControl) -> None:
+    cameras = (await client.get("/cameras")).json()["items"]
+    assert [camera["id"] for camera in cameras] == ["c01", "c02", "c03"]
+    assert (await client.get("/cameras/c02")).json() == cameras[1]
+    assert cameras[1]["frames"] == 7
+    for path in ("/cameras/c99", "/cameras/c99/snapshot.png"):
+        assert (await client.get(path)).json()["type"] == "urn:stonefall:problem:unknown-camera"
+
+    none_yet = await client.get("/cameras/c02/snapshot.png")
+    assert (none_yet.status_code, none_yet.json()["type"]) == (404, "urn:stonefall:problem:not-kept")
+    control.snapshots["c02"] = PNG
+    answer = await client.get("/cameras/c02/snapshot.png")
+    assert (answer.content, answer.headers["Cache-Control"]) == (PNG, "no-store")
+
+
+async def test_accounting(client: httpx.AsyncClient, store: Store, session: int) -> None:
+    await add(store, session, 1, measured())
+    await add(store, session, 2, rejected("clipped"))
+    latest = await store.begin_session({})
+    await store.record_trigger(latest, trigger(3), "open")
+    assert (await client.get("/accounting")).json() == {
+        "session": None,
+        "triggers": 3,
+        "measured": 1,
+        "rejected": 1,
+        "lost": 0,
+        "in_progress": 1,
+        "is_balanced": True,
+        "backgrounds": 0,
+        "by_reason": {"clipped": 1},
+        "by_quality": {"good": 1},
+    }
+    current = (await client.get("/accounting?session=current")).json()
+    assert (current["session"], current["triggers"], current["measured"]) == (latest, 1, 0)
+    assert (await client.get(f"/accounting?session={session}")).json()["triggers"] == 2
+    assert (await client.get("/accounting?session=last")).status_code == 422

@@ -1,0 +1,166 @@
+"""Errors have one shape, say nothing about the inside, and keys open what they should."""
+
+import asyncio
+import hashlib
+import socket
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+import uvicorn
+from support.rest import FakeControl, client_of
+
+from service.api.app import create_app
+from service.api.server import server_config
+from service.api.settings import ApiKey, ApiSettings, Scope
+from service.control import Health
+from service.store import Store
+
+ARM = {"state": "armed"}
+
+
+def assert_problem(answer: httpx.Response, status: int, slug: str) -> None:
+    problem = answer.json()
+    assert answer.headers["Content-Type"] == "application/problem+json"
+    assert (answer.status_code, problem["status"]) == (status, status)
+    assert problem["type"] == f"urn:stonefall:problem:{slug}"
+    assert problem["instance"] == answer.request.url.path
+    assert problem["title"]
+    assert problem["detail"]
+
+
+async def test_unknown_paths_and_methods(client: httpx.AsyncClient) -> None:
+    assert_problem(await client.get("/nothing"), 404, "not-found")
+    assert_problem(await client.get("/results/"), 404, "not-found")
+    refused = await client.post("/results")
+    assert_problem(refused, 405, "method-not-allowed")
+    assert refused.headers["Allow"] == "GET"
+
+
+async def test_malformed_bodies(client: httpx.AsyncClient) -> None:
+    headers = {"Content-Type": "application/json"}
+    for content in (b"{", b"\xff\xfe", b"[" * 100_000, b""):
+        answer = await client.put("/acquisition", content=content, headers=headers)
+        assert answer.status_code in (400, 422)
+        assert answer.headers["Content-Type"] == "application/problem+json"
+
+
+async def test_bodies_have_a_limit(client: httpx.AsyncClient, control: FakeControl) -> None:
+    async def endless() -> AsyncIterator[bytes]:
+        for _ in range(20):
+            yield b" " * 100_000
+
+    assert_problem(await client.put("/acquisition", content=b" " * 1_000_001), 413, "content-too-large")
+    headers = {"Content-Type": "application/json"}
+    answer = await client.put("/acquisition", content=endless(), headers=headers)
+    assert_problem(answer, 413, "content-too-large")
+
+
+class FaultyControl(FakeControl):
+    def health(self) -> Health:
+        raise ZeroDivisionError("the secret of the house")
+
+
+async def test_a_bug_is_a_500_without_a_trace(store: Store) -> None:
+    async with client_of(create_app(store, FaultyControl(), ApiSettings())) as client:
+        answer = await client.get("/health")
+    assert_problem(answer, 500, "internal-error")
+    assert "secret" not in answer.text
+    assert "ZeroDivision" not in answer.text
+
+
+async def test_a_broken_store_is_a_503(client: httpx.AsyncClient, state_dir: Path) -> None:
+    database, aside = state_dir / "results.sqlite", state_dir / "aside"
+    database.rename(aside)
+    answer = await client.get("/results")
+    aside.rename(database)
+    assert_problem(answer, 503, "store-unavailable")
+    assert answer.headers["Retry-After"] == "5"
+    assert str(state_dir) not in answer.text
+
+
+@pytest.mark.parametrize(
+    ("address", "host", "is_allowed"),
+    [
+        ("127.0.0.1", "127.0.0.1:8080", True),
+        ("::1", "[::1]:8080", True),
+        ("::ffff:127.0.0.1", "localhost", True),
+        ("192.0.2.7", "127.0.0.1", False),
+        ("192.0.2.7", "instrument", False),
+        ("127.0.0.1", "rebound.example", False),
+        ("127.0.0.1", "[bad", False),
+    ],
+)
+async def test_without_keys_only_this_machine_writes(
+    store: Store, control: FakeControl, address: str, host: str, is_allowed: bool
+) -> None:
+    async with client_of(create_app(store, control, ApiSettings()), address, host) as client:
+        assert (await client.get("/results")).status_code == 200
+        answer = await client.put("/acquisition", json=ARM)
+    if is_allowed:
+        assert answer.json() == ARM
+    else:
+        assert_problem(answer, 403, "forbidden")
+        assert control.state == "disarmed"
+
+
+def key(name: str, *scopes: Scope) -> ApiKey:
+    return ApiKey(name=name, sha256=hashlib.sha256(f"{name}-token".encode()).hexdigest(), scopes=scopes)
+
+
+async def test_keys_and_scopes(store: Store, control: FakeControl) -> None:
+    keys = (key("mes", Scope.READ), key("shift", Scope.READ, Scope.OPERATE))
+    async with client_of(create_app(store, control, ApiSettings(keys=keys))) as client:
+        for headers in ({}, {"Authorization": "Basic bWVz"}, {"Authorization": "Bearer nobody-token"}):
+            answer = await client.get("/results", headers=headers)
+            assert_problem(answer, 401, "unauthorized")
+            assert answer.headers["WWW-Authenticate"].startswith("Bearer")
+        mes, shift = ({"Authorization": f"Bearer {name}-token"} for name in ("mes", "shift"))
+        for path in ("/results", "/particles", "/accounting", "/cameras", "/acquisition", "/health"):
+            assert (await client.get(path)).status_code == 401
+            assert (await client.get(path, headers=mes)).status_code == 200
+        assert_problem(await client.put("/acquisition", json=ARM, headers=mes), 403, "forbidden")
+        assert_problem(await client.put("/acquisition", json=ARM), 401, "unauthorized")  # loopback is no key
+        assert control.state == "disarmed"
+        assert (await client.put("/acquisition", json=ARM, headers=shift)).json() == ARM
+        for path in ("/health/live", "/health/ready", "/openapi.json", "/docs"):
+            assert (await client.get(path)).status_code == 200
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(ValueError, match="key 'mes': sha256"):
+        ApiKey(name="mes", sha256="token")
+    with pytest.raises(ValueError, match="port"):
+        ApiSettings(port=70000)
+    with pytest.raises(ValueError, match="max_body_bytes"):
+        ApiSettings(max_body_bytes=0)
+
+
+class AnnouncedServer(uvicorn.Server):
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.is_up = asyncio.Event()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self.is_up.set()
+
+
+async def test_a_real_server_stops_at_once_under_a_long_poll(
+    store: Store, control: FakeControl, waiting: asyncio.Event
+) -> None:
+    app = create_app(store, control, ApiSettings())
+    server = AnnouncedServer(server_config(app, ApiSettings(port=0)))
+    serving = asyncio.create_task(server.serve())
+    await server.is_up.wait()
+    port = server.servers[0].sockets[0].getsockname()[1]
+    async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}/api/v1") as client:
+        live = await client.get("/health/live")
+        assert "server" not in live.headers
+        poll = asyncio.create_task(client.get("/results", params={"wait_s": 30}))
+        await waiting.wait()
+        store.release_waiters()
+        server.should_exit = True
+        assert (await asyncio.wait_for(poll, 5)).status_code == 200
+        await asyncio.wait_for(serving, 5)

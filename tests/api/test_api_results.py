@@ -1,0 +1,114 @@
+"""The feed: in order, gap-free, from any place, waiting or not."""
+
+import asyncio
+import sqlite3
+from pathlib import Path
+
+import httpx
+import pytest
+from support.rest import add, measured, rejected
+
+from service.api.schemas import ResultsPage
+from service.store import Store
+
+
+async def test_an_empty_feed(client: httpx.AsyncClient, store: Store) -> None:
+    answer = await client.get("/results")
+    assert answer.status_code == 200
+    assert answer.json() == {
+        "instance_id": store.instance_id,
+        "first_seq": 1,
+        "last_seq": 0,
+        "next_after": 0,
+        "items": [],
+    }
+
+
+async def test_a_reader_gets_everything_once_in_order(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    records = [measured(volume_mm3=1.0), rejected("empty"), {"outcome": "lost", "reason": "queue_full"}] * 3
+    for i, record in enumerate(records):
+        await add(store, session, i, record)
+    after, seen = 0, []
+    while True:
+        answer = await client.get("/results", params={"after": after, "limit": 2})
+        page = ResultsPage.model_validate(answer.json(), strict=True)
+        if not page.items:
+            break
+        assert (page.first_seq, page.last_seq, page.next_after) == (1, 9, page.items[-1].seq)
+        seen += [(item.seq, item.outcome) for item in page.items]
+        after = page.next_after
+    assert seen == [(i + 1, record["outcome"]) for i, record in enumerate(records)]
+
+
+async def test_what_is_unknown_is_null_and_what_is_extra_is_kept(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await add(store, session, 1, measured(roughness_um=3.25))
+    (item,) = (await client.get("/results")).json()["items"]
+    assert item["roughness_um"] == 3.25
+    assert item["mass_g"] is None
+    assert item["view_residuals_px"] == {}
+
+
+async def test_a_commit_wakes_the_long_poll(
+    client: httpx.AsyncClient, store: Store, session: int, waiting: asyncio.Event
+) -> None:
+    await add(store, session, 1, measured())
+    poll = asyncio.create_task(client.get("/results", params={"after": 1, "wait_s": 30}))
+    await waiting.wait()
+    await add(store, session, 2, rejected("empty"))
+    page = (await asyncio.wait_for(poll, 5)).json()
+    assert (page["last_seq"], page["next_after"], page["items"][0]["reason"]) == (2, 2, "empty")
+
+
+async def test_shutdown_ends_the_long_poll(
+    client: httpx.AsyncClient, store: Store, waiting: asyncio.Event
+) -> None:
+    poll = asyncio.create_task(client.get("/results", params={"wait_s": 30}))
+    await waiting.wait()
+    store.release_waiters()
+    assert (await asyncio.wait_for(poll, 5)).json()["items"] == []
+    later = client.get("/results", params={"wait_s": 30})
+    assert (await asyncio.wait_for(later, 5)).status_code == 200
+
+
+async def test_the_long_poll_gives_up_in_time(client: httpx.AsyncClient, waiting: asyncio.Event) -> None:
+    answer = await asyncio.wait_for(client.get("/results", params={"wait_s": 0.05}), 5)
+    assert waiting.is_set()
+    assert answer.json()["items"] == []
+
+
+async def test_a_cursor_outside_the_history(
+    client: httpx.AsyncClient, store: Store, session: int, state_dir: Path
+) -> None:
+    for i in range(5):
+        await add(store, session, i, measured())
+    ahead = await client.get("/results", params={"after": 6, "wait_s": 30})
+    assert (ahead.status_code, ahead.json()["type"]) == (409, "urn:stonefall:problem:cursor-ahead")
+    assert ahead.json()["last_seq"] == 5
+
+    retention = sqlite3.connect(state_dir / "results.sqlite")
+    retention.execute("DELETE FROM results WHERE seq <= 3")
+    retention.commit()
+    expired = await client.get("/results", params={"after": 2})
+    assert (expired.status_code, expired.json()["type"]) == (410, "urn:stonefall:problem:cursor-expired")
+    assert expired.json()["first_seq"] == 4
+    assert [item["seq"] for item in (await client.get("/results?after=3")).json()["items"]] == [4, 5]
+
+    retention.execute("DELETE FROM results")
+    retention.commit()
+    retention.close()
+    page = (await client.get("/results?after=5")).json()
+    assert (page["first_seq"], page["last_seq"], page["items"]) == (6, 5, [])
+    assert await add(store, session, 9, measured()) == 6  # a number is never given twice
+
+
+@pytest.mark.parametrize(
+    "query", ["after=-1", "after=x", f"after={10**20}", "limit=0", "limit=1001", "wait_s=31", "wait_s=nan"]
+)
+async def test_limits(client: httpx.AsyncClient, query: str) -> None:
+    answer = await client.get(f"/results?{query}")
+    assert (answer.status_code, answer.json()["type"]) == (422, "urn:stonefall:problem:invalid-request")
+    assert answer.json()["errors"][0]["field"] == f"query.{query.split('=')[0]}"

@@ -1,0 +1,50 @@
+"""Rendered bundles shared by the tests: one synthetic rig a process, its background learnt once."""
+
+from functools import cache
+
+import numpy as np
+
+from pipeline.frames import FrameBundle
+from pipeline.rig import RigCalibration
+from pipeline.rig_design import as_built, nominal_rig
+from pipeline.segmentation import BackgroundModel
+from pipeline.segmentation.background import learn_background
+from pipeline.synthesis.bodies import Body, sphere
+from pipeline.synthesis.bundles import render_bundle, render_empty, stream
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+
+SEED = 20
+
+
+@cache
+def rig() -> RigCalibration:
+    return as_built(nominal_rig(), SEED)
+
+
+@cache
+def simulated() -> SimulatedRig:
+    return simulate_rig(rig(), stream(SEED, 0))
+
+
+@cache
+def background() -> BackgroundModel:
+    model: BackgroundModel = {}
+    for number in range(4):
+        empty = render_empty(simulated(), stream(SEED, 1, number), sequence=number + 1)
+        model = learn_background(model, empty.frames)
+    return model
+
+
+def placed(body: Body, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> PlacedBody:
+    return PlacedBody(body=body, R=np.eye(3), offset_mm=np.array(offset_mm))
+
+
+def bundle_of(*bodies: PlacedBody, number: int = 0) -> FrameBundle:
+    """An exposure of these bodies; the same number gives the same noise."""
+    return render_bundle(list(bodies), simulated(), stream(SEED, 2, number), sequence=10 + number)
+
+
+@cache
+def sphere_bundle() -> FrameBundle:
+    """A 15 mm sphere half a millimetre off the centre."""
+    return bundle_of(placed(sphere(), (0.5, -0.3, 0.2)))

@@ -1,0 +1,134 @@
+"""A daemon that is not there, results that nobody measured, and a client for the interface."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import trimesh
+from fastapi import FastAPI
+
+from drivers.recording import write_bundle
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.control import (
+    AcquisitionState,
+    AcquisitionTarget,
+    CameraStatus,
+    Check,
+    CheckStatus,
+    Health,
+    Ne107,
+    next_state,
+)
+from service.store import Store
+
+CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
+BOX_MM = (10.0, 20.0, 30.0)
+GREY = {CameraId("c01"): 10, CameraId("c02"): 20}  # of the images, so that views cannot be mixed up
+PNG = b"\x89PNG\r\n\x1a\n"
+
+GOOD_HEALTH = Health(
+    ne107=Ne107.GOOD,
+    ready=True,
+    checks={"camera:c01": Check(status=CheckStatus.PASS, value=0.2, unit="s", detail=None)},
+)
+SICK_HEALTH = Health(
+    ne107=Ne107.FAILURE,
+    ready=False,
+    reasons=("camera c02 is lost",),
+    checks={"camera:c02": Check(status=CheckStatus.FAIL, detail="does not answer")},
+)
+
+
+@dataclass
+class FakeControl:
+    """A daemon whose state a test sets; arming and disarming end at once."""
+
+    state: AcquisitionState = AcquisitionState.DISARMED
+    condition: Health = GOOD_HEALTH
+    snapshots: dict[str, bytes] = field(default_factory=dict)
+
+    def acquisition(self) -> AcquisitionState:
+        return self.state
+
+    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
+        next_state(self.state, target)
+        self.state = AcquisitionState(target)
+        return self.state
+
+    def health(self) -> Health:
+        return self.condition
+
+    def cameras(self) -> list[CameraStatus]:
+        return [CameraStatus(id=camera, state="armed", frames=7) for camera in CAMERAS]
+
+    async def snapshot(self, camera: CameraId) -> bytes | None:
+        return self.snapshots.get(camera)
+
+
+def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
+    """Stone number `sequence` of a day, a minute after the one before."""
+    utc = f"2026-03-01T{sequence // 60:02d}:{sequence % 60:02d}:00+01:00"
+    return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind)
+
+
+def measured(**fields: Any) -> dict[str, Any]:
+    """A record as the pipeline makes it, as far as the store and the interface look at it."""
+    return {
+        "outcome": "measured",
+        "reason": None,
+        "quality": "good",
+        "views": ["c01", "c02"],
+        "dropped_views": {"c03": "residual"},
+        "sieve_size_mm": 20.0,
+        "min_box_mm": [30.0, 20.0, 10.0],
+        "calibration_id": "0123",
+        "is_simulated": True,
+        **fields,
+    }
+
+
+def rejected(reason: str) -> dict[str, Any]:
+    return {"outcome": "rejected", "reason": reason, "quality": None, "views": [], "dropped_views": {}}
+
+
+async def add(
+    store: Store,
+    session: int,
+    sequence: int,
+    record: Mapping[str, Any],
+    files: Mapping[str, Path] | None = None,
+) -> int:
+    """One stone from the trigger to the outcome."""
+    await store.record_trigger(session, trigger(sequence), f"{sequence:08d}")
+    return await store.finish(session, f"{sequence:08d}", record, files)
+
+
+def particle_files(folder: Path) -> dict[str, Path]:
+    """What a worker leaves behind: the mesh of a box, two silhouettes, the frames of two cameras."""
+    silhouettes = folder / "silhouettes"
+    silhouettes.mkdir(parents=True)
+    for camera in GREY:
+        (silhouettes / f"{camera}.png").write_bytes(PNG + camera.encode())
+    trimesh.creation.box(BOX_MM).export(folder / "mesh.ply")
+    frames = {
+        camera: Frame(
+            camera=camera,
+            image=np.full((6, 8), grey, dtype=np.uint8),
+            frame_id=1,
+            device_ns=0,
+            received_ns=0,
+        )
+        for camera, grey in GREY.items()
+    }
+    bundle = FrameBundle(trigger=trigger(1), frames=frames, missing={CAMERAS[2]: "lost"})
+    write_bundle(folder / "bundle.tiff", bundle, CAMERAS, compression="zstd")
+    return {name: folder / name for name in ("mesh.ply", "silhouettes", "bundle.tiff")}
+
+
+def client_of(app: FastAPI, address: str = "127.0.0.1", host: str = "127.0.0.1:8080") -> httpx.AsyncClient:
+    """A client at `address` that asked for `host`; faults come back as responses."""
+    transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=(address, 50000))
+    return httpx.AsyncClient(transport=transport, base_url=f"http://{host}/api/v1")

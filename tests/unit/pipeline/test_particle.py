@@ -1,0 +1,178 @@
+"""The chain for one bundle: what is measured, with which quality, and what is rejected for which reason."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import rendered
+
+from pipeline.errors import RejectReason
+from pipeline.frames import CameraId, FrameBundle
+from pipeline.particle import (
+    MeasuringParameters,
+    ParticleResult,
+    PipelineParameters,
+    Quality,
+    ViewsParameters,
+    measure_bundle,
+)
+from pipeline.segmentation import BackgroundModel
+from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.synthesis.bodies import cube, sphere
+from pipeline.synthesis.bundles import stream, without_views
+from pipeline.synthesis.stones import stone
+
+RIG = rendered.rig()
+PARAMETERS = PipelineParameters()
+
+
+def measured(
+    bundle: FrameBundle,
+    background: BackgroundModel | None = None,
+    parameters: PipelineParameters = PARAMETERS,
+) -> ParticleResult:
+    known = rendered.background() if background is None else background
+    return measure_bundle(bundle, RIG, known, BackgroundSegmenter(), parameters)
+
+
+def rejected_for(result: ParticleResult) -> RejectReason | None:
+    assert (result.rejection is None) == (result.measurement is not None)
+    return None if result.rejection is None else result.rejection.reason
+
+
+def lacking(cameras: Sequence[str]) -> FrameBundle:
+    return without_views(rendered.sphere_bundle(), [CameraId(camera) for camera in cameras], "no frame")
+
+
+def test_a_sphere_has_its_diameter() -> None:
+    result = measured(rendered.sphere_bundle())
+    assert rejected_for(result) is None
+    assert result.quality is Quality.GOOD
+    assert len(result.views) == 16
+    assert not result.dropped
+    measurement = result.measurement
+    assert measurement is not None
+    assert measurement.equivalent_diameter_mm == pytest.approx(15.0, abs=0.02)
+    # uncorrected, the sixteen cones leave 0.7 % more volume
+    assert measurement.shape.volume_mm3 / 1767.15 == pytest.approx(1.0071, abs=0.002)
+    assert measurement.shape.sphericity == pytest.approx(1.0, abs=0.006)
+    assert measurement.shape.sieve_size_mm == pytest.approx(15.0, abs=0.1)
+    assert measurement.shape.center_mm == pytest.approx((0.5, -0.3, 0.2), abs=0.02)
+    assert max(result.residuals_px.values()) < 0.3
+    assert measurement.mass_g is None
+
+
+def test_density_makes_a_mass() -> None:
+    parameters = replace(PARAMETERS, measuring=MeasuringParameters(density_g_cm3=2.7))
+    measurement = measured(rendered.sphere_bundle(), parameters=parameters).measurement
+    assert measurement is not None
+    assert measurement.mass_g == pytest.approx(2.7 * 1.76715, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("missing", "quality"),
+    [
+        (["c01", "c11"], Quality.GOOD),
+        (["c01", "c02", "c10", "c16"], Quality.REDUCED),
+        (["c01", "c02", "c05", "c06", "c09", "c10", "c13", "c14"], Quality.DEGRADED),
+    ],
+)
+def test_missing_views_lower_the_quality(missing: list[str], quality: Quality) -> None:
+    result = measured(lacking(missing))
+    assert result.quality is quality
+    assert dict.fromkeys(missing, "no frame") == dict(result.dropped)
+    assert set(result.views) == set(RIG.camera_ids) - set(missing)
+    measurement = result.measurement
+    assert measurement is not None
+    # the correction knows the cameras in use: eight views leave 2.5 % more volume, all of it corrected
+    assert measurement.equivalent_diameter_mm == pytest.approx(15.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        pytest.param([f"c{n:02d}" for n in range(1, 10)], id="seven views left"),
+        pytest.param(["c01", "c02", "c03", "c06", "c07"], id="one view left in the lowest layer"),
+    ],
+)
+def test_too_few_views_are_not_measured(missing: list[str]) -> None:
+    assert rejected_for(measured(lacking(missing))) is RejectReason.INSUFFICIENT_VIEWS
+
+
+def test_a_wrong_view_is_dropped_and_named() -> None:
+    other = rendered.bundle_of(rendered.placed(stone("flaky", 18, stream(1, 9)), (2, 1, -2)), number=5)
+    bundle = rendered.sphere_bundle()
+    frames = {**bundle.frames, CameraId("c06"): other.frames[CameraId("c06")]}
+    result = measured(replace(bundle, frames=frames))
+    assert result.quality is Quality.GOOD
+    assert list(result.dropped) == ["c06"]
+    assert "contradicts" in result.dropped[CameraId("c06")]
+    assert "c06" not in result.views
+    measurement = result.measurement
+    assert measurement is not None
+    assert measurement.equivalent_diameter_mm == pytest.approx(15.0, abs=0.02)
+
+
+def test_an_empty_view_is_dropped_and_named() -> None:
+    bundle = rendered.sphere_bundle()
+    empty = rendered.bundle_of(number=6).frames[CameraId("c09")]
+    result = measured(replace(bundle, frames={**bundle.frames, CameraId("c09"): empty}))
+    assert result.quality is Quality.GOOD
+    assert dict(result.dropped) == {"c09": "empty"}
+
+
+def test_the_empty_rig_is_rejected_as_empty() -> None:
+    assert rejected_for(measured(rendered.bundle_of(number=7))) is RejectReason.EMPTY
+
+
+@pytest.mark.parametrize("distance_mm", [9.0, 14.0])
+def test_two_bodies_are_rejected_as_multiple(distance_mm: float) -> None:
+    first = rendered.placed(stone("round", 10, stream(1, 7)), (distance_mm / 2, 0, 2))
+    second = rendered.placed(stone("angular", 8, stream(1, 8)), (-distance_mm / 2, 0, -2))
+    assert rejected_for(measured(rendered.bundle_of(first, second, number=8))) is RejectReason.MULTIPLE
+
+
+@pytest.mark.parametrize("offset_mm", [(0.0, 0.0, -24.0), (24.0, 0.0, 0.0)])
+def test_a_body_cut_by_the_border_is_rejected_as_clipped(offset_mm: tuple[float, float, float]) -> None:
+    bundle = rendered.bundle_of(rendered.placed(cube(), offset_mm), number=9)
+    assert rejected_for(measured(bundle)) is RejectReason.CLIPPED
+
+
+def test_views_of_different_stones_are_rejected_as_inconsistent() -> None:
+    frames = {
+        camera: rendered.bundle_of(
+            rendered.placed(sphere(8.0), (0, 0, 6.0 if number % 2 else -6.0)), number=10
+        ).frames[camera]
+        for number, camera in enumerate(RIG.camera_ids[:4] + RIG.camera_ids[12:])
+    }
+    parameters = replace(PARAMETERS, views=ViewsParameters(min=4, reduced=4, good=4))
+    bundle = replace(rendered.sphere_bundle(), frames=frames)
+    assert rejected_for(measured(bundle, parameters=parameters)) is RejectReason.INCONSISTENT
+
+
+def test_without_background_nothing_is_measured() -> None:
+    result = measured(rendered.sphere_bundle(), background={})
+    assert rejected_for(result) is RejectReason.NO_BACKGROUND
+
+
+def test_the_same_bundle_gives_the_same_result_bit_for_bit() -> None:
+    first, second = measured(rendered.sphere_bundle()), measured(rendered.sphere_bundle())
+    assert first.measurement == second.measurement
+    assert first.mesh is not None
+    assert second.mesh is not None
+    assert np.array_equal(first.mesh.vertices_mm, second.mesh.vertices_mm)
+
+
+def test_stages_are_reported_in_their_order() -> None:
+    stages: list[str] = []
+    measure_bundle(
+        rendered.sphere_bundle(), RIG, rendered.background(), BackgroundSegmenter(), PARAMETERS, stages.append
+    )
+    assert stages == ["segment", "check", "carve", "mesh", "measure"]
+
+
+@pytest.mark.parametrize("wrong", [{"min": 1}, {"reduced": 15}, {"max_unusable": -1}])
+def test_view_parameters_are_checked(wrong: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match=r"views need|max_unusable"):
+        ViewsParameters(**wrong)

@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+import trimesh
+
+from pipeline.preview import FILLING, INK_RGB, render_preview
+from pipeline.synthesis.bodies import cube, sphere
+
+
+def test_a_body_stands_lit_on_a_pale_ground() -> None:
+    mesh = sphere().mesh
+    image = render_preview(mesh.vertices + 100, mesh.faces, size_px=240)
+    assert image.shape == (240, 240, 3)
+    assert image.dtype == np.uint8
+    corners = image[[0, 0, -1], [0, -1, -1]]
+    assert corners.min() > 210
+    # a disc of the promised size in the middle: stone is warm, the ground is not
+    is_body = image[..., 0].astype(int) - image[..., 2] > 8
+    assert is_body.sum() == pytest.approx(np.pi / 4 * (FILLING * 240) ** 2, rel=0.02)
+    brightness = image.mean(axis=2)
+    assert brightness[120 - 60, 120 - 40] > brightness[120 + 60, 120 + 40] + 20, "lit from above and the left"
+
+
+def test_edges_are_smooth() -> None:
+    mesh = sphere().mesh
+    image = render_preview(mesh.vertices, mesh.faces, size_px=101).astype(int)
+    warmth = image[..., 0] - image[..., 2]
+    assert ((warmth > 3) & (warmth < 12)).sum() > 40, "samples of edge pixels are averaged"
+
+
+def test_the_bar_is_10_mm_long() -> None:
+    mesh = sphere(15.0).mesh
+    image = render_preview(mesh.vertices, mesh.faces, size_px=480)
+    ink = (image == INK_RGB).all(axis=2)
+    row = ink.sum(axis=1).argmax()
+    assert ink[row].sum() == pytest.approx(10 * FILLING * 480 / 15, abs=1.5)
+    tiny = render_preview(mesh.vertices / 20, mesh.faces, size_px=480)
+    ink = (tiny == INK_RGB).all(axis=2)
+    assert ink.sum(axis=1).max() == pytest.approx(FILLING * 480 / 0.75 * 0.1, abs=1.5)
+
+
+def test_the_faces_of_a_cube_differ() -> None:
+    mesh = cube().mesh
+    image = render_preview(mesh.vertices, mesh.faces, size_px=120).mean(axis=2)
+    top, left, right = image[35, 60], image[75, 40], image[75, 80]
+    assert top > left > right
+
+
+def test_unused_vertices_and_no_faces() -> None:
+    mesh = trimesh.creation.box()
+    lonely = np.vstack([mesh.vertices, [[1000.0, 0, 0]]])
+    assert np.array_equal(
+        render_preview(lonely, mesh.faces, 64), render_preview(mesh.vertices, mesh.faces, 64)
+    )
+    with pytest.raises(ValueError, match="without faces"):
+        render_preview(mesh.vertices, np.empty((0, 3)))

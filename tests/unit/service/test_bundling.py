@@ -1,0 +1,358 @@
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.interfaces import CameraLost, DeviceEvent, FrameLost, GateLost, PlaybackEnded, TriggersIgnored
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.bundling import BundleAssembler, BundlingParameters, CameraCounters
+
+CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 4))
+A, B, C = CAMERAS
+MS = 1_000_000
+DELAY_NS = round(259.4 * MS)
+WINDOW_NS = 100 * MS
+PARAMETERS = BundlingParameters()
+
+
+def trigger(sequence: int, at_ns: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
+    return Trigger(
+        sequence=sequence, received_ns=at_ns, device_ns=at_ns, utc="2026-01-01T00:00:00Z", kind=kind
+    )
+
+
+def frame(camera: CameraId, tag: int, at_ns: int, frame_id: int | None = None, device_ns: int = 0) -> Frame:
+    """A frame whose only pixel says for which trigger it was exposed."""
+    return Frame(
+        camera=camera,
+        image=np.full((1, 1), tag, np.uint8),
+        frame_id=tag + 1 if frame_id is None else frame_id,
+        device_ns=device_ns,
+        received_ns=at_ns,
+    )
+
+
+def tags(bundle: FrameBundle) -> set[int]:
+    return {int(shown.image[0, 0]) for shown in bundle.frames.values()}
+
+
+def feed_all(assembler: BundleAssembler, events: Iterable[DeviceEvent]) -> list[FrameBundle]:
+    return [bundle for event in events for bundle in assembler.feed(event)]
+
+
+def accounted(counters: CameraCounters) -> int:
+    """Frames of which the counters say what became of them."""
+    c = counters
+    return c.used + c.late + c.duplicates + c.extra + c.other_exposure + c.strays
+
+
+# --- examples ---
+
+
+def test_a_bundle_leaves_as_soon_as_it_is_complete() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    assert assembler.next_deadline_ns is None
+    assert feed_all(assembler, [trigger(0, 0), frame(B, 0, DELAY_NS), frame(A, 0, DELAY_NS)]) == []
+    assert assembler.next_deadline_ns == DELAY_NS + 2 * WINDOW_NS
+    (bundle,) = assembler.feed(frame(C, 0, DELAY_NS))
+    assert list(bundle.frames) == list(CAMERAS)
+    assert not bundle.missing
+    assert (assembler.counters.complete, assembler.counters.incomplete) == (1, 0)
+    assert assembler.flush() == []
+
+
+def test_the_deadline_names_what_is_missing() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    lost = FrameLost(camera=B, received_ns=DELAY_NS, reason="incomplete")
+    assert feed_all(assembler, [trigger(0, 0), frame(A, 0, DELAY_NS), lost]) == []
+    deadline_ns = assembler.next_deadline_ns
+    assert deadline_ns is not None
+    assert assembler.advance(deadline_ns - 1) == []
+    (bundle,) = assembler.advance(deadline_ns)
+    assert dict(bundle.missing) == {B: "incomplete", C: "no_frame"}
+    assert assembler.counters.cameras[B].lost == 1
+    assert assembler.feed(frame(C, 0, deadline_ns + 1)) == []
+    assembler.flush()
+    assert assembler.counters.cameras[C].late == 1
+
+
+def test_a_lost_camera_is_not_waited_for_until_it_sends_again() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    assembler.feed(trigger(0, 0))
+    assembler.feed(CameraLost(camera=C, received_ns=10, reason="unplugged"))
+    (first,) = feed_all(assembler, [frame(A, 0, DELAY_NS), frame(B, 0, DELAY_NS)])
+    assert dict(first.missing) == {C: "camera_lost"}
+    second = [trigger(1, period_ns), *(frame(camera, 1, period_ns + DELAY_NS) for camera in (C, A, B))]
+    (bundle,) = feed_all(assembler, second)
+    assert not bundle.missing
+
+
+def test_a_trigger_within_the_dead_time_gets_an_empty_bundle() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    events = [trigger(0, 0), trigger(1, 3 * MS), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)]
+    first, second = feed_all(assembler, events)
+    assert (first.trigger.sequence, set(first.frames)) == (0, set(CAMERAS))
+    assert (second.trigger.sequence, dict(second.missing)) == (1, dict.fromkeys(CAMERAS, "dead_time"))
+    assert assembler.counters.in_dead_time == 1
+
+
+def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:
+    parameters = BundlingParameters(expected_delay_ms=0, window_ms=50, dead_time_ms=200)
+    assembler = BundleAssembler(CAMERAS, parameters)
+    events = [*(frame(camera, 0, 1000) for camera in CAMERAS), trigger(0, 30 * MS)]
+    (bundle,) = feed_all(assembler, events)
+    assert not bundle.missing
+    feed_all(assembler, [frame(A, 1, 500 * MS)])
+    assembler.advance(600 * MS)
+    assert assembler.counters.cameras[A].strays == 1
+
+
+def test_two_different_frames_for_one_trigger_are_both_refused() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    events = [
+        trigger(0, 0),
+        frame(A, 0, DELAY_NS),
+        frame(A, 9, DELAY_NS + MS),
+        frame(A, 9, DELAY_NS + 2 * MS),
+    ]
+    feed_all(assembler, events)
+    (bundle,) = feed_all(assembler, [frame(B, 0, DELAY_NS), frame(C, 0, DELAY_NS)])
+    assert dict(bundle.missing) == {A: "ambiguous"}
+    assert assembler.counters.cameras[A].extra == 3
+
+
+def test_a_frame_late_by_one_period_never_stands_in_for_the_next() -> None:
+    """The fault that matching by arrival cannot see: the camera's own clock does."""
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+
+    def shot(camera: CameraId, tag: int, arrives_with: int) -> Frame:
+        device_ns = 5_000 * MS + tag * period_ns
+        return frame(camera, tag, arrives_with * period_ns + DELAY_NS, device_ns=device_ns)
+
+    bundles = []
+    for number in range(4):
+        bundles += assembler.feed(trigger(number, number * period_ns))
+        for camera in CAMERAS:
+            if camera == A and number == 2:
+                bundles += assembler.feed(shot(A, 1, arrives_with=2))  # and number 2 is lost
+            elif (camera, number) != (A, 1):
+                bundles += assembler.feed(shot(camera, number, arrives_with=number))
+    bundles += assembler.flush()
+    assert [dict(bundle.missing) for bundle in bundles] == [{}, {A: "no_frame"}, {A: "other_exposure"}, {}]
+    assert [tags(bundle) for bundle in bundles] == [{0}, {1}, {2}, {3}]
+
+
+def test_a_camera_whose_clock_was_set_anew_loses_one_frame() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    bundles = []
+    for number in range(5):
+        device_ns = number * period_ns + (9 * 10**15 if number < 2 else 77)
+        bundles += assembler.feed(trigger(number, number * period_ns))
+        for camera in CAMERAS:
+            bundles += assembler.feed(
+                frame(
+                    camera, number, number * period_ns + DELAY_NS, device_ns=device_ns if camera == A else 0
+                )
+            )
+    bundles += assembler.flush()
+    assert [set(bundle.missing) for bundle in bundles] == [set(), set(), {A}, set(), set()]
+
+
+def test_ids_tell_losses_from_missed_exposures() -> None:
+    assembler = BundleAssembler([A, B, C], PARAMETERS)
+    ids = {A: [65534, 1, None, 3, 1], B: [7, 8, None, 9, 10], C: [5, 6, 8, 9, 10]}
+    for number in range(5):
+        at_ns = number * 300 * MS
+        feed_all(assembler, [trigger(number, at_ns)])
+        for camera in CAMERAS:
+            if (frame_id := ids[camera][number]) is not None:
+                feed_all(assembler, [frame(camera, number, at_ns + DELAY_NS, frame_id)])
+    assembler.flush()
+    checks = {
+        camera: (counters.not_exposed, counters.unannounced, counters.id_restarts, counters.missing)
+        for camera, counters in assembler.counters.cameras.items()
+    }
+    # A: wraps, loses one in transit, restarts; B: did not see a trigger; C: exposed once too often
+    assert checks == {A: (0, 1, 1, 1), B: (1, 0, 0, 1), C: (0, 1, 0, 0)}
+
+
+def test_other_events_only_count_or_flush() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    assembler.feed(trigger(0, 0, BundleKind.BACKGROUND))
+    assert assembler.feed(TriggersIgnored(received_ns=1, count=2, reason="bounce")) == []
+    assert assembler.feed(GateLost(received_ns=2, reason="unplugged")) == []
+    (bundle,) = assembler.feed(PlaybackEnded(received_ns=3))
+    assert bundle.kind is BundleKind.BACKGROUND
+    assert assembler.counters.triggers_ignored == 2
+    assembler.feed(trigger(1, 10**9))
+    (bundle,) = assembler.flush("shutdown")
+    assert dict(bundle.missing) == dict.fromkeys(CAMERAS, "shutdown")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"expected_delay_ms": -1},
+        {"window_ms": 0},
+        {"window_ms": 110},
+        {"dead_time_ms": 200},
+        {"window_ms": float("nan")},
+    ],
+)
+def test_parameters_are_checked(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"must (be in|exceed)"):
+        replace(PARAMETERS, **wrong)
+
+
+# --- properties ---
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What happens to the exposure of one camera for one trigger."""
+
+    jitter_ns: int = 0
+    is_lost: bool = False
+    is_told: bool = False  # of a lost one
+    n_copies: int = 1
+    late_ns: int = 0
+    lag_ns: int = 0  # from arrival to delivery
+
+
+jitters_ns = st.integers(-90 * MS, 90 * MS)
+lags_ns = st.integers(0, 40 * MS)
+on_time = st.builds(Fate, jitter_ns=jitters_ns, lag_ns=lags_ns, n_copies=st.sampled_from([1, 1, 1, 2, 3]))
+lost = st.builds(Fate, is_lost=st.just(True), is_told=st.booleans(), jitter_ns=jitters_ns)
+
+
+@st.composite
+def trigger_times_ns(draw: st.DrawFn) -> list[int]:
+    gaps_ms = draw(
+        st.lists(st.sampled_from([225, 250, 250, 250, 400, 1500, 60_000]), min_size=2, max_size=10)
+    )
+    return [10**12 + round(sum(gaps_ms[:i])) * MS for i in range(len(gaps_ms))]
+
+
+@st.composite
+def cameras(draw: st.DrawFn, *, has_clock: bool) -> tuple[int, bool, int, float]:
+    first_id = draw(st.sampled_from([1, 65_401, 65_533, 2**64 - 4, 10**9]))
+    epoch_ns = draw(st.integers(1, 10**18)) if has_clock else 0
+    return first_id, first_id <= 0xFFFF, epoch_ns, draw(st.floats(-50e-6, 50e-6))
+
+
+def exposures(
+    camera: CameraId, times_ns: list[int], fates: list[Fate], device: tuple[int, bool, int, float]
+) -> list[tuple[int, DeviceEvent]]:
+    """What the camera delivers, with the times of delivery."""
+    first_id, is_16_bit, epoch_ns, drift = device
+    delivered: list[tuple[int, DeviceEvent]] = []
+    for number, (trigger_ns, fate) in enumerate(zip(times_ns, fates, strict=True)):
+        frame_id = (first_id - 1 + number) % (0xFFFF if is_16_bit else 2**64 - 1) + 1
+        arrival_ns = trigger_ns + DELAY_NS + fate.jitter_ns + fate.late_ns
+        if fate.is_lost:
+            if fate.is_told:
+                event = FrameLost(camera=camera, received_ns=arrival_ns, reason="incomplete")
+                delivered.append((arrival_ns, event))
+            continue
+        device_ns = epoch_ns + round((trigger_ns - times_ns[0]) * (1 + drift)) if epoch_ns else 0
+        shot = frame(camera, number, arrival_ns, frame_id, device_ns)
+        delivered += [(arrival_ns + fate.lag_ns + copy, shot) for copy in range(fate.n_copies)]
+    return delivered
+
+
+def run(
+    times_ns: list[int], deliveries: list[tuple[int, DeviceEvent]]
+) -> tuple[list[FrameBundle], BundleAssembler]:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    triggers = [(at_ns, trigger(number, at_ns)) for number, at_ns in enumerate(times_ns)]
+    bundles = []
+    for now_ns, event in sorted([*triggers, *deliveries], key=lambda delivery: delivery[0]):
+        bundles += assembler.advance(now_ns)
+        bundles += assembler.feed(event)
+    return bundles + assembler.flush(), assembler
+
+
+def check_each_trigger_once(
+    bundles: list[FrameBundle],
+    assembler: BundleAssembler,
+    times_ns: list[int],
+    deliveries: list[tuple[int, DeviceEvent]],
+) -> None:
+    assert [bundle.trigger.received_ns for bundle in bundles] == times_ns
+    for number, bundle in enumerate(bundles):
+        assert tags(bundle) <= {number}, "a frame exposed for another trigger"
+        assert set(bundle.frames) | set(bundle.missing) == set(CAMERAS)
+        assert not set(bundle.frames) & set(bundle.missing)
+    counters = assembler.counters
+    assert counters.triggers == len(times_ns) == counters.complete + counters.incomplete
+    for camera in CAMERAS:
+        n_frames = sum(isinstance(event, Frame) and event.camera == camera for _, event in deliveries)
+        assert accounted(counters.cameras[camera]) == n_frames
+
+
+@settings(max_examples=200)
+@given(data=st.data(), times_ns=trigger_times_ns(), has_clock=st.booleans())
+def test_each_trigger_gets_one_bundle_with_the_right_missing_set(
+    data: st.DataObject, times_ns: list[int], has_clock: bool
+) -> None:
+    """Under loss, jitter, duplication, reordering and wrapping ids."""
+    fates = {
+        # the very first exposure is what a camera's clock is compared with
+        camera: [data.draw(on_time), *(data.draw(on_time | lost) for _ in times_ns[1:])]
+        for camera in CAMERAS
+    }
+    deliveries = [
+        delivery
+        for camera in CAMERAS
+        for delivery in exposures(camera, times_ns, fates[camera], data.draw(cameras(has_clock=has_clock)))
+    ]
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+    for number, bundle in enumerate(bundles):
+        expected = {
+            camera: "incomplete" if fates[camera][number].is_told else "no_frame"
+            for camera in CAMERAS
+            if fates[camera][number].is_lost
+        }
+        assert dict(bundle.missing) == expected
+    for counters in assembler.counters.cameras.values():
+        assert (counters.not_exposed, counters.unannounced, counters.id_restarts) == (0, 0, 0)
+
+
+late = st.builds(
+    Fate,
+    jitter_ns=jitters_ns,
+    late_ns=st.sampled_from([225 * MS, 250 * MS, 500 * MS]) | st.integers(0, 2_000 * MS),
+    n_copies=st.sampled_from([1, 1, 2]),
+)
+
+
+@settings(max_examples=300)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_no_bundle_ever_holds_a_frame_of_another_trigger(data: st.DataObject, times_ns: list[int]) -> None:
+    """Not even when frames arrive whole periods late, exactly when the next one is due."""
+    deliveries = [
+        delivery
+        for camera in CAMERAS
+        for delivery in exposures(
+            camera,
+            times_ns,
+            [data.draw(on_time), *(data.draw(on_time | lost | late) for _ in times_ns[1:])],
+            data.draw(cameras(has_clock=True)),
+        )
+    ]
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+
+
+def test_every_counter_is_covered_by_the_account() -> None:
+    """A new counter of frames must enter `accounted`, or be one of those that count something else."""
+    others = {"missing", "lost", "not_exposed", "unannounced", "id_restarts"}
+    one_each = CameraCounters(**{each.name: 1 for each in fields(CameraCounters)})
+    assert accounted(one_each) == len(fields(CameraCounters)) - len(others)

@@ -1,0 +1,190 @@
+import asyncio
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import RecordingError
+from pipeline.frames import BundleKind, CameraId, Trigger
+from service.processing import Processing, ProcessingContext
+from service.spool import Loss, SpooledBundle
+from service.worker_job import LearnJob, MeasureJob
+from service.workers import JobLostError
+
+
+class QueueSpool:
+    """A spool that was filled beforehand."""
+
+    def __init__(self, bundles: list[SpooledBundle]) -> None:
+        self.bundles = list(bundles)
+        self.released: list[SpooledBundle] = []
+
+    async def take(self) -> SpooledBundle | None:
+        await asyncio.sleep(0)
+        return self.bundles.pop(0) if self.bundles else None
+
+    async def release(self, bundle: SpooledBundle) -> None:
+        self.released.append(bundle)
+
+
+class ScriptedPool:
+    """Answers at once, or when the test says so."""
+
+    def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
+        self.failures = failures or {}
+        self.jobs: list[MeasureJob | LearnJob] = []
+        self.gates: dict[str, asyncio.Event] = {}
+        self.is_gated = is_gated
+        self.has_job = asyncio.Event()
+
+    async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob) -> Any:
+        name = job.bundle_path.stem
+        self.jobs.append(job)
+        self.has_job.set()
+        if self.is_gated:
+            await self.gates.setdefault(name, asyncio.Event()).wait()
+        if name in self.failures:
+            raise self.failures[name]
+        if isinstance(job, LearnJob):
+            job.out_path.touch()
+            return None
+        job.out_dir.mkdir()
+        (job.out_dir / "mesh.ply").write_text(name)
+        (job.out_dir / "mesh.ply.tmp").touch()
+        return {"bundle": name, "outcome": "measured", "background": job.background_path}
+
+
+class ListStore:
+    def __init__(self) -> None:
+        self.records: list[Mapping[str, Any]] = []
+
+    async def finish(
+        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+    ) -> int:
+        assert record["bundle"] == bundle
+        self.records.append({**record, "files": dict(files or {})})
+        return len(self.records)
+
+
+class Bench:
+    def __init__(self, folder: Path, bundles: list[SpooledBundle], pool: ScriptedPool) -> None:
+        self.spool = QueueSpool(bundles)
+        self.pool = pool
+        self.store = ListStore()
+        self.progress = 0
+        self.folder = folder
+        context = ProcessingContext(
+            session=1,
+            camera_ids=(CameraId("c01"),),
+            calibration_id="rig",
+            is_simulated=True,
+            archive_raw=False,
+            save_silhouettes=False,
+            folder=folder,
+        )
+        self.processing = Processing(
+            context, spool=self.spool, pool=pool, results=self.store, on_progress=self.on_progress
+        )
+
+    def on_progress(self) -> None:
+        self.progress += 1
+
+    @property
+    def outcomes(self) -> list[tuple[str, str | None]]:
+        return [(record["bundle"], record.get("reason")) for record in self.store.records]
+
+
+def turn(name: str, *, kind: BundleKind = BundleKind.PARTICLE, loss: Loss | None = None) -> SpooledBundle:
+    trigger = Trigger(sequence=1, received_ns=0, device_ns=0, utc="2026-11-21T04:00:00Z", kind=kind)
+    return SpooledBundle(trigger=trigger, name=name, content=loss or Path(f"{name}.tiff"))
+
+
+async def test_results_are_committed_in_trigger_order_whoever_is_ready_first(tmp_path: Path):
+    pool = ScriptedPool(is_gated=True)
+    bench = Bench(
+        tmp_path, [turn("a"), turn("b", loss=Loss(reason="queue_full", detail="")), turn("c")], pool
+    )
+    run = asyncio.create_task(bench.processing.run())
+    while len(pool.gates) < 2:
+        await pool.has_job.wait()
+        pool.has_job.clear()
+    pool.gates["c"].set()
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert bench.outcomes == []
+    pool.gates["a"].set()
+    await run
+    assert bench.outcomes == [("a", None), ("b", "queue_full"), ("c", None)]
+    assert [bundle.name for bundle in bench.spool.released] == ["a", "b", "c"]
+    assert bench.progress == 3
+
+
+async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tmp_path: Path):
+    empty = BundleKind.BACKGROUND
+    bundles = [turn("a"), turn("e1", kind=empty), turn("b"), turn("e2", kind=empty), turn("c"), turn("d")]
+    bench = Bench(tmp_path, bundles, ScriptedPool())
+    assert not bench.processing.has_background
+    await bench.processing.run()
+    assert bench.processing.has_background
+    learnt = [job for job in bench.pool.jobs if isinstance(job, LearnJob)]
+    assert [job.previous_path for job in learnt] == [None, learnt[0].out_path]
+    used = {record["bundle"]: record["background"] for record in bench.store.records}
+    assert used == {"a": None, "b": learnt[0].out_path, "c": learnt[1].out_path, "d": learnt[1].out_path}
+    assert list_names(tmp_path) == [learnt[1].out_path.name]
+
+
+async def test_a_background_is_learnt_before_a_later_bundle_is_started(tmp_path: Path):
+    pool = ScriptedPool(is_gated=True)
+    bench = Bench(tmp_path, [turn("e", kind=BundleKind.BACKGROUND), turn("a")], pool)
+    run = asyncio.create_task(bench.processing.run())
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert [type(job) for job in pool.jobs] == [LearnJob]
+    pool.is_gated = False
+    pool.gates["e"].set()
+    await run
+    assert bench.outcomes == [("a", None)]
+
+
+async def test_failures_cost_their_own_bundle_alone(tmp_path: Path):
+    failures = {
+        "a": JobLostError("deadline", "not finished within 1 s"),
+        "b": RecordingError(Path("b.tiff"), "torn"),
+        "e": JobLostError("worker_crash", "died"),
+    }
+    bundles = [turn("a"), turn("b"), turn("e", kind=BundleKind.BACKGROUND), turn("c")]
+    bench = Bench(tmp_path, bundles, ScriptedPool(failures))
+    await bench.processing.run()
+    assert bench.outcomes == [("a", "deadline"), ("b", "unreadable"), ("c", None)]
+    assert [record["outcome"] for record in bench.store.records] == ["lost", "lost", "measured"]
+    assert bench.store.records[2]["background"] is None
+
+
+async def test_only_known_files_reach_the_store(tmp_path: Path):
+    bench = Bench(tmp_path, [turn("a")], ScriptedPool())
+    await bench.processing.run()
+    assert list(bench.store.records[0]["files"]) == ["mesh.ply"]
+    assert list_names(tmp_path) == []
+
+
+async def test_what_is_abandoned_is_lost_with_the_reason(tmp_path: Path):
+    pool = ScriptedPool(is_gated=True)
+    bundles = [turn("e", kind=BundleKind.BACKGROUND), turn("a"), turn("b")]
+    bench = Bench(tmp_path, bundles, pool)
+    run = asyncio.create_task(bench.processing.run())
+    await pool.has_job.wait()
+    bench.processing.abandon()
+    await run
+    assert bench.outcomes == [("a", "shutdown"), ("b", "shutdown")]
+
+
+async def test_a_bug_ends_the_consumer(tmp_path: Path):
+    bench = Bench(tmp_path, [turn("a"), turn("b")], ScriptedPool({"a": KeyError("bug")}))
+    with pytest.raises(ExceptionGroup) as group:
+        await bench.processing.run()
+    assert group.group_contains(KeyError)
+
+
+def list_names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
