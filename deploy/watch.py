@@ -12,7 +12,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-ROW = "{:>6}  {:<22} {:<9} {:<8} {:>10} {:>9} {:>9} {:>9} {:>8}  {}"
+ROW = "{:>4}  {:<17} {:<10} {:<9} {:<8} {:>10} {:>8} {:>8} {:>9} {:>8}  {}"
 HEAD = ROW.format(
     "id",
     "bundle",
@@ -57,20 +57,21 @@ def is_running(process: int) -> bool:
 
 def row(item: dict[str, Any], truth: dict[str, Any] | None) -> str:
     measured = item["outcome"] == "measured"
-    volume_error = diameter_error = ""
+    volume_error = sieve_error = ""
     if measured and truth is not None:
         volume_error = f"{100 * (item['volume_mm3'] / truth['volume_mm3'] - 1):+.2f}"
-        diameter_error = f"{item['equivalent_diameter_mm'] - truth['equivalent_diameter_mm']:+.3f}"
+        sieve_error = f"{item['sieve_size_mm'] - truth['sieve_size_mm']:+.3f}"
     dropped = ", ".join(f"{camera}: {why}" for camera, why in item["dropped_views"].items())
     return ROW.format(
         item["seq"],
         item["bundle"],
+        truth["body"] if truth is not None else item["zingg_class"] or "",
         item["outcome"],
         item["quality"] or "",
         f"{item['volume_mm3']:.1f}" if measured else "",
         volume_error,
         f"{item['sieve_size_mm']:.2f}" if measured else "",
-        diameter_error,
+        sieve_error,
         f"{item['timings_ms'].get('total', 0):.0f}",
         item["detail"] or dropped,
     )

@@ -28,20 +28,18 @@ from service.settings import Settings
 from service.spool import Spool
 from service.store import Store, open_store
 from service.supervision import Heartbeats, RestartPolicy
-from service.systemd import ServiceManager
+from service.systemd import ServiceManager, feed_watchdog
 from service.worker_job import WorkerContext, initialize
-from service.workers import START_DEADLINE_S, WorkerPool
+from service.workers import WorkerPool
 
 log = logging.getLogger(__name__)
 
 DRAIN_S = 30.0
 """How long bundles already seen may take after SIGTERM before they are given up."""
-WATCH_S = 1.0
-"""How often progress is looked at; less when the service manager asks more often."""
-EXTENSION_US = 15_000_000
-"""While stopping makes progress, it may take so much longer."""
 PUMP_LIMIT_S = 5.0
 """The pump of an armed rig turns twenty times a second."""
+COMMIT_LIMIT_S = 30.0
+"""A bundle has its outcome so long after its second attempt at the latest."""
 
 
 @dataclass(slots=True)
@@ -124,6 +122,10 @@ class Daemon:
             self.heartbeats.beat("processing", now_s)
         return self.heartbeats.late(now_s)
 
+    def status(self) -> str:
+        """One line for `systemctl status`."""
+        return f"{self.rig.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"
+
 
 async def build(settings: Settings, store: Store) -> Daemon:
     """Put the parts together; nothing runs yet, but what a killed predecessor left behind is settled."""
@@ -145,7 +147,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     folder = settings.spool.dir / store.instance_id  # so that daemons with other stores are not disturbed
     await asyncio.to_thread(_make_empty, folder)
     heartbeats = Heartbeats(
-        {"acquisition": PUMP_LIMIT_S, "processing": 3 * settings.workers.deadline_s + START_DEADLINE_S}
+        {"acquisition": PUMP_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
     )
     pool = WorkerPool(
         slots=settings.workers.slots,
@@ -231,7 +233,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             tasks.create_task(daemon.spool.write())
             processing = tasks.create_task(daemon.processing.run())
             acquiring = tasks.create_task(daemon.rig.run())
-            watching = tasks.create_task(watch(daemon, manager, requests))
+            watching = tasks.create_task(feed_watchdog(manager, daemon.late, daemon.status, requests.stop))
             await server.is_serving.wait()
             log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
             daemon.rig.request(AcquisitionTarget.ARMED)
@@ -259,20 +261,3 @@ async def drain(processing: "asyncio.Task[None]", requests: StopRequests) -> Non
     hurry = asyncio.create_task(requests.hurry.wait())
     await asyncio.wait([processing, hurry], timeout=DRAIN_S, return_when=asyncio.FIRST_COMPLETED)
     hurry.cancel()
-
-
-async def watch(daemon: Daemon, manager: ServiceManager, requests: StopRequests) -> None:
-    """Feed the service manager's watchdog with progress, and with nothing else."""
-    pause_s = min(WATCH_S, (manager.watchdog_s or 3 * WATCH_S) / 3)
-    while True:
-        if late := daemon.late():
-            log.error("no progress of %s", ", ".join(late))
-        else:
-            manager.notify(
-                "WATCHDOG=1",
-                f"STATUS={daemon.rig.state}, {daemon.spool.held} bundles waiting, "
-                f"last result {daemon.store.last_seq}",
-            )
-            if requests.stop.is_set():
-                manager.notify(f"EXTEND_TIMEOUT_USEC={EXTENSION_US}")
-        await asyncio.sleep(pause_s)

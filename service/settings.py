@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
@@ -169,8 +170,8 @@ def _cannot_hold_files(folder: Path) -> str | None:
     existing = folder
     while not existing.exists():
         existing = existing.parent
-    if not existing.is_dir():
-        return f"{existing} is not a folder"
-    if not os.access(existing, os.W_OK | os.X_OK):
-        return f"{existing} is not writable"
-    return None
+    try:
+        with TemporaryFile(dir=existing):
+            return None
+    except OSError as err:
+        return f"cannot write to {existing}: {err.strerror}"

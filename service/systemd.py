@@ -4,11 +4,19 @@ The protocol is that of sd_notify(3): assignments separated by newlines, one dat
 `NOTIFY_SOCKET`; a leading `@` stands for the NUL byte of an abstract socket.
 """
 
+import asyncio
 import logging
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+log = logging.getLogger(__name__)
+
+REPORT_S = 1.0
+"""How often the status is reported; more often when the watchdog asks for it."""
+EXTENSION_US = 15_000_000
+"""While stopping makes progress, it may take so much longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,26 @@ def service_manager(environ: Mapping[str, str], pid: int) -> ServiceManager:
     )
 
 
+async def feed_watchdog(
+    manager: ServiceManager,
+    late: Callable[[], Sequence[str]],
+    status: Callable[[], str],
+    stopping: asyncio.Event,
+) -> None:
+    """Tell of progress, not of time: as long as a part is `late`, nothing is sent.
+
+    Runs until it is cancelled. While `stopping` makes progress it asks for more time.
+    """
+    pause_s = min(REPORT_S, (manager.watchdog_s or 3 * REPORT_S) / 3)
+    while True:
+        if parts := late():
+            log.error("no progress of %s", ", ".join(parts))
+        else:
+            extension = [f"EXTEND_TIMEOUT_USEC={EXTENSION_US}"] if stopping.is_set() else []
+            manager.notify("WATCHDOG=1", f"STATUS={status()}", *extension)
+        await asyncio.sleep(pause_s)
+
+
 PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 
 
@@ -66,6 +94,3 @@ def _is_journal(stream: str) -> bool:
     """Whether stderr is the very stream `device:inode` that the journal reads (systemd.exec(5))."""
     status = os.fstat(2)
     return stream == f"{status.st_dev}:{status.st_ino}"
-
-
-log = logging.getLogger(__name__)

@@ -33,7 +33,7 @@ START_SPACING_RAD = 0.1
 ZOOM = 0.6
 FINAL_RADIUS_RAD = 2e-5
 """Turning a body of extent D by this changes a width by at most 2e-5 D."""
-GRID = np.linspace(-1.0, 1.0, 5)
+GRID = np.linspace(-1.0, 1.0, 7)
 
 
 def min_box_mm(vertices_mm: Array, width_mm: Array) -> Array:

@@ -68,7 +68,9 @@ def flash_gain(coarse: NDArray[np.float32], coarse_background: NDArray[np.float3
     A dark body covers up to half of the image: the gain is the median of the ratios near their
     upper mode, not of all of them.
     """
-    ratios = coarse[coarse_background > 16] / coarse_background[coarse_background > 16]
+    # every fourth block each way is plenty for two quantiles
+    seen, wall = coarse[::4, ::4], coarse_background[::4, ::4]
+    ratios = seen[wall > 16] / wall[wall > 16]
     if ratios.size == 0:
         return 1.0
     bright = float(np.quantile(ratios, 0.9))

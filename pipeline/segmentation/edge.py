@@ -1,7 +1,7 @@
 """From coverage to the signed distance of every pixel to the sub-pixel edge.
 
-The edge crosses the line between two neighbouring pixels on different sides where the linearly
-interpolated coverage is 1/2. Each pixel beside the edge owns a short piece of it through the mean
+The edge crosses the line between two neighbouring pixels on different sides where the interpolated
+coverage is 1/2. Each pixel beside the edge owns a short piece of it through the mean
 of its crossings, square to the local gradient; the distance of any pixel is that to the piece owned
 by the nearest such pixel (found by OpenCV's labelled distance transform).
 """
@@ -9,14 +9,16 @@ by the nearest such pixel (found by OpenCV's labelled distance transform).
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from pipeline.segmentation.silhouette import MARGIN_PX
 
 NEAR_PX = 10
 """Up to here the distance is the true one: a cell of marching cubes, 4 to 5 px wide, reaches no further. Beyond,
 where only the sign and the rough size count, it is OpenCV's, to the pixels beside the edge."""
-HALF_PIECE_PX = 1.3
-"""Half the length of the piece of edge that a pixel owns; long enough for the pieces of neighbours to overlap."""
+HALF_PIECE_PX = 2.0
+"""Half the length of the piece of edge that a pixel owns: the nearest pixel that OpenCV names may be one
+beside the nearest one."""
 
 
 def signed_distance(
@@ -90,10 +92,11 @@ def _edge_points(
         first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
         second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
         crossing_v, crossing_u = np.nonzero(body[first] != body[second])
-        a, b = level[first][crossing_v, crossing_u], level[second][crossing_v, crossing_u]
+        # under a Gaussian blur of any width the probit of the coverage is linear across the edge
+        a, b = (ndtri(np.clip(level[side][crossing_v, crossing_u], 0.02, 0.98)) for side in (first, second))
         known = ~(unknown[first] | unknown[second])[crossing_v, crossing_u]
-        straddles = ((a - 0.5) * (b - 0.5) <= 0) & known
-        share = np.where(straddles, (a - 0.5) / np.where(a == b, 1, a - b), 0.5).astype(np.float32)
+        straddles = (a * b <= 0) & known
+        share = np.where(straddles, a / np.where(a == b, 1, a - b), 0.5).astype(np.float32)
         point_u = crossing_u + (share if axis == 1 else 0)
         point_v = crossing_v + (share if axis == 0 else 0)
         for step in (0, 1):

@@ -28,6 +28,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig import require_cameras
 from service.errors import UsageError
 from service.record import lost_record
+from service.settings import load_settings
 from service.worker_job import LearnJob, MeasureJob, WorkerContext, initialize, learn_background, measure
 
 
@@ -49,7 +50,8 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for results.jsonl, meshes/ and gradation.json.")],
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own rig.json.")] = None,
     segmenter: Annotated[SegmenterName, typer.Option()] = SegmenterName.BACKGROUND,
-    field: Annotated[Field, typer.Option(help="view_count is the paper's field.")] = Field.SUB_VOXEL,
+    config: Annotated[Path | None, typer.Option(help="Take the parameters of this configuration.")] = None,
+    field: Annotated[Field | None, typer.Option(help="view_count is the paper's field.")] = None,
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
     save_silhouettes: Annotated[bool, typer.Option("--save-silhouettes")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -61,8 +63,9 @@ def command(
         raise UsageError(f"{recording} has no rig.json; name a rig file with --rig")
     calibration = read_rig(rig_path)
     require_cameras(calibration, source.camera_ids)
-    parameters = PipelineParameters()
-    parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
+    parameters = load_settings(config).pipeline if config else PipelineParameters()
+    if field is not None:
+        parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
     context = WorkerContext(
         rig_path=rig_path, parameters=parameters, is_simulated=source.is_simulated, segmenter=segmenter.value
     )

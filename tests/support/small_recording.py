@@ -1,8 +1,7 @@
 """A small synthetic recording with stones, for tests that need real images."""
 
-from pathlib import Path
-
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import simulate_rig
-
 
 SHRINK = 4
 

@@ -1,3 +1,4 @@
+import asyncio
 import logging
 import os
 import shutil
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.systemd import JournalFormatter, ServiceManager, service_manager
+from service.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
 
 UNIT = Path(__file__).parents[3] / "systemd/stonefall.service"
 
@@ -28,6 +29,41 @@ def test_nobody_listens_is_no_failure(tmp_path: Path, caplog: pytest.LogCaptureF
     assert not caplog.records
     ServiceManager(address=str(tmp_path / "gone")).notify("READY=1")
     assert "READY=1" in caplog.text
+
+
+async def test_the_watchdog_is_fed_by_progress_alone(tmp_path: Path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.setblocking(False)
+        manager = ServiceManager(address=str(tmp_path / "notify"), watchdog_s=0.003)
+        late: list[str] = []
+        stopping = asyncio.Event()
+        feeding = asyncio.create_task(feed_watchdog(manager, lambda: late, lambda: "armed", stopping))
+        assert await heard(listener) == "WATCHDOG=1\nSTATUS=armed"
+        stopping.set()
+        while "EXTEND_TIMEOUT_USEC=15000000" not in await heard(listener):
+            pass
+        late.append("processing")
+        await asyncio.sleep(0.01)
+        while unheard(listener):
+            pass
+        with pytest.raises(TimeoutError):
+            await heard(listener, timeout_s=0.1)
+        late.clear()
+        assert "WATCHDOG=1" in await heard(listener)
+        feeding.cancel()
+
+
+async def heard(listener: socket.socket, timeout_s: float = 5) -> str:
+    async with asyncio.timeout(timeout_s):
+        return (await asyncio.get_running_loop().sock_recv(listener, 4096)).decode()
+
+
+def unheard(listener: socket.socket) -> bytes:
+    try:
+        return listener.recv(4096)
+    except BlockingIOError:
+        return b""
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,246 @@
+"""The real process on a small recording: what is promised to the plant when things go well and when not."""
+
+import multiprocessing
+import os
+import signal
+import socket
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.daemon_process import DaemonProcess, is_running
+from support.small_recording import write_small_recording
+
+from drivers.recording import open_recording, playback_order
+from pipeline.carving import CarvingParameters
+from pipeline.frames import BundleKind
+from pipeline.particle import PipelineParameters
+from service.ledger import Accounting
+from service.store import open_store, reads
+from service.store.schema import connect_reader
+from service.worker_job import LearnJob, MeasureJob, WorkerContext, initialize, learn_background, measure
+
+N_STONES = 6
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("daemon") / "recording"
+    write_small_recording(path, n_stones=N_STONES)
+    return path
+
+
+@pytest.fixture(scope="session")
+def offline(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """The records that one worker makes of the recording, without a daemon."""
+    return measured_offline(recording, tmp_path_factory.mktemp("offline"))
+
+
+def is_through(accounting: dict[str, Any]) -> bool:
+    return accounting["triggers"] == N_STONES and accounting["in_progress"] == 0
+
+
+def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
+    recording = open_recording(path)
+    context = WorkerContext(
+        rig_path=path / "rig.json",
+        parameters=PipelineParameters(carving=CarvingParameters(n=64)),
+        is_simulated=True,
+    )
+    background: Path | None = None
+    records = []
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, initializer=initialize, initargs=(context,)) as worker:
+        for header in playback_order(recording):
+            if header.kind is BundleKind.BACKGROUND:
+                previous, background = background, out / f"{header.name}.npz"
+                learn = LearnJob(
+                    bundle_path=header.path,
+                    camera_ids=recording.camera_ids,
+                    previous_path=previous,
+                    out_path=background,
+                )
+                worker.submit(learn_background, learn).result()
+                continue
+            job = MeasureJob(
+                bundle_path=header.path,
+                camera_ids=recording.camera_ids,
+                background_path=background,
+                out_dir=out / header.name,
+            )
+            record = worker.submit(measure, job).result()
+            records.append(record | {"mesh": (job.out_dir / record["mesh"]).read_bytes()})
+    return records
+
+
+def assert_same_results(folder: Path, results: list[dict[str, Any]], offline: list[dict[str, Any]]) -> None:
+    """Bit for bit the same records and meshes, times of processing apart."""
+    for result, record in zip(results, offline, strict=True):
+        mesh = (folder / "state" / result["mesh"]).read_bytes()
+        kept = {key: value for key, value in record.items() if key != "timings_ms"}
+        assert {key: (result | {"mesh": mesh})[key] for key in kept} == kept
+
+
+def accounting_in(folder: Path) -> Accounting:
+    """What the daemon has left in its store."""
+    with connect_reader(folder / "state/results.sqlite") as connection:
+        return reads.accounting(connection, None)
+
+
+def seqs(results: list[dict[str, Any]]) -> list[int]:
+    return [result["seq"] for result in results]
+
+
+def test_a_recording_runs_through_and_sigterm_ends_it(
+    recording: Path, offline: list[dict[str, Any]], tmp_path: Path
+):
+    with DaemonProcess(tmp_path, recording) as daemon:
+        daemon.hear("READY=1")
+        daemon.hear("WATCHDOG=1")
+        daemon.wait_for("/accounting", is_through)
+        daemon.wait_for("/acquisition", lambda answer: answer["state"] == "disarmed")
+        results = daemon.results()
+        assert seqs(results) == list(range(1, N_STONES + 1))
+        assert_same_results(tmp_path, results, offline)
+        accounting = daemon.get("/accounting")
+        assert accounting["is_balanced"]
+        assert (accounting["measured"], accounting["backgrounds"]) == (N_STONES, 2)
+        health = daemon.get("/health")
+        assert health["ready"] is False
+        assert health["reasons"] == ["acquisition: disarmed"]
+        assert {camera["frames"] for camera in daemon.get("/cameras")["items"]} == {N_STONES + 2}
+        daemon.hear("STATUS=disarmed, 0 bundles waiting, last result 6")
+        workers = daemon.worker_pids()
+        assert len(workers) == 2
+        assert daemon.stop() == 0
+        daemon.hear("STOPPING=1")
+        assert not any(is_running(pid) for pid in workers)
+        assert list((tmp_path / "spool").iterdir()) == []
+        assert "Traceback" not in daemon.log
+
+
+def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path: Path):
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 4.0", slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
+        assert daemon.stop() == 0
+        daemon.hear("STOPPING=1")
+        daemon.hear("EXTEND_TIMEOUT_USEC=")
+    accounting = accounting_in(tmp_path)
+    assert accounting.is_balanced
+    assert accounting.triggers >= 3
+    assert accounting.triggers == accounting.measured
+
+
+def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Path):
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 4.0", slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        daemon.signal_workers(signal.SIGSTOP)
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 3)
+        daemon.process.send_signal(signal.SIGINT)
+        daemon.wait_for("/acquisition", lambda now: now["state"] == "stopping")
+        start = time.monotonic()
+        assert daemon.stop() == 0
+        assert time.monotonic() - start < 10
+    accounting = accounting_in(tmp_path)
+    assert accounting.is_balanced
+    assert accounting.in_progress == 0
+    assert accounting.by_reason["shutdown"] == accounting.lost >= 3
+
+
+def test_a_killed_worker_costs_one_retry_and_no_stone(
+    recording: Path, offline: list[dict[str, Any]], tmp_path: Path
+):
+    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        (worker,) = daemon.worker_pids()
+        os.kill(worker, signal.SIGKILL)
+        daemon.wait_for("/accounting", is_through)
+        assert_same_results(tmp_path, daemon.results(), offline)
+        assert "1 restarts" in daemon.get("/health")["checks"]["workers"]["detail"]
+        assert worker not in daemon.worker_pids()
+        assert daemon.stop() == 0
+
+
+def test_after_a_kill_of_the_daemon_open_triggers_are_lost_and_the_feed_goes_on(
+    recording: Path, tmp_path: Path
+):
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 4.0", slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
+        workers = daemon.worker_pids()
+        daemon.process.kill()
+        daemon.process.wait()
+        wait_until_gone(workers)
+    before = accounting_in(tmp_path)
+    assert before.is_balanced
+    assert before.in_progress >= 1
+    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] == before.measured + N_STONES)
+        results = daemon.results()
+        assert seqs(results) == list(range(1, len(results) + 1))
+        lost = [result for result in results if result["outcome"] == "lost"]
+        assert len(lost) == before.in_progress
+        assert {result["reason"] for result in lost} == {"crash"}
+        assert daemon.get("/accounting")["triggers"] == len(results) == before.triggers + N_STONES
+        assert daemon.stop() == 0
+
+
+def wait_until_gone(pids: list[int]) -> None:
+    deadline = time.monotonic() + 10
+    while any(is_running(pid) for pid in pids):
+        assert time.monotonic() < deadline, "workers outlive the daemon"
+        time.sleep(0.01)
+
+
+def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+        daemon.hear("READY=1")
+        assert daemon.get("/health/ready") == {"ready": True}
+        daemon.wait_for("/accounting", lambda now: now["triggers"] >= 1)
+        assert daemon.put("/acquisition", {"state": "disarmed"})["state"] in ("disarming", "disarmed")
+        daemon.wait_for("/acquisition", lambda answer: answer["state"] == "disarmed")
+        seen = daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)["triggers"]
+        assert daemon.get("/health/ready")["status"] == 503
+        daemon.put("/acquisition", {"state": "armed"})
+        daemon.wait_for("/accounting", lambda now: now["triggers"] > seen)
+        results = daemon.wait_for("/results?after=0", lambda page: page["last_seq"] > seen)["items"]
+        assert len({result["bundle"] for result in results}) == len(results)
+        assert [result["sequence"] for result in results] == sorted(r["sequence"] for r in results)
+        assert daemon.stop() == 0
+
+
+def test_a_fatal_error_ends_the_process_with_its_traceback(recording: Path, tmp_path: Path):
+    (tmp_path / "state").mkdir()
+    (tmp_path / "state/particles").touch()  # no folder: the first result cannot be kept
+    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+        assert daemon.process.wait(timeout=30) == 1
+        workers = daemon.worker_pids()
+        assert "StoreError" in daemon.log
+        assert daemon.log.count("fatal, the daemon ends") == 1
+    assert workers == []
+
+
+def test_a_taken_port_or_store_is_one_line_and_exit_1(recording: Path, tmp_path: Path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with DaemonProcess(tmp_path, recording, port=port) as daemon:
+            assert daemon.process.wait(timeout=30) == 1
+        complaint = f"stonefall: api: cannot listen on 127.0.0.1 port {port}: Address already in use"
+        (line,) = daemon.log.splitlines()
+        assert line.startswith(complaint)
+    with open_store(tmp_path / "state"), DaemonProcess(tmp_path, recording) as daemon:
+        assert daemon.process.wait(timeout=30) == 1
+        assert "another process has the store open" in daemon.log.splitlines()[-1]
+
+
+def test_a_wrong_configuration_is_one_line_and_exit_1(tmp_path: Path):
+    with DaemonProcess(tmp_path, tmp_path / "nowhere") as daemon:
+        assert daemon.process.wait(timeout=30) == 1
+        (line,) = daemon.log.splitlines()
+        assert f"stonefall.toml: rig.recording: {tmp_path}/nowhere: is not a recording" in line

@@ -1,0 +1,153 @@
+"""The real daemon as a process of its own, with a notify socket in systemd's place."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing, suppress
+from http.client import HTTPConnection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import urlsplit
+
+STONEFALL = Path(sys.executable).with_name("stonefall")
+
+CONFIG = """
+[rig]
+recording = "{recording}"
+{rig}
+[spool]
+dir = "spool"
+max_bundles = 100
+[store]
+dir = "state"
+[carving]
+n = 64
+[workers]
+slots = {slots}
+[api]
+port = {port}
+"""
+
+
+class DaemonProcess:
+    """Started on entering the context, killed at its end if it still runs."""
+
+    def __init__(
+        self, folder: Path, recording: Path, *, rig: str = 'pace = "fast"', slots: int = 2, port: int = 0
+    ) -> None:
+        self.folder = folder
+        self.log_path = folder / "daemon.log"
+        self.config_path = folder / "stonefall.toml"
+        self.config_path.write_text(CONFIG.format(recording=recording, rig=rig, slots=slots, port=port))
+        self.heard: list[str] = []
+
+    def __enter__(self) -> Self:
+        address = self.folder / "notify"
+        address.unlink(missing_ok=True)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._listener.bind(str(address))
+        environment = os.environ | {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "600000"}
+        with self.log_path.open("ab") as log:
+            self.process = subprocess.Popen(
+                [STONEFALL, "serve", "--config", self.config_path], stderr=log, env=environment
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        workers = self.worker_pids()
+        self.process.kill()
+        self.process.wait()
+        for pid in workers:  # a stopped one would not notice the daemon's end
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self._listener.close()
+
+    def hear(self, assignment: str, timeout_s: float = 30) -> None:
+        """Return once the daemon has notified `assignment`."""
+        deadline = time.monotonic() + timeout_s
+        while not any(line.startswith(assignment) for line in self.heard):
+            self._listener.settimeout(max(0.01, deadline - time.monotonic()))
+            try:
+                self.heard += self._listener.recv(4096).decode().splitlines()
+            except TimeoutError:
+                raise AssertionError(f"no {assignment}; the daemon's log:\n{self.log}") from None
+
+    @property
+    def log(self) -> str:
+        return self.log_path.read_text()
+
+    def get(self, path: str) -> dict[str, Any]:
+        return self._ask(path)
+
+    def put(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
+        return self._ask(path, method="PUT", body=json.dumps(body))
+
+    def url(self, path: str) -> str:
+        addresses = re.findall(r"serving url=(\S+)", self.log)
+        return f"{addresses[-1]}/api/v1{path}"
+
+    def _ask(self, path: str, method: str = "GET", body: str | None = None) -> dict[str, Any]:
+        """Return the answer, a refusal as well."""
+        url = urlsplit(self.url(path))
+        connection = HTTPConnection(url.netloc, timeout=20)
+        with closing(connection):
+            headers = {"Content-Type": "application/json"} if body else {}
+            connection.request(method, f"{url.path}?{url.query}", body, headers)
+            return dict(json.load(connection.getresponse()))
+
+    def wait_for(
+        self, path: str, condition: Callable[[dict[str, Any]], bool], timeout_s: float = 40
+    ) -> dict[str, Any]:
+        deadline = time.monotonic() + timeout_s
+        while not condition(document := self.get(path)):
+            assert time.monotonic() < deadline, f"{path}: {document}\n{self.log}"
+            time.sleep(0.02)
+        return document
+
+    def results(self) -> list[dict[str, Any]]:
+        return list(self.get("/results?after=0&limit=1000")["items"])
+
+    def worker_pids(self) -> list[int]:
+        """Processes of the pool; the resource tracker of multiprocessing is none."""
+        return [pid for pid in children_of(self.process.pid) if b"spawn_main" in command_line(pid)]
+
+    def signal_workers(self, number: signal.Signals) -> None:
+        for pid in self.worker_pids():
+            os.kill(pid, number)
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
+        """Send the signal and return the exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(timeout=40)
+
+
+def children_of(pid: int) -> list[int]:
+    """Child processes, none if the process is gone."""
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+
+
+def command_line(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b""
+
+
+def is_running(pid: int) -> bool:
+    """Whether it runs; a zombie nobody has reaped yet does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1][0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False

@@ -1,0 +1,223 @@
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import GateUnavailableError
+from drivers.factory import ReplayBackend, build_devices
+from drivers.faults import Fault, FaultPlan
+from drivers.gates.faulty import FaultyGate
+from drivers.recording import RecordingWriter
+from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
+from service import rig_cameras
+from service.acquisition import Acquisition
+from service.bundling import BundlingParameters
+from service.control import AcquisitionState, AcquisitionTarget, ConflictError
+from service.supervision import RestartPolicy
+
+CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
+N_BUNDLES = 6
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("acquisition") / "recording"
+    with RecordingWriter(
+        path, camera_ids=CAMERAS, image_size_px=(8, 6), rig=None, is_simulated=True, made_by={}
+    ) as writer:
+        for number in range(1, N_BUNDLES + 1):
+            at_ns = number * 250_000_000
+            frames = {
+                camera: Frame(
+                    camera=camera,
+                    image=np.full((6, 8), number, np.uint8),
+                    frame_id=number,
+                    device_ns=0,
+                    received_ns=at_ns + 259_400_000,
+                )
+                for camera in CAMERAS
+            }
+            trigger = Trigger(
+                sequence=number, received_ns=at_ns, device_ns=0, utc="2026-11-21T04:00:00Z", name=f"s{number}"
+            )
+            writer.add(FrameBundle(trigger=trigger, frames=frames))
+    return path
+
+
+class Bench:
+    """An acquisition on a replayed recording, with everything it tells written down in order."""
+
+    def __init__(
+        self,
+        recording: Path,
+        *,
+        faults: FaultPlan | None = None,
+        gate_faults: FaultPlan | None = None,
+        min_cameras: int = 2,
+        policy: RestartPolicy = RestartPolicy(delays_s=(0.0,)),  # noqa: B008 - frozen
+    ) -> None:
+        self.devices = build_devices(ReplayBackend(recording=recording, pace="stepped", faults=faults))
+        if gate_faults is not None:  # here and not above: a swallowed trigger shall keep its permit
+            self.devices = replace(self.devices, gate=FaultyGate(self.devices.gate, gate_faults))
+        self.told: list[tuple[str, str]] = []
+        self.bundles: list[FrameBundle] = []
+        self.states: list[AcquisitionState] = []
+        self.changed = asyncio.Condition()
+        self.acquisition = Acquisition(
+            self.devices,
+            session=1,
+            triggers=self,
+            bundling=BundlingParameters(),
+            min_cameras=min_cameras,
+            policy=policy,
+            on_bundle=self.on_bundle,
+            on_progress=self.on_progress,
+        )
+
+    async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None:
+        await asyncio.sleep(0)
+        assert trigger.name == bundle
+        self.told.append(("trigger", bundle))
+
+    def on_bundle(self, bundle: FrameBundle) -> None:
+        self.told.append(("bundle", bundle.name))
+        self.bundles.append(bundle)
+
+    def on_progress(self) -> None:
+        self.states.append(self.acquisition.state)
+
+    async def step(self, n_bundles: int = 1) -> None:
+        """Let so many more stones fall and wait for their bundles."""
+        wanted = len(self.bundles) + n_bundles
+        assert self.devices.belt is not None
+        self.devices.belt.permit(n_bundles)
+        await self.until(lambda: len(self.bundles) >= wanted)
+
+    async def until(self, condition) -> None:
+        async with asyncio.timeout(10):
+            while not condition():  # noqa: ASYNC110 - what is waited for happens in many places
+                await asyncio.sleep(0.005)
+
+    def state_of(self, camera: str) -> str:
+        return next(status.state for status in self.acquisition.cameras.statuses() if status.id == camera)
+
+
+@asynccontextmanager
+async def armed(bench: Bench) -> AsyncIterator[Acquisition]:
+    """Runs the acquisition, and stops it in order."""
+    acquisition = bench.acquisition
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(acquisition.run())
+        assert acquisition.request(AcquisitionTarget.ARMED) is AcquisitionState.ARMING
+        await acquisition.settled.wait()
+        yield acquisition
+        acquisition.stop()
+        await running
+
+
+async def test_every_trigger_is_recorded_before_its_bundle_until_the_recording_is_through(recording: Path):
+    bench = Bench(recording)
+    async with armed(bench) as acquisition:
+        assert acquisition.state is AcquisitionState.ARMED
+        await bench.step(N_BUNDLES)
+        await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
+    names = [f"s{number}" for number in range(1, N_BUNDLES + 1)]
+    assert [bundle.name for bundle in bench.bundles] == names
+    assert all(bundle.frames.keys() == set(CAMERAS) for bundle in bench.bundles)
+    for name in names:
+        assert bench.told.index(("trigger", name)) < bench.told.index(("bundle", name))
+    assert [status.frames for status in bench.acquisition.cameras.statuses()] == [N_BUNDLES] * 3
+
+
+async def test_disarmed_and_armed_again_no_stone_is_missed_or_doubled(recording: Path):
+    bench = Bench(recording)
+    async with armed(bench) as acquisition:
+        await bench.step(2)
+        assert acquisition.request(AcquisitionTarget.DISARMED) is AcquisitionState.DISARMING
+        with pytest.raises(ConflictError):
+            acquisition.request(AcquisitionTarget.ARMED)
+        await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
+        assert {status.state for status in acquisition.cameras.statuses()} == {"closed"}
+        acquisition.request(AcquisitionTarget.ARMED)
+        await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
+        await bench.step(2)
+    assert [bundle.name for bundle in bench.bundles] == ["s1", "s2", "s3", "s4"]
+    assert acquisition.state is AcquisitionState.STOPPING
+    with pytest.raises(ConflictError):
+        acquisition.request(AcquisitionTarget.ARMED)
+
+
+async def test_a_stone_in_the_air_is_seen_through_when_stopping(recording: Path):
+    bench = Bench(recording)
+    async with armed(bench):
+        assert bench.devices.belt is not None
+        bench.devices.belt.permit(1)
+        await bench.until(lambda: bench.told == [("trigger", "s1")] or len(bench.bundles) == 1)
+    assert [bundle.name for bundle in bench.bundles] == ["s1"]
+    assert bench.bundles[0].frames.keys() == set(CAMERAS)
+
+
+async def test_a_lost_camera_degrades_and_comes_back(recording: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(rig_cameras, "RETRY_S", 0.2)
+    faults = FaultPlan(cameras=frozenset({CAMERAS[1]}), disconnect=Fault(at=frozenset({1})))
+    bench = Bench(recording, faults=faults)
+    async with armed(bench) as acquisition:
+        await bench.step(2)
+        assert bench.bundles[1].missing == {CAMERAS[1]: "camera_lost"}
+        assert acquisition.state is AcquisitionState.ARMED
+        lost = acquisition.cameras.statuses()[1]
+        assert (lost.state, lost.last_error) == ("lost", "disconnected")
+        await bench.until(lambda: bench.state_of("c02") == "armed")
+        await bench.step(1)
+    assert bench.bundles[2].frames.keys() == set(CAMERAS)
+
+
+async def test_too_few_cameras_hold_the_acquisition(recording: Path):
+    faults = FaultPlan(cameras=frozenset(CAMERAS[:2]), disconnect=Fault(at=frozenset({0})))
+    bench = Bench(recording, faults=faults, policy=RestartPolicy(delays_s=(60.0,)))
+    async with armed(bench) as acquisition:
+        await bench.step(1)
+        await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
+        assert acquisition.trouble is not None
+        assert "disconnected; " in acquisition.trouble
+        assert acquisition.request(AcquisitionTarget.DISARMED) is AcquisitionState.DISARMING
+        await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
+    assert [bundle.name for bundle in bench.bundles] == ["s1"]
+
+
+async def test_a_lost_gate_restarts_the_session(recording: Path):
+    bench = Bench(recording, gate_faults=FaultPlan(disconnect_gate=Fault(at=frozenset({1}))))
+    async with armed(bench) as acquisition:
+        await bench.step(1)
+        assert bench.devices.belt is not None
+        bench.devices.belt.permit(1)  # swallowed by the gate's failure
+        await bench.until(lambda: bench.states[-1] is AcquisitionState.DISARMING)
+        await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
+        await bench.step(1)
+        assert acquisition.trouble is None
+    assert [bundle.name for bundle in bench.bundles] == ["s1", "s3"]
+
+
+async def test_a_gate_that_is_always_lost_is_fatal(recording: Path):
+    policy = RestartPolicy(delays_s=(0.0,), budget=2)
+    bench = Bench(recording, gate_faults=FaultPlan(disconnect_gate=Fault(probability=1.0)), policy=policy)
+    assert bench.devices.belt is not None
+    bench.devices.belt.permit(N_BUNDLES)
+    bench.acquisition.request(AcquisitionTarget.ARMED)
+    with pytest.raises(GateUnavailableError, match="disconnected"):
+        await bench.acquisition.run()
+    assert {status.state for status in bench.acquisition.cameras.statuses()} == {"closed"}
+
+
+async def test_the_snapshot_is_the_latest_frame(recording: Path):
+    bench = Bench(recording)
+    async with armed(bench) as acquisition:
+        assert await acquisition.cameras.snapshot(CAMERAS[0]) is None
+        await bench.step(2)
+        png = await acquisition.cameras.snapshot(CAMERAS[0])
+    assert png is not None
+    assert png.startswith(b"\x89PNG")

@@ -1,0 +1,129 @@
+"""`stonefall measure`: the promised files, the same for any number of workers."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from support.small_recording import write_small_recording
+from typer.testing import CliRunner
+
+from drivers.errors import RecordingError
+from pipeline.errors import RigError
+from pipeline.rig import rig_to_document
+from pipeline.rig_design import nominal_rig
+from service.cli import build_app
+from service.commands.measure import _report
+from service.errors import UsageError
+
+APP = build_app()
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("measure") / "recording"
+    write_small_recording(path, n_stones=3)
+    return path
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(APP, ["measure", *map(str, arguments)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def records(out: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+
+
+def untimed(out: Path) -> list[dict[str, Any]]:
+    return [{key: value for key, value in record.items() if key != "timings_ms"} for record in records(out)]
+
+
+def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, tmp_path: Path) -> None:
+    one, three = tmp_path / "one", tmp_path / "three"
+    run(recording, "--out", one, "--workers", 1, "--save-silhouettes")
+    summary = json.loads(run(recording, "--out", three, "--workers", 3, "--json"))
+    assert summary == {"bundles": 3, "measured": 3, "rejected": 0, "lost": 0}
+    assert untimed(one) == untimed(three)
+    names = [record["bundle"] for record in records(one)]
+    assert names == sorted(names)
+    for record in records(one):
+        assert record["outcome"] == "measured"
+        assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
+        assert record["is_simulated"] is True
+        mesh = trimesh.load(one / record["mesh"], process=False)
+        assert mesh.is_watertight
+        assert mesh.volume == pytest.approx(record["volume_raw_mm3"], rel=1e-4)
+        assert (one / record["mesh"]).read_bytes() == (three / record["mesh"]).read_bytes()
+        silhouettes = one / "silhouettes" / record["bundle"]
+        assert {path.stem for path in silhouettes.iterdir()} == set(record["views"])
+        labels = cv2.imread(str(silhouettes / "c01.png"), cv2.IMREAD_UNCHANGED)
+        assert labels.shape == (256, 320)
+        assert set(np.unique(labels)) <= {0, 128, 255}
+        assert {"segment", "carve", "mesh", "measure", "total"} <= set(record["timings_ms"])
+    assert not (three / "silhouettes").exists()
+    assert sorted(path.name for path in three.iterdir()) == ["gradation.json", "meshes", "results.jsonl"]
+    curve = json.loads((one / "gradation.json").read_text())
+    assert curve["n_stones"] == 3
+    assert curve["passing_percent"][-1] == 100
+
+
+def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_path: Path) -> None:
+    config = tmp_path / "stonefall.toml"
+    config.write_text(
+        f'[rig]\nrecording = "{recording}"\n[spool]\ndir = "s"\n[store]\ndir = "t"\n'
+        "[carving]\nn = 64\n[measuring]\ndensity_g_cm3 = 2.7\n"
+    )
+    run(recording, "--out", tmp_path / "out", "--config", config, "--field", "view_count", "--workers", 1)
+    for record in records(tmp_path / "out"):
+        assert record["mass_g"] == pytest.approx(2.7e-3 * record["volume_mm3"])
+        # at a quarter of the samples the erosion of the paper's field is four times as deep
+        assert record["equivalent_diameter_mm"] < 14.9
+
+
+def test_a_damaged_bundle_costs_only_itself(tmp_path: Path) -> None:
+    recording = tmp_path / "recording"
+    write_small_recording(recording, n_stones=2)
+    damaged = sorted((recording / "bundles").iterdir())[2]
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    run(recording, "--out", tmp_path / "out", "--workers", 1)
+    outcomes = {record["bundle"]: record for record in records(tmp_path / "out")}
+    assert len(outcomes) == 2
+    assert outcomes[damaged.stem]["outcome"] == "lost"
+    assert outcomes[damaged.stem]["reason"] == "unreadable"
+    assert [record["outcome"] for record in outcomes.values()].count("measured") == 1
+
+
+def test_a_recording_without_rig_needs_one(recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "copy").mkdir()
+    for path in ("recording.json", "bundles"):
+        (tmp_path / "copy" / path).symlink_to(recording / path)
+    with pytest.raises(UsageError, match="--rig"):
+        run(tmp_path / "copy", "--out", tmp_path / "out")
+    run(tmp_path / "copy", "--out", tmp_path / "out", "--rig", recording / "rig.json", "--workers", 1)
+
+
+def test_wrong_input_is_refused_before_anything_is_written(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(RecordingError, match="nothing"):
+        run(tmp_path / "nothing", "--out", out)
+    few = rig_to_document(nominal_rig().subset(nominal_rig().camera_ids[:3]))
+    (tmp_path / "few.json").write_text(json.dumps(few))
+    with pytest.raises(RigError, match="c04"):
+        run(recording, "--out", out, "--rig", tmp_path / "few.json")
+    assert not out.exists()
+
+
+def test_report_names_dropped_views(capsys: pytest.CaptureFixture[str]) -> None:
+    record = {
+        "bundle": "b", "outcome": "measured", "quality": "reduced", "volume_mm3": 1.0, "sieve_size_mm": 1.0,
+        "views": ["c01"], "detail": None, "dropped_views": {"c02": "empty"},
+    }  # fmt: skip
+    _report([record], as_json=False)
+    printed = capsys.readouterr().out
+    assert "c02 empty" in " ".join(printed.split())
+    assert "1 bundles = 1 measured + 0 rejected + 0 lost" in printed

@@ -1,0 +1,179 @@
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.recording import RecordingWriter
+from drivers.rig_file import write_rig
+from pipeline.frames import Frame, FrameBundle, Trigger
+from pipeline.particle import PipelineParameters
+from pipeline.rig_design import nominal_rig
+from service.cli import build_app
+from service.errors import SettingsError
+from service.settings import Settings, load_settings, problems
+
+DEPLOY = Path(__file__).parents[3] / "deploy"
+
+MINIMAL = """
+[rig]
+recording = "recording"
+[spool]
+dir = "spool"
+[store]
+dir = "/var/lib/somewhere"
+"""
+
+
+def settings_of(folder: Path, text: str) -> Settings:
+    path = folder / "stonefall.toml"
+    path.write_text(text)
+    return load_settings(path)
+
+
+def test_relative_paths_are_beside_the_file_and_absolute_ones_stay(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir("/")
+    settings = settings_of(tmp_path, MINIMAL)
+    assert settings.rig.recording == tmp_path / "recording"
+    assert settings.rig.calibration_path == tmp_path / "recording/rig.json"
+    assert settings.store.dir == Path("/var/lib/somewhere")
+
+
+def test_a_linked_configuration_means_the_files_beside_the_target(tmp_path: Path):
+    (tmp_path / "real").mkdir()
+    settings_of(tmp_path / "real", MINIMAL)
+    (tmp_path / "link.toml").symlink_to(tmp_path / "real/stonefall.toml")
+    assert load_settings(tmp_path / "link.toml").rig.recording == tmp_path / "real/recording"
+
+
+def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
+    assert {part.name for part in fields(PipelineParameters)} < Settings.model_fields.keys()
+    assert settings_of(tmp_path, MINIMAL).pipeline == PipelineParameters()
+    pipeline = settings_of(tmp_path, MINIMAL + "[carving]\nn = 64\n[measuring]\ndensity_g_cm3 = 2.7").pipeline
+    assert (pipeline.carving.n, pipeline.measuring.density_g_cm3) == (64, 2.7)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaints"),
+    [
+        (
+            MINIMAL + "[carving]\nn = 'many'\n[api]\nport = 70000",
+            ["carving.n: ", "api: port must be in 0..65535"],
+        ),
+        (MINIMAL + "[carvin]\nn = 64", ["carvin: "]),
+        (MINIMAL + "[workers]\nslot = 2", ["workers.slot: "]),
+        (MINIMAL + "[workers]\nslots = 0", ["workers: slots must be in 1..256, not 0"]),
+        (MINIMAL + "[bundling]\nwindow_ms = 150", ["bundling: dead_time_ms must exceed twice window_ms"]),
+        (MINIMAL.replace('dir = "spool"', ""), ["spool.dir: "]),
+        (MINIMAL.replace("[rig]", "[rig]\nspeed = 0.0"), ["rig: speed must be in"]),
+        (MINIMAL.replace("[rig]", '[rig]\npace = "fast"\nspeed = 2.0'), ["rig: speed scales"]),
+        (MINIMAL.replace("[rig]", '[rig]\nbackend = "aravis"'), ["rig.backend: "]),
+        (MINIMAL + "[api]\nkeys = [{name = 'mes', sha256 = 'secret'}]", ["api.keys.0: key 'mes'"]),
+        ("[rig\n", ["line 1"]),
+    ],
+)
+def test_every_wrong_field_is_named_with_the_file(tmp_path: Path, text: str, complaints: list[str]):
+    with pytest.raises(SettingsError) as refused:
+        settings_of(tmp_path, text)
+    message = str(refused.value)
+    assert message.startswith(f"{tmp_path}/stonefall.toml: ")
+    for complaint in complaints:
+        assert complaint in message
+
+
+def test_a_missing_or_binary_file_is_refused(tmp_path: Path):
+    with pytest.raises(SettingsError, match="No such file"):
+        load_settings(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(SettingsError, match=r"binary\.toml"):
+        load_settings(tmp_path / "binary.toml")
+
+
+def write_tiny_recording(path: Path) -> None:
+    rig = nominal_rig()
+    width_px, height_px = rig.cameras[0].image_size_px
+    camera = rig.camera_ids[0]
+    frame = Frame(
+        camera=camera,
+        image=np.zeros((height_px, width_px), np.uint8),
+        frame_id=1,
+        device_ns=0,
+        received_ns=1,
+    )
+    bundle = FrameBundle(
+        trigger=Trigger(sequence=1, received_ns=0, device_ns=0, utc="2026-11-21T04:00:00Z"),
+        frames={camera: frame},
+        missing=dict.fromkeys(rig.camera_ids[1:], "no_frame"),
+    )
+    with RecordingWriter(
+        path,
+        camera_ids=rig.camera_ids,
+        image_size_px=(width_px, height_px),
+        rig=rig,
+        is_simulated=True,
+        made_by={},
+    ) as writer:
+        writer.add(bundle)
+
+
+def test_files_and_folders_the_settings_speak_of_are_checked(tmp_path: Path):
+    minimal = MINIMAL.replace("/var/lib/somewhere", "store")
+    assert list(problems(settings_of(tmp_path, minimal))) == [
+        f"rig.recording: {tmp_path}/recording: is not a recording: it has no recording.json"
+    ]
+    write_tiny_recording(tmp_path / "recording")
+    assert list(problems(settings_of(tmp_path, minimal))) == []
+    (tmp_path / "store").write_text("not a folder")
+    assert list(problems(settings_of(tmp_path, minimal))) == [
+        f"store.dir: cannot write to {tmp_path}/store: Not a directory"
+    ]
+    (tmp_path / "store").unlink()
+    other = minimal.replace("[rig]", '[rig]\ncalibration = "other.json"')
+    (wrong,) = problems(settings_of(tmp_path, other))
+    assert wrong.startswith("rig.calibration: ")
+    assert "other.json" in wrong
+    rig = nominal_rig()
+    write_rig(tmp_path / "other.json", replace(rig, cameras=rig.cameras[:15]))
+    (wrong,) = problems(settings_of(tmp_path, other))
+    assert wrong.startswith("rig.calibration: ")
+    assert rig.camera_ids[15] in wrong
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
+    write_tiny_recording(tmp_path / "recording")
+    settings = settings_of(tmp_path, MINIMAL.replace("/var/lib/somewhere", "/proc/stonefall"))
+    (wrong,) = problems(settings)
+    assert wrong.startswith("store.dir: cannot write to /proc: ")
+
+
+@pytest.mark.parametrize("name", ["stonefall.toml", "simulated.toml"])
+def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, tmp_path: Path):
+    text = (DEPLOY / name).read_text()
+    settings = settings_of(tmp_path, text)
+    told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
+    examples = ("calibration", "density_g_cm3", "[[api.keys]]", "name", "sha256", "scopes")
+    spelled_out = "\n".join(line for line in told if not line.startswith(examples))
+    assert settings_of(tmp_path, spelled_out) == settings
+
+
+def test_check_config_prints_what_a_file_comes_to(tmp_path: Path):
+    path = tmp_path / "stonefall.toml"
+    path.write_text(MINIMAL.replace("/var/lib/somewhere", "store"))
+    write_tiny_recording(tmp_path / "recording")
+    good = CliRunner().invoke(build_app(), ["check-config", str(path)])
+    assert good.exit_code == 0, good.output
+    assert f'recording = "{tmp_path}/recording"' in good.stdout
+    assert "# density_g_cm3 is not set" in good.stdout
+    again = tmp_path / "again.toml"
+    again.write_text(good.stdout)
+    assert load_settings(again) == load_settings(path)
+
+    path.write_text(MINIMAL)
+    (tmp_path / "recording/rig.json").unlink()
+    bad = CliRunner().invoke(build_app(), ["check-config", str(path), "--json"])
+    assert bad.exit_code == 1
+    document = json.loads(bad.stdout)
+    assert document["settings"]["workers"]["slots"] == 2
+    assert "rig.calibration: " in document["problems"][0]

@@ -1,0 +1,113 @@
+"""`stonefall shape` on good and damaged mesh files."""
+
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import typer
+from typer.testing import CliRunner, Result
+
+from pipeline.measuring import ShapeMeasurement, measure_shape
+from service.commands.shape import command
+
+BOX = trimesh.creation.box([5, 20, 40])
+
+
+def shape(*arguments: str | Path) -> Result:
+    app = typer.Typer()
+    app.command()(command)
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj", "STL"])
+def test_each_format_measures_the_same(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"box.{suffix}"
+    BOX.export(path, file_type=suffix.lower())
+    result = shape(path, "--json")
+    assert result.exit_code == 0
+    (measured,) = json.loads(result.stdout)
+    assert measured["file"] == str(path)
+    assert set(measured) == {"file"} | {field.name for field in fields(ShapeMeasurement)}
+    expected = asdict(measure_shape(BOX))
+    for name, value in expected.items():
+        assert measured[name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-4)), name
+
+
+def test_table_shows_every_mesh(tmp_path: Path) -> None:
+    paths = [tmp_path / f"box{i}.ply" for i in range(4)]
+    for path in paths:
+        BOX.export(path)
+    result = shape(*paths)
+    assert result.exit_code == 0
+    for path in paths:
+        assert path.name in result.stdout
+    assert result.stdout.count("17.678") == 4
+    assert result.stderr == ""
+
+
+def test_texture_seams_do_not_open_a_mesh(tmp_path: Path) -> None:
+    """Each face has texture coordinates of its own; trimesh splits vertices there."""
+    lines = [f"v {x} {y} {z}" for x, y, z in BOX.vertices]
+    lines += [f"vt {i / 36} 0.5" for i in range(36)]
+    for i, face in enumerate(BOX.faces + 1):
+        lines.append("f " + " ".join(f"{vertex}/{3 * i + k}" for k, vertex in enumerate(face, start=1)))
+    path = tmp_path / "seams.obj"
+    path.write_text("\n".join(lines))
+    (measured,) = json.loads(shape(path, "--json").stdout)
+    assert measured["volume_mm3"] == pytest.approx(4000)
+
+
+def test_ascii_stl(tmp_path: Path) -> None:
+    path = tmp_path / "box.stl"
+    path.write_text(trimesh.exchange.stl.export_stl_ascii(BOX))
+    (measured,) = json.loads(shape(path, "--json").stdout)
+    assert measured["sieve_size_mm"] == pytest.approx(17.678, rel=1e-3)
+
+
+PLY = trimesh.exchange.ply.export_ply(BOX)
+STL = trimesh.exchange.stl.export_stl(BOX)
+NOISE = np.random.default_rng(0).bytes(500)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("open.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not closed"),
+        ("empty.stl", b"", "no faces"),
+        ("empty.ply", b"", "damaged"),
+        ("empty.obj", b"", "no faces"),
+        ("cut.ply", PLY[:-20], "damaged"),
+        ("head.ply", PLY[:100], "damaged"),
+        ("cut.stl", STL[:300], "damaged"),
+        ("noise.stl", NOISE, "damaged"),
+        ("noise.ply", NOISE, "damaged"),
+        ("noise.obj", NOISE, "damaged"),
+        ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "damaged"),
+        ("words.obj", b"v a b c\nf 1 2 3\n", "damaged"),
+        ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "not finite"),
+        ("model.glb", b"glTF", "none of .stl, .ply, .obj"),
+        ("missing.stl", None, "No such file"),
+    ],
+)
+def test_bad_file_is_one_line_and_the_others_are_measured(
+    tmp_path: Path, name: str, content: bytes | None, problem: str
+) -> None:
+    good, bad = tmp_path / "good.stl", tmp_path / name
+    BOX.export(good)
+    if content is not None:
+        bad.write_bytes(content)
+
+    result = shape(bad, good, "--json")
+
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"stonefall: {bad}: ")
+    assert problem in line
+    assert [measured["file"] for measured in json.loads(result.stdout)] == [str(good)]
+
+
+def test_usage() -> None:
+    assert shape().exit_code == 2
