@@ -60,7 +60,7 @@ class CarvingParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VisualHull:
-    """The field around the body, above `level` inside it.
+    """The field around the body, above `level` inside it and never on it; its outermost samples are outside.
 
     `field[i, j, k]` belongs to the point `origin_mm + pitch_mm (i, j, k)`.
     """
@@ -97,9 +97,8 @@ def carve(
             pitch_mm=grid.pitch_mm,
             touches_border=False,
         )
-    # the box of the cut blocks with a shell of outside around it
-    low = np.maximum(blocks.min(axis=0) - 1, 0)
-    high = np.minimum(blocks.max(axis=0) + BLOCKS[-1] + 1, parameters.n)
+    # the box of the cut blocks in a shell of outside, so that its surface is closed
+    low, high = blocks.min(axis=0) - 1, blocks.max(axis=0) + BLOCKS[-1] + 1
     if parameters.field == "view_count":
         level = len(views) - parameters.max_disagreeing_views - 0.5
         inside, outside = float(len(views)), 0.0
@@ -114,13 +113,12 @@ def carve(
         index = (blocks[first : first + CHUNK // len(offsets), None] + offsets).reshape(-1, 3)
         values = _evaluate(views, grid.points(index), parameters)
         field[tuple((index - low).T)] = values
-    border = _border(field, low, high, parameters.n)
     return VisualHull(
         field=field,
         level=level,
         origin_mm=grid.points(low[None])[0].astype(np.float64),
         pitch_mm=grid.pitch_mm,
-        touches_border=bool((border > level).any()),
+        touches_border=_touches_border(field > level, low, high, parameters.n),
     )
 
 
@@ -168,7 +166,9 @@ def smallest(distances: Array, rank: int) -> Array:
 def _evaluate(views: list[View], points_mm: Array, parameters: CarvingParameters) -> Array:
     if parameters.field == "view_count":
         return count_views(views, points_mm)
-    return smallest(distances_mm(views, points_mm), parameters.max_disagreeing_views)
+    values = smallest(distances_mm(views, points_mm), parameters.max_disagreeing_views)
+    values[values == 0] = 1e-4  # a sample exactly on the surface would make triangles without area
+    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,15 +223,16 @@ def _block_offsets(edge: int) -> NDArray[np.int64]:
     return np.indices((edge,) * 3).reshape(3, -1).T
 
 
-def _border(field: Array, low: NDArray[np.int64], high: NDArray[np.int64], n: int) -> Array:
-    """Values on those faces of the box that are faces of the whole grid."""
-    faces = [
-        field.take(position, axis=axis).ravel()
+def _touches_border(
+    inside: NDArray[np.bool_], low: NDArray[np.int64], high: NDArray[np.int64], n: int
+) -> bool:
+    """Whether a voxel of a face of the whole grid, just within the shell, is inside."""
+    return any(
+        bool(inside.take(position, axis=axis).any())
         for axis in range(3)
-        for position, at_border in ((0, low[axis] == 0), (-1, high[axis] == n))
+        for position, at_border in ((1, low[axis] < 0), (-2, high[axis] > n))
         if at_border
-    ]
-    return np.concatenate(faces) if faces else np.zeros(0, np.float32)
+    )
 
 
 def _project(

@@ -203,8 +203,9 @@ class Acquisition:
 
     async def _recorded(self, trigger: Trigger) -> Trigger:
         """Make the trigger durable; a live gate may count anew with every arming, names may not."""
-        if trigger.name is None:
+        name = trigger.name
+        if name is None:
             name = f"{trigger.sequence:08d}" + (f"~{self._armings}" if self._armings > 1 else "")
             trigger = replace(trigger, name=name)
-        await self._triggers.record_trigger(self._session, trigger, trigger.name or "")
+        await self._triggers.record_trigger(self._session, trigger, name)
         return trigger

@@ -109,6 +109,7 @@ class Daemon:
                 late=self.late(),
                 has_background=self.processing.has_background,
                 calibration_id=self.calibration_id,
+                last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
             )
         )
@@ -223,7 +224,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         store = await asyncio.to_thread(open_store, settings.store.dir)
         ending.push_async_callback(asyncio.to_thread, store.close)
         daemon = await build(settings, store)
-        ending.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder)
+        ending.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder, ignore_errors=True)
         ending.callback(daemon.pool.close)
         server = RestServer(server_config(create_app(store, daemon, settings.api), settings.api))
         manager.notify("STATUS=warming up the workers")

@@ -31,6 +31,7 @@ class Facts:
     late: Sequence[str]  # parts without progress, see supervision.Heartbeats
     has_background: bool
     calibration_id: str
+    last_seq: int  # the newest durable result
     free_bytes: int  # on the store's file system
 
 
@@ -85,6 +86,8 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
         detail=None if facts.has_background else "the empty rig was not seen yet",
     )
     checks["calibration"] = Check(status=CheckStatus.PASS, value=facts.calibration_id)
+    # a store that cannot be written ends the daemon, so whoever can still ask finds it working
+    checks["store"] = Check(status=CheckStatus.PASS, value=facts.last_seq, unit="results")
     checks["disk"] = Check(
         status=_status(warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10),
         value=facts.free_bytes,

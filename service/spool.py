@@ -70,9 +70,6 @@ class Spool:
             self._lose(bundle, Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered"))
         elif self.held >= self.max_bundles:
             self.overflows += 1
-            log.warning(
-                "bundle lost, the spool is full bundle=%s max_bundles=%d", bundle.name, self.max_bundles
-            )
             self._lose(bundle, Loss(reason="queue_full", detail=f"{self.held} bundles were waiting"))
         else:
             self.held += 1

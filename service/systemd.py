@@ -88,6 +88,7 @@ def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> 
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
     logging.basicConfig(level=level, handlers=[handler], force=True)
+    logging.getLogger("uvicorn").setLevel(logging.WARNING)  # its start and end are told by the daemon
 
 
 def _is_journal(stream: str) -> bool:

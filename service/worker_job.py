@@ -20,6 +20,7 @@ from drivers.recording import read_bundle, write_bundle
 from drivers.rig_file import read_rig
 from pipeline.errors import RigError
 from pipeline.frames import CameraId
+from pipeline.measuring import measure_shape
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter
@@ -87,7 +88,10 @@ _worker: _Worker | None = None
 
 
 def initialize(context: WorkerContext) -> None:
-    """Prepare this process; frames come first, so workers yield the processor to the daemon."""
+    """Prepare this process; frames come first, so workers yield the processor to the daemon.
+
+    Ends with a first measurement, which also builds the tables that all later ones share.
+    """
     global _worker
     os.nice(10)
     # N processes with M library threads each would only stall one another
@@ -100,6 +104,7 @@ def initialize(context: WorkerContext) -> None:
         calibration_id=rig.calibration_id,
         segmenter=build_segmenter(context.segmenter, context.parameters),
     )
+    measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
 
 
 def build_segmenter(name: str, parameters: PipelineParameters) -> Segmenter:

@@ -28,6 +28,7 @@ log = logging.getLogger(__name__)
 
 START_DEADLINE_S = 120.0
 START_ATTEMPTS = 3
+CLOSE_DEADLINE_S = 2.0
 
 
 class WorkerStartError(ServiceError):
@@ -108,19 +109,22 @@ class WorkerPool:
 
     def close(self) -> None:
         """End all processes now; whatever still runs in them is lost."""
+        processes = [process for slot in self._slots if (process := slot.process) is not None]
         for slot in self._slots:
             slot.kill()
+        for process in processes:  # their folder is about to be removed
+            wait([process.sentinel], timeout=CLOSE_DEADLINE_S)
 
 
 class _Slot:
     def __init__(self, initialize: Callable[[Any], None], context: object) -> None:
         self._initargs = (initialize, context)
         self._executor: ProcessPoolExecutor | None = None
-        self._process: BaseProcess | None = None
+        self.process: BaseProcess | None = None
 
     @property
     def pid(self) -> int | None:
-        return None if self._process is None else self._process.pid
+        return None if self.process is None else self.process.pid
 
     async def start(self) -> None:
         for attempt in range(1, START_ATTEMPTS + 1):
@@ -132,7 +136,7 @@ class _Slot:
             )
             others = set(multiprocessing.active_children())
             first_job = self._executor.submit(os.getpid)  # starts the process
-            (self._process,) = set(multiprocessing.active_children()) - others
+            (self.process,) = set(multiprocessing.active_children()) - others
             try:
                 async with asyncio.timeout(START_DEADLINE_S):
                     await asyncio.wrap_future(first_job)
@@ -157,11 +161,11 @@ class _Slot:
             raise JobLostError("worker_crash", str(err)) from err
 
     def kill(self) -> None:
-        if self._process is not None:
-            self._process.kill()
+        if self.process is not None:
+            self.process.kill()
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
-        self._process = self._executor = None
+        self.process = self._executor = None
 
 
 def _initialize_worker(initialize: Callable[[Any], None], context: object) -> None:

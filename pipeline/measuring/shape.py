@@ -1,4 +1,4 @@
-"""Size and form of one stone from its closed mesh, as domain experts define them.
+"""Size and form of one stone from its closed mesh.
 
 Two triples, because the standards disagree on what "length" is:
 
@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.spatial
 import trimesh
 
 from pipeline.measuring.boxes import min_box_mm, sieve_size_mm
-from pipeline.measuring.calipers import extents_across, max_feret, min_feret_mm, widths
-from pipeline.measuring.directions import half_sphere
+from pipeline.measuring.calipers import extents_across, max_feret, min_feret_mm
+from pipeline.measuring.convex import convex_body
 from pipeline.measuring.solid import solid_of
 
 ZinggClass = Literal["equant", "disc", "rod", "blade"]
@@ -69,8 +68,9 @@ class ShapeMeasurement:
 def measure_shape(mesh: trimesh.Trimesh) -> ShapeMeasurement:
     """Measure a closed mesh in mm; deterministic, the mesh is not changed.
 
-    Volume, area and maximum Feret are those of the polyhedron; the other lengths are exact within
-    1e-4. The mesh may be turned inside out as a whole.
+    Volume, area and the D4791 triple are exactly those of the polyhedron, the least Feret diameter within
+    1e-4. Sieve size and least box come from searches that on 840 random hulls missed the best value
+    known by 4e-4 at most. The mesh may be turned inside out as a whole.
 
     Raises
     ------
@@ -78,18 +78,13 @@ def measure_shape(mesh: trimesh.Trimesh) -> ShapeMeasurement:
         The mesh is not a closed, consistently oriented surface around a volume; names the defect.
     """
     solid = solid_of(mesh)
-    # every width of the body is a width of its hull
-    hull = scipy.spatial.ConvexHull(solid.vertices_mm - solid.center_mm)
-    corners_mm = hull.points[hull.vertices]
-    directions, _ = half_sphere()
-    width_mm, spans_mm = widths(corners_mm, directions)
-
-    longest = max_feret(corners_mm, width_mm, spans_mm)
+    body = convex_body(solid.vertices_mm - solid.center_mm)
+    longest = max_feret(body)
     length_mm = float(np.linalg.norm(longest))
-    across_mm, thickness_mm = extents_across(corners_mm, longest)
-    a, b, c = (float(edge) for edge in min_box_mm(corners_mm, width_mm))
+    across_mm, thickness_mm = extents_across(body, longest)
+    a, b, c = (float(edge) for edge in min_box_mm(body))
     # each of these is a width, so the least width cannot exceed it
-    least_mm = min(min_feret_mm(corners_mm, width_mm, spans_mm), c, thickness_mm)
+    least_mm = min(min_feret_mm(body), c, thickness_mm)
     x, y, z = (float(coordinate) for coordinate in solid.center_mm)
     return ShapeMeasurement(
         volume_mm3=solid.volume_mm3,
@@ -101,10 +96,10 @@ def measure_shape(mesh: trimesh.Trimesh) -> ShapeMeasurement:
         max_feret_mm=length_mm,
         min_feret_mm=least_mm,
         min_box_mm=(a, b, c),
-        sieve_size_mm=sieve_size_mm(corners_mm, width_mm),
+        sieve_size_mm=sieve_size_mm(body),
         equivalent_diameter_mm=float(np.cbrt(6 * solid.volume_mm3 / np.pi)),
         sphericity=float(np.cbrt(np.pi * (6 * solid.volume_mm3) ** 2) / solid.surface_area_mm2),
-        convexity=min(solid.volume_mm3 / float(hull.volume), 1.0),
+        convexity=min(solid.volume_mm3 / body.volume_mm3, 1.0),
         elongation_ratio=b / a,
         flatness_ratio=c / b,
         zingg_class=zingg_class(b / a, c / b),

@@ -45,7 +45,7 @@ def signed_distance(
     level = np.where(unknown, body, coverage).astype(np.float32)
     edge_u, edge_v, count, seen = _edge_points(body, level, unknown)
     beside = count > 0
-    pixels_v, pixels_u = np.nonzero(beside)
+    pixels_v, pixels_u = _positions(beside)
     points_u = edge_u[beside] / count[beside]
     points_v = edge_v[beside] / count[beside]
 
@@ -66,7 +66,7 @@ def signed_distance(
     side = np.where(body, np.float32(1), np.float32(-1))
     signed = side * np.minimum(rough, np.float32(MARGIN_PX))
     near = rough < NEAR_PX
-    near_v, near_u = (pixels.astype(np.float32) for pixels in np.nonzero(near))
+    near_v, near_u = (pixels.astype(np.float32) for pixels in _positions(near))
     piece_u, piece_v, inward_u, inward_v = pieces[index_of[owner[near]]].T
     offset_u, offset_v = near_u - piece_u, near_v - piece_v
     across = offset_u * inward_u + offset_v * inward_v
@@ -91,7 +91,7 @@ def _edge_points(
     for axis in (0, 1):
         first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
         second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        crossing_v, crossing_u = np.nonzero(body[first] != body[second])
+        crossing_v, crossing_u = _positions(body[first] != body[second])
         # under a Gaussian blur of any width the probit of the coverage is linear across the edge
         a, b = (ndtri(np.clip(level[side][crossing_v, crossing_u], 0.02, 0.98)) for side in (first, second))
         known = ~(unknown[first] | unknown[second])[crossing_v, crossing_u]
@@ -107,3 +107,8 @@ def _edge_points(
             count[pixel] += 1
             seen[pixel] &= known
     return sum_u, sum_v, count, seen
+
+
+def _positions(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """As `np.nonzero` (rows, columns), several times faster on sparse masks."""
+    return np.divmod(np.flatnonzero(mask), mask.shape[1])

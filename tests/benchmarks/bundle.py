@@ -37,7 +37,7 @@ def main() -> None:
     repeat = parser.parse_args().repeat
     with tempfile.TemporaryDirectory() as folder:
         table = measure_sizes(Path(folder), repeat)
-    console = Console()
+    console = Console(width=120)
     console.print(f"CPU ms of one core, median of {repeat} stones a size; load {os.getloadavg()[0]:.1f}")
     console.print(table)
 

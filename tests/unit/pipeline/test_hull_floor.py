@@ -92,13 +92,27 @@ def test_distortion_does_not_matter_because_every_view_agrees() -> None:
     np.testing.assert_allclose(np.max(beyond_px, axis=0), 0, atol=0.05)
 
 
-def test_hull_of_a_body_that_is_not_convex() -> None:
-    """A dent that all views see as depth is filled, a waist that some see in profile is not."""
+def test_hull_of_a_dented_body_against_rays() -> None:
+    """Just inside the hull every camera's ray meets the body, just outside one of them passes it."""
     body = SPHERE.copy()
-    directions = np.asarray(body.vertices) / 7.5
-    body.vertices *= (1 - 0.3 * np.exp(-((directions[:, 2] / 0.3) ** 2)))[:, None]
-    hull = exact_hull_mesh(body, np.zeros(3), NOMINAL)
-    assert body.volume < hull.volume < 0.95 * body.convex_hull.volume
+    x, y, z = (np.asarray(body.vertices) / 7.5).T
+    body.vertices *= (1 + 0.1 * np.sin(5 * x) + 0.1 * np.cos(4 * y) - 0.2 * np.exp(-((z / 0.3) ** 2)))[
+        :, None
+    ]
+    hull = exact_hull_mesh(body, np.zeros(3), BUILT, subdivisions=4)
+    assert 1.02 * body.volume < hull.volume < 0.98 * body.convex_hull.volume
+
+    def seen_by_all(points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        views = [
+            body.ray.intersects_any(
+                np.broadcast_to(camera.center_mm, points_mm.shape), points_mm - camera.center_mm
+            )
+            for camera in BUILT.cameras
+        ]
+        return np.all(views, axis=0)
+
+    assert seen_by_all(hull.vertices * 0.998).mean() > 0.999
+    assert seen_by_all(hull.vertices * 1.002).mean() < 0.001
 
 
 def test_outline_of_a_square() -> None:

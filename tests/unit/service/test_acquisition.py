@@ -11,6 +11,7 @@ from drivers.errors import GateUnavailableError
 from drivers.factory import ReplayBackend, build_devices
 from drivers.faults import Fault, FaultPlan
 from drivers.gates.faulty import FaultyGate
+from drivers.interfaces import EventSink, LightGate
 from drivers.recording import RecordingWriter
 from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
 from service import rig_cameras
@@ -56,11 +57,14 @@ class Bench:
         recording: Path,
         *,
         faults: FaultPlan | None = None,
+        gate: LightGate | None = None,
         gate_faults: FaultPlan | None = None,
         min_cameras: int = 2,
         policy: RestartPolicy = RestartPolicy(delays_s=(0.0,)),  # noqa: B008 - frozen
     ) -> None:
         self.devices = build_devices(ReplayBackend(recording=recording, pace="stepped", faults=faults))
+        if gate is not None:
+            self.devices = replace(self.devices, gate=gate)
         if gate_faults is not None:  # here and not above: a swallowed trigger shall keep its permit
             self.devices = replace(self.devices, gate=FaultyGate(self.devices.gate, gate_faults))
         self.told: list[tuple[str, str]] = []
@@ -202,14 +206,30 @@ async def test_a_lost_gate_restarts_the_session(recording: Path):
     assert [bundle.name for bundle in bench.bundles] == ["s1", "s3"]
 
 
-async def test_a_gate_that_is_always_lost_is_fatal(recording: Path):
-    policy = RestartPolicy(delays_s=(0.0,), budget=2)
-    bench = Bench(recording, gate_faults=FaultPlan(disconnect_gate=Fault(probability=1.0)), policy=policy)
-    assert bench.devices.belt is not None
-    bench.devices.belt.permit(N_BUNDLES)
+class DeadGate:
+    """Does not answer."""
+
+    def __init__(self) -> None:
+        self.attempts = 0
+
+    def open(self) -> None:
+        self.attempts += 1
+        raise GateUnavailableError("ttyUSB0", "no such device")
+
+    def arm(self, sink: EventSink) -> None: ...
+
+    def disarm(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+async def test_a_gate_that_never_answers_is_fatal(recording: Path):
+    gate = DeadGate()
+    bench = Bench(recording, gate=gate, policy=RestartPolicy(delays_s=(0.0,), budget=2))
     bench.acquisition.request(AcquisitionTarget.ARMED)
-    with pytest.raises(GateUnavailableError, match="disconnected"):
+    with pytest.raises(GateUnavailableError, match="ttyUSB0: no such device"):
         await bench.acquisition.run()
+    assert gate.attempts == 3
     assert {status.state for status in bench.acquisition.cameras.statuses()} == {"closed"}
 
 

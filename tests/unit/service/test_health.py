@@ -1,0 +1,99 @@
+from dataclasses import replace
+
+import pytest
+
+from pipeline.frames import CameraId
+from pipeline.particle import ViewsParameters
+from service.control import AcquisitionState, CameraStatus, CheckStatus, Ne107
+from service.health import LOW_DISK_BYTES, Facts, assess
+
+
+def cameras(lost: int = 0) -> list[CameraStatus]:
+    return [
+        CameraStatus(
+            id=CameraId(f"c{number:02d}"),
+            state="lost" if number <= lost else "armed",
+            last_error="unplugged" if number <= lost else None,
+        )
+        for number in range(1, 17)
+    ]
+
+
+HEALTHY = Facts(
+    acquisition=AcquisitionState.ARMED,
+    trouble=None,
+    cameras=cameras(),
+    views=ViewsParameters(),
+    waiting=0,
+    max_waiting=16,
+    overflows=0,
+    workers=2,
+    slots=2,
+    worker_restarts=0,
+    late=(),
+    has_background=True,
+    calibration_id="rig",
+    last_seq=7,
+    free_bytes=100 * LOW_DISK_BYTES,
+)
+
+
+def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
+    health = assess(HEALTHY)
+    assert (health.ne107, health.ready, health.reasons) == (Ne107.GOOD, True, ())
+    parts = {"gate", "progress", "queue", "workers", "background", "calibration", "store", "disk"}
+    assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
+    assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
+
+
+@pytest.mark.parametrize(
+    ("lost", "state", "is_ready"),
+    [
+        (2, Ne107.MAINTENANCE_REQUIRED, True),
+        (4, Ne107.MAINTENANCE_REQUIRED, True),
+        (5, Ne107.OUT_OF_SPECIFICATION, True),
+        (8, Ne107.OUT_OF_SPECIFICATION, True),
+        (9, Ne107.FAILURE, False),
+    ],
+)
+def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne107, is_ready: bool):
+    health = assess(replace(HEALTHY, cameras=cameras(lost)))
+    assert (health.ne107, health.ready) == (state, is_ready)
+    assert health.reasons[0] == "camera:c01: unplugged"
+    assert len(health.reasons) == lost
+
+
+@pytest.mark.parametrize(
+    ("change", "state", "is_ready", "reason"),
+    [
+        ({"acquisition": AcquisitionState.DISARMED}, Ne107.CHECK_FUNCTION, False, "acquisition: disarmed"),
+        (
+            {"acquisition": AcquisitionState.HELD, "trouble": "light gate: unplugged"},
+            Ne107.FAILURE,
+            False,
+            "gate: light gate: unplugged",
+        ),
+        ({"waiting": 9}, Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting, 0 lost"),
+        ({"waiting": 16, "overflows": 3}, Ne107.FAILURE, False, "queue: 16 of 16 waiting, 3 lost"),
+        (
+            {"workers": 1, "worker_restarts": 4},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "workers: 1 of 2 up, 4 restarts",
+        ),
+        ({"workers": 0}, Ne107.FAILURE, False, "workers: 0 of 2 up, 0 restarts"),
+        ({"late": ["processing"]}, Ne107.FAILURE, False, "progress: no progress of processing"),
+        (
+            {"has_background": False},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "background: the empty rig was not seen yet",
+        ),
+        ({"free_bytes": 5 * 10**8}, Ne107.MAINTENANCE_REQUIRED, True, "disk: 0.5 GB free for results"),
+        ({"free_bytes": 10**7}, Ne107.FAILURE, False, "disk: 0.0 GB free for results"),
+    ],
+)
+def test_whatever_is_wrong_is_named(change, state: Ne107, is_ready: bool, reason: str):
+    health = assess(replace(HEALTHY, **change))
+    assert (health.ne107, health.ready) == (state, is_ready)
+    assert reason in health.reasons
