@@ -4,7 +4,7 @@ A command's failure is one clear line on stderr and exit code 1; wrong usage exi
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
@@ -22,7 +22,8 @@ COMMANDS = {
 """Each module has one function `command`, whose docstring is its help."""
 
 
-def build_app() -> typer.Typer:
+def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """The application with these commands; each costs the import of what it needs."""
     app = typer.Typer(
         name="stonefall",
         help="Photographs every stone leaving a crusher and knows its shape before it lands.",
@@ -30,8 +31,9 @@ def build_app() -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
     )
-    for name, module in COMMANDS.items():
-        command: Callable[..., Any] = import_module(module).command
+    app.callback()(lambda: None)  # a single command stays a subcommand
+    for name in names:
+        command: Callable[..., Any] = import_module(COMMANDS[name]).command
         app.command(name)(command)
     return app
 
@@ -43,8 +45,9 @@ def main() -> None:
     from pipeline.errors import PipelineError
     from service.errors import ServiceError
 
+    wanted = [name for name in sys.argv[1:2] if name in COMMANDS]
     try:
-        build_app()()
+        build_app(wanted or COMMANDS)()
     except (DriverError, PipelineError, ServiceError, OSError) as err:
         print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201
         sys.exit(1)

@@ -34,7 +34,7 @@ class SegmentationParameters:
     """Of background segmentation."""
 
     min_contrast: float = 0.12  # least difference from the background, as a share of it, that is a body
-    dark_share: float = 0.6  # background below this share of the image's typical level is unknown
+    dark_share: float = 0.5  # background below this share of the image's typical level is unknown
     min_body_px: float = 300.0  # smaller objects (below 1 mm) are dust
     second_body_share: float = 0.02  # of the largest body's area; a smaller one beside it is dust too
     hole_px: int = 400  # holes up to this area are glints on the body, larger ones are seen through
