@@ -14,17 +14,10 @@ from typing import Any
 
 ROW = "{:>4}  {:<17} {:<10} {:<9} {:<8} {:>10} {:>8} {:>8} {:>9} {:>8}  {}"
 HEAD = ROW.format(
-    "id",
-    "bundle",
-    "outcome",
-    "quality",
-    "volume mm3",
-    "error %",
-    "sieve mm",
-    "d_V error",
-    "time ms",
+    "seq", "bundle", "class", "outcome", "quality", "volume mm3", "error %", "sieve mm", "error mm", "time ms",
     "remarks",
-)
+)  # fmt: skip
+"""The errors are those of volume and sieve size against the truth of a synthetic recording."""
 
 
 def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
