@@ -5,6 +5,7 @@ Keeps its cursor, asks with a long poll, and needs nothing but the standard libr
 
 import argparse
 import json
+import re
 import sys
 import time
 import urllib.error
@@ -96,8 +97,8 @@ def main() -> int:
             time.sleep(0.5)  # keep the cursor over an outage
             continue
         for item in page["items"]:
-            # a replay in a loop numbers its rounds behind the name
-            print(row(item, truth.get(item["bundle"].partition("@")[0])), flush=True)
+            # a replay in a loop numbers its rounds behind the name: 000006-sphere-r2
+            print(row(item, truth.get(re.sub(r"-r\d+$", "", item["bundle"]))), flush=True)
         cursor = page["next_after"]
         if arguments.once and not page["items"]:
             counts = get(arguments.base, "/accounting")

@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -268,7 +269,7 @@ def _parse(path: Path, document: Mapping[str, Any]) -> BundleHeader:
             sequence=_typed(document["sequence"], int),
             received_ns=_typed(times["received_ns"], int),
             device_ns=_typed(times["device_ns"], int),
-            utc=_typed(times["utc"], str),
+            utc=_instant(times["utc"]),
             pulse_width_ns=None if pulse_width_ns is None else _typed(pulse_width_ns, int),
             kind=BundleKind(document["kind"]),
             name=None if name is None else _typed(name, str),
@@ -289,6 +290,12 @@ def _parse(path: Path, document: Mapping[str, Any]) -> BundleHeader:
             for camera, reason in _typed(document["missing"], dict).items()
         },
     )
+
+
+def _instant(value: Any) -> str:
+    if datetime.fromisoformat(_typed(value, str)).tzinfo is None:
+        raise ValueError(f"time {value!r} has no offset from UTC")
+    return str(value)
 
 
 def _typed(value: Any, kind: type[T]) -> T:

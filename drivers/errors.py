@@ -4,7 +4,6 @@
 
     DriverError
     ├── RecordingError             a recording, bundle, rig or image file; names the file and the problem
-    ├── DriverUnavailableError     this installation has no driver for the configured backend
     └── DeviceError                names the device
         ├── CameraUnavailableError
         └── GateUnavailableError
@@ -27,15 +26,6 @@ class RecordingError(DriverError):
 
     def __str__(self) -> str:
         return f"{self.path}: {self.problem}"
-
-
-class DriverUnavailableError(DriverError):
-    """The backend needs a driver, or a system package, that this installation lacks."""
-
-    def __init__(self, backend: str, problem: str) -> None:
-        super().__init__(f"backend {backend}: {problem}")
-        self.backend = backend
-        self.problem = problem
 
 
 class DeviceError(DriverError):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from drivers.cameras.faulty import FaultyCamera
 from drivers.cameras.replay import ReplayCamera
-from drivers.errors import DriverUnavailableError
 from drivers.faults import FaultPlan
 from drivers.gates.faulty import FaultyGate
 from drivers.gates.replay import ReplayGate
@@ -29,16 +28,6 @@ class ReplayBackend:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AravisBackend:
-    """GigE Vision cameras, by address or serial number."""
-
-    cameras: Mapping[CameraId, str]
-
-
-Backend = ReplayBackend | AravisBackend
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Devices:
     """A rig's devices, not yet opened."""
 
@@ -50,26 +39,14 @@ class Devices:
     """Grants permits and tells what was skipped, in replay."""
 
 
-def build_devices(backend: Backend) -> Devices:
+def build_devices(backend: ReplayBackend) -> Devices:
     """The devices of a backend.
 
     Raises
     ------
     RecordingError
         The recording to replay cannot be opened.
-    DriverUnavailableError
-        This installation has no driver for the backend.
     """
-    match backend:
-        case ReplayBackend():
-            return _replayed(backend)
-        case AravisBackend():
-            raise DriverUnavailableError(
-                "aravis", "this version has no driver for GigE Vision cameras; use the replay backend"
-            )
-
-
-def _replayed(backend: ReplayBackend) -> Devices:
     recording = open_recording(backend.recording)
     belt = ReplayBelt(recording, pace=backend.pace, speed=backend.speed, loop=backend.loop)
     cameras: dict[CameraId, Camera] = {camera: ReplayCamera(camera, belt) for camera in recording.camera_ids}

@@ -110,6 +110,16 @@ def test_foreign_files_are_named(tmp_path: Path) -> None:
         read_bundle(folder, CAMERAS)
 
 
+@pytest.mark.parametrize("utc", ["yesterday", "2026-01-01T00:00:00"])
+def test_a_time_that_is_no_instant_is_refused(tmp_path: Path, utc: str) -> None:
+    bundle = make_bundle(1)
+    path = tmp_path / "b.tiff"
+    wrong = replace(bundle, trigger=replace(bundle.trigger, utc=utc))
+    write_bundle(path, wrong, CAMERAS, compression="none")
+    with pytest.raises(RecordingError, match=utc):
+        read_header(path)
+
+
 @settings(max_examples=150)
 @given(data=st.data(), compression=st.sampled_from(["none", "zstd"]))
 def test_damage_never_goes_unnoticed(
