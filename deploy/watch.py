@@ -8,8 +8,9 @@ import json
 import re
 import sys
 import time
-import urllib.error
 import urllib.request
+from contextlib import suppress
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +27,30 @@ def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
         return dict(json.load(answer))
 
 
+def ask(base: str, path: str, process: int | None, timeout_s: float = 40) -> dict[str, Any] | None:
+    """The answer, None while there is none; ends the program when the process has ended.
+
+    A daemon that serves keeps its port to its end: while it runs, nobody else answers there.
+    """
+    end_without(process)
+    answer = None
+    with suppress(OSError, HTTPException, json.JSONDecodeError):
+        answer = get(base, path, timeout_s)
+    end_without(process)
+    return answer
+
+
+def end_without(process: int | None) -> None:
+    if process is not None and not is_running(process):
+        sys.exit("the daemon ended")
+
+
 def wait_until_ready(base: str, process: int | None, patience_s: float = 120) -> None:
     deadline = time.monotonic() + patience_s
-    while True:
-        try:
-            get(base, "/health/live", timeout_s=2)
-        except (urllib.error.URLError, ConnectionError, TimeoutError):
-            if process is not None and not is_running(process):
-                sys.exit("the daemon ended")
-            if time.monotonic() > deadline:
-                sys.exit(f"no answer from {base} within {patience_s:.0f} s")
-            time.sleep(0.2)
-        else:
-            return
+    while ask(base, "/health/live", process, timeout_s=2) is None:
+        if time.monotonic() > deadline:
+            sys.exit(f"no answer from {base} within {patience_s:.0f} s")
+        time.sleep(0.2)
 
 
 def is_running(process: int) -> bool:
@@ -82,18 +94,16 @@ def main() -> int:
     if arguments.truth:
         records = [json.loads(line) for line in arguments.truth.read_text().splitlines()]
         truth = {record["bundle"]: record for record in records}
-    wait_until_ready(arguments.base, arguments.while_process)
-    print(f"results   {arguments.base}/api/v1/results")
-    print(f"health    {arguments.base}/api/v1/health")
-    print(f"API       {arguments.base}/api/v1/docs\n")
+    base, process = arguments.base, arguments.while_process
+    wait_until_ready(base, process)
+    print(f"results   {base}/api/v1/results")
+    print(f"health    {base}/api/v1/health")
+    print(f"API       {base}/api/v1/docs\n")
     print(HEAD, flush=True)
-    cursor = 0
+    cursor, is_through = 0, False
     while True:
-        try:
-            page = get(arguments.base, f"/results?after={cursor}&wait_s=2")
-        except (urllib.error.URLError, ConnectionError, TimeoutError):
-            if arguments.while_process is not None and not is_running(arguments.while_process):
-                sys.exit("the daemon ended")
+        page = ask(base, f"/results?after={cursor}&wait_s={0 if is_through else 2}", process)
+        if page is None:
             time.sleep(0.5)  # keep the cursor over an outage
             continue
         for item in page["items"]:
@@ -101,10 +111,15 @@ def main() -> int:
             print(row(item, truth.get(re.sub(r"-r\d+$", "", item["bundle"]))), flush=True)
         cursor = page["next_after"]
         if arguments.once and not page["items"]:
-            counts = get(arguments.base, "/accounting")
-            state = get(arguments.base, "/acquisition")["state"]
-            if counts["triggers"] > 0 and counts["in_progress"] == 0 and state == "disarmed":
+            counts, acquisition = ask(base, "/accounting", process), ask(base, "/acquisition", process)
+            if counts is None or acquisition is None:
+                continue
+            if is_through:
                 return summary(counts)
+            # then once more for what came between the two answers
+            is_through = (
+                counts["triggers"] > 0 and counts["in_progress"] == 0 and acquisition["state"] == "disarmed"
+            )
 
 
 def summary(counts: dict[str, Any]) -> int:
@@ -115,4 +130,7 @@ def summary(counts: dict[str, Any]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)

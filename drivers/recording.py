@@ -22,7 +22,7 @@ from drivers.bundle_file import (
 from drivers.errors import RecordingError
 from drivers.files import new_folder, read_json, write_json
 from drivers.rig_file import read_rig, write_rig
-from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
 from pipeline.rig import RigCalibration
 
 __all__ = [
@@ -33,10 +33,14 @@ __all__ = [
     "playback_order",
     "read_bundle",
     "read_header",
+    "require_rig_of",
+    "unreadable_triggers",
     "write_bundle",
 ]
 
 FORMAT = "stonefall-recording/1"
+UNKNOWN_UTC = "1970-01-01T00:00:00.000Z"
+UNREADABLE_SPACING_NS = 250_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,11 +59,6 @@ class Recording:
     """In order of sequence."""
     unreadable: tuple[RecordingError, ...]
     """Bundles that cannot be used, and why."""
-
-    @property
-    def bundle_paths(self) -> tuple[Path, ...]:
-        """The usable bundles in order of sequence."""
-        return tuple(header.path for header in self.headers)
 
 
 def open_recording(path: Path) -> Recording:
@@ -107,6 +106,27 @@ def playback_order(recording: Recording) -> list[BundleHeader]:
     if headers and headers[0].kind is not BundleKind.BACKGROUND:
         headers.sort(key=lambda header: header.kind is not BundleKind.BACKGROUND)
     return headers
+
+
+def unreadable_triggers(recording: Recording) -> list[tuple[Trigger, RecordingError]]:
+    """A trigger for each bundle that cannot be used, with the reason: nobody may overlook that a stone fell.
+
+    They come after all others; when they were taken is not known, and their time says so.
+    """
+    last = recording.headers[-1].trigger
+    return [
+        (
+            Trigger(
+                sequence=last.sequence + number,
+                received_ns=last.received_ns + number * UNREADABLE_SPACING_NS,
+                device_ns=0,
+                utc=UNKNOWN_UTC,
+                name=error.path.stem,
+            ),
+            error,
+        )
+        for number, error in enumerate(recording.unreadable, start=1)
+    ]
 
 
 class RecordingWriter:
@@ -214,6 +234,17 @@ def _read_headers(
     return tuple(headers), tuple(unreadable)
 
 
+def require_rig_of(recording: Recording, rig: RigCalibration, path: Path) -> None:
+    """Refuse a rig, read from `path`, that is not the one of the recording.
+
+    Raises
+    ------
+    RecordingError
+        Naming `path` and the cameras it lacks, or the camera with images of another size.
+    """
+    _require_rig_of(path, rig, recording.camera_ids, recording.image_size_px)
+
+
 def _require_rig_of(
     path: Path, rig: RigCalibration, camera_ids: Sequence[CameraId], size_px: tuple[int, int]
 ) -> None:
@@ -231,8 +262,11 @@ def _sizes(found_px: Sequence[int], expected_px: Sequence[int]) -> str:
 
 def _camera_ids(path: Path, document: Mapping[str, Any]) -> tuple[CameraId, ...]:
     ids = document.get("cameras")
-    if not isinstance(ids, list) or not ids or not all(isinstance(item, str) and item for item in ids):
+    if not isinstance(ids, list) or not ids or not all(isinstance(item, str) for item in ids):
         raise RecordingError(path, f"cameras: must be a list of camera ids, not {ids!r}")
+    for camera in ids:
+        if not CAMERA_ID.fullmatch(camera):
+            raise RecordingError(path, f"cameras: {camera!r} is no camera id (letters, digits, '-' and '_')")
     if len(set(ids)) < len(ids):
         raise RecordingError(path, "cameras: an id occurs twice")
     return tuple(CameraId(item) for item in ids)

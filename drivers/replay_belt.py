@@ -17,10 +17,9 @@ from itertools import count
 from statistics import median_low
 from typing import Literal, NamedTuple
 
-from drivers.bundle_file import DAMAGED
 from drivers.errors import RecordingError
 from drivers.interfaces import DeviceEvent, EventSink, FrameLost, PlaybackEnded
-from drivers.recording import BundleHeader, Recording, playback_order, read_bundle, read_header
+from drivers.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
 from pipeline.frames import CameraId, Frame, Trigger
 
 Pace = Literal["recorded", "stepped", "fast"]
@@ -32,6 +31,10 @@ MAX_SPACING_NS = 60_000_000_000
 """Longer pauses are shortened: between two recordings put together lie days."""
 FRAME_DELAY_NS = 259_400_000
 """From a trigger to its frames where the recording does not tell."""
+
+
+UNREADABLE = "unreadable"
+"""How the reason of every frame of an unreadable bundle begins."""
 
 
 class Outlet:
@@ -78,8 +81,8 @@ class _Due(NamedTuple):
 class ReplayBelt:
     """Plays while the gate is plugged in; keeps its place when it is unplugged.
 
-    Bundles whose header cannot be read are in `skipped` with the reason; a damaged page is delivered as
-    `FrameLost`. At the end, and again whenever the gate is plugged in after that, it gets `PlaybackEnded`.
+    A damaged page is delivered as `FrameLost`; of a bundle that cannot be read at all every frame is. At the
+    end, and again whenever the gate is plugged in after that, the gate gets `PlaybackEnded`.
     """
 
     def __init__(
@@ -90,13 +93,12 @@ class ReplayBelt:
         self.recording = recording
         self.gate = Outlet()
         self.cameras = {camera: Outlet() for camera in recording.camera_ids}
-        self.skipped = {error.path.stem: error.problem for error in recording.unreadable}
         self._pace = pace
         self._speed = speed if pace == "recorded" else 1.0
         self._headers = playback_order(recording)
+        self._unreadable = unreadable_triggers(recording)
         self._loop = loop
         self._position = 0  # in all rounds
-        self._played_position = -1
         self._delay_ns = _frame_delay_ns(self._headers)
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
@@ -242,30 +244,34 @@ class ReplayBelt:
             put(self.cameras[camera], lost)
 
     def _load_next(self) -> _Playable | None:
-        """Read the next usable bundle, numbered on from the last round; nothing at the end."""
-        while True:
-            played_round, index = divmod(self._position, len(self._headers))
-            is_barren = self._position - self._played_position > len(self._headers)
-            if is_barren or (played_round > 0 and not self._loop):
-                return None
-            self._position += 1
-            header = self._headers[index]
-            try:
-                bundle = self._read(header)
-            except RecordingError as err:
-                self.skipped[header.name] = err.problem
-                continue
-            self._played_position = self._position - 1
-            return self._renumbered(bundle, header, played_round)
+        """Read the next bundle, numbered on from the last round; nothing at the end.
+
+        The unreadable ones end the first round, and are in no other.
+        """
+        n_first = len(self._headers) + len(self._unreadable)
+        if self._position < n_first:
+            played_round, index = 0, self._position
+        else:
+            played_round, index = divmod(self._position - n_first, len(self._headers))
+            played_round += 1
+        if played_round > 0 and not self._loop:
+            return None
+        self._position += 1
+        if index >= len(self._headers):
+            trigger, error = self._unreadable[index - len(self._headers)]
+            return self._without_frames(trigger, error)
+        return self._renumbered(self._read(self._headers[index]), self._headers[index], played_round)
 
     def _read(self, header: BundleHeader) -> _Playable:
         try:
             bundle = read_bundle(header.path, self.recording.camera_ids)
-        except RecordingError:
-            header = read_header(header.path)
-            lost = dict.fromkeys(self.recording.camera_ids, DAMAGED)
-            return _Playable(trigger=header.trigger, frames=(), lost=lost | dict(header.missing))
+        except RecordingError as err:
+            return self._without_frames(header.trigger, err)
         return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
+
+    def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:
+        lost = dict.fromkeys(self.recording.camera_ids, f"{UNREADABLE}: {error.problem}")
+        return _Playable(trigger=trigger, frames=(), lost=lost)
 
     def _renumbered(self, bundle: _Playable, header: BundleHeader, played_round: int) -> _Playable:
         name = header.name

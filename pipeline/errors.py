@@ -56,10 +56,9 @@ class MeshError(PipelineError):
 
 
 class RejectedError(PipelineError):
-    """No measurable stone in this bundle; carries the reason and, per camera, what was seen."""
+    """No measurable stone in this bundle, for this reason."""
 
-    def __init__(self, reason: RejectReason, detail: str, views: dict[str, str] | None = None) -> None:
+    def __init__(self, reason: RejectReason, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")
         self.reason = reason
         self.detail = detail
-        self.views = views or {}

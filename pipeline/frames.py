@@ -4,6 +4,7 @@ Times are nanoseconds. `received_ns` is the host's monotonic clock at arrival, `
 device's own clock; the two are never subtracted from one another.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 CameraId = NewType("CameraId", str)
 """Name of a camera's place in the rig, such as `c01`; not the serial number of the device in it."""
+
+CAMERA_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+"""What a camera may be called: the id is part of file names and URLs."""
 
 Image = NDArray[np.uint8]
 """Grey image (H, W), row major, pixel centres on integers, (u, v) = (column, row)."""

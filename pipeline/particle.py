@@ -181,9 +181,10 @@ def _judge_views(
         raise RejectedError(
             RejectReason.MULTIPLE, f"{n_of[ViewStatus.MULTIPLE]} views show more than one body"
         )
-    n_cut = n_of[ViewStatus.CLIPPED] + n_of[ViewStatus.EMPTY]
-    if n_cut > parameters.views.max_unusable:
-        raise RejectedError(RejectReason.CLIPPED, f"the body leaves the image in {n_cut} views")
+    if n_of[ViewStatus.CLIPPED] > parameters.views.max_unusable:
+        raise RejectedError(
+            RejectReason.CLIPPED, f"the body leaves the image in {n_of[ViewStatus.CLIPPED]} views"
+        )
     usable = [camera for camera, silhouette in silhouettes.items() if silhouette.is_usable]
     _quality(rig.subset(usable), rig, parameters.views)
 

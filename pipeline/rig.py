@@ -18,7 +18,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.errors import RigError
-from pipeline.frames import CameraId
+from pipeline.frames import CAMERA_ID, CameraId
 
 FORMAT = "stonefall-rig/1"
 Method = Literal["nominal", "paper", "bundle", "imported"]
@@ -230,7 +230,7 @@ def rig_from_document(document: Any) -> RigCalibration:
 def _camera(entry: Any, path: str) -> CameraCalibration:
     members = _mapping(entry, path)
     camera_id = _member(members, "id", str, path)
-    if not camera_id or not camera_id.replace("-", "").replace("_", "").isalnum():
+    if not CAMERA_ID.fullmatch(camera_id):
         raise RigError(f"{path}.id", f"must be letters, digits, '-' and '_', not {camera_id!r}")
     size = _numbers(members, "image_size_px", (2,), path)
     if not (np.all(size == np.round(size)) and np.all(size >= 16) and np.all(size <= 65535)):

@@ -132,7 +132,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
     """Put the parts together; nothing runs yet, but what a killed predecessor left behind is settled."""
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_settings)
     calibration_path = settings.rig.calibration_path
-    calibration_id = (await asyncio.to_thread(read_rig, calibration_path)).calibration_id
+    calibration = await asyncio.to_thread(read_rig, calibration_path)
+    calibration_id = calibration.calibration_id
     is_simulated = devices.belt is not None and devices.belt.recording.is_simulated
     camera_ids = tuple(devices.cameras)
     session = await store.begin_session(
@@ -154,9 +155,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         slots=settings.workers.slots,
         deadline_s=settings.workers.deadline_s,
         initialize=initialize,
-        context=WorkerContext(
-            rig_path=calibration_path, parameters=settings.pipeline, is_simulated=is_simulated
-        ),
+        context=WorkerContext(rig=calibration, parameters=settings.pipeline, is_simulated=is_simulated),
     )
     spool = Spool(folder, max_bundles=settings.spool.max_bundles, camera_ids=camera_ids)
     if devices.belt is not None:

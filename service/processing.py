@@ -16,13 +16,21 @@ from typing import Any, Protocol
 from drivers.errors import RecordingError
 from pipeline.frames import CameraId
 from service.record import lost_record
-from service.spool import Loss, Spool, SpooledBundle
+from service.spool import Loss, SpooledBundle
 from service.worker_job import LearnJob, MeasureJob, learn_background, measure
 from service.workers import JobLostError, WorkerPool
 
 log = logging.getLogger(__name__)
 
 SHUTDOWN = Loss(reason="shutdown", detail="the daemon was stopped before this bundle was measured")
+
+
+class BundleSource(Protocol):
+    """The far side of the spool."""
+
+    async def take(self) -> SpooledBundle | None: ...
+
+    async def release(self, bundle: SpooledBundle) -> None: ...
 
 
 class ResultSink(Protocol):
@@ -71,7 +79,7 @@ class Processing:
         self,
         context: ProcessingContext,
         *,
-        spool: Spool,
+        spool: BundleSource,
         pool: WorkerPool,
         results: ResultSink,
         on_progress: Callable[[], None],

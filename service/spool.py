@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.recording import write_bundle
+from drivers.replay_belt import UNREADABLE
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 
 log = logging.getLogger(__name__)
@@ -66,8 +67,7 @@ class Spool:
     def offer(self, bundle: FrameBundle) -> None:
         """Take a bundle over; never blocks."""
         if not bundle.frames:
-            causes = sorted(set(bundle.missing.values()))
-            self._lose(bundle, Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered"))
+            self._lose(bundle, _without_frames(bundle))
         elif self.held >= self.max_bundles:
             self.overflows += 1
             self._lose(bundle, Loss(reason="queue_full", detail=f"{self.held} bundles were waiting"))
@@ -110,3 +110,10 @@ class Spool:
             loss = Loss(reason="queue_full", detail=f"spool: {err.strerror}")
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)
+
+
+def _without_frames(bundle: FrameBundle) -> Loss:
+    causes = sorted(set(bundle.missing.values()))
+    if len(causes) == 1 and causes[0].startswith(f"{UNREADABLE}: "):  # in a recording
+        return Loss(reason="unreadable", detail=causes[0].removeprefix(f"{UNREADABLE}: "))
+    return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")

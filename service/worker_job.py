@@ -17,8 +17,6 @@ import trimesh
 from threadpoolctl import threadpool_limits
 
 from drivers.recording import read_bundle, write_bundle
-from drivers.rig_file import read_rig
-from pipeline.errors import RigError
 from pipeline.frames import CameraId
 from pipeline.measuring import measure_shape
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
@@ -38,7 +36,7 @@ class WorkerFailure(Exception):  # noqa: N818 - a bug or a broken environment, w
 class WorkerContext:
     """What all jobs of a worker share."""
 
-    rig_path: Path
+    rig: RigCalibration
     parameters: PipelineParameters
     is_simulated: bool
     segmenter: str = "background"
@@ -69,7 +67,6 @@ class LearnJob:
 @dataclass(slots=True)
 class _Worker:
     context: WorkerContext
-    rig: RigCalibration
     calibration_id: str
     segmenter: Segmenter
     background_path: Path | None = None
@@ -97,11 +94,9 @@ def initialize(context: WorkerContext) -> None:
     # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
     threadpool_limits(1)
-    rig = read_rig(context.rig_path)
     _worker = _Worker(
         context=context,
-        rig=rig,
-        calibration_id=rig.calibration_id,
+        calibration_id=context.rig.calibration_id,
         segmenter=build_segmenter(context.segmenter, context.parameters),
     )
     measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
@@ -140,14 +135,12 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         background = _worker.background_at(job.background_path)
         on_stage("load")
         result = measure_bundle(
-            bundle, _worker.rig, background, _worker.segmenter, _worker.context.parameters, on_stage
+            bundle, _worker.context.rig, background, _worker.segmenter, _worker.context.parameters, on_stage
         )
         _write_files(job, result)
         if job.archive:
             write_bundle(job.out_dir / "bundle.tiff", bundle, job.camera_ids, compression="zstd")
         on_stage("write")
-    except RigError:
-        raise
     except Exception as err:  # noqa: BLE001 - the worker boundary: ship the traceback home
         raise WorkerFailure("".join(traceback.format_exception(err))) from None
     timings_ms["total"] = round(sum(timings_ms.values()), 2)
@@ -179,19 +172,35 @@ def _write_files(job: MeasureJob, result: ParticleResult) -> None:
 
 
 def learn_background(job: LearnJob) -> None:
-    """Fold one exposure of the empty rig into the background and write it as a new file."""
-    previous = {} if job.previous_path is None else read_background(job.previous_path)
+    """Fold one exposure of the empty rig into the background and write it as a new file.
+
+    Raises
+    ------
+    RecordingError
+        Nothing of the bundle can be read.
+    WorkerFailure
+        Anything else, with the traceback as text.
+    """
     bundle = read_bundle(job.bundle_path, job.camera_ids)
-    write_background(job.out_path, learn(previous, bundle.frames))
+    try:
+        previous = {} if job.previous_path is None else read_background(job.previous_path)
+        write_background(job.out_path, learn(previous, bundle.frames))
+    except Exception as err:  # noqa: BLE001 - the worker boundary, as above
+        raise WorkerFailure("".join(traceback.format_exception(err))) from None
+
+
+COUNTS = ".counts"
+"""Ending of the array beside a camera's mean; a camera id has no dot."""
 
 
 def read_background(path: Path) -> BackgroundModel:
     """The background model in a file written by `write_background`."""
     with np.load(path) as arrays:
         return {
-            CameraId(name): CameraBackground(mean=arrays[name], n_frames=int(arrays[f"{name}.n_frames"]))
+            CameraId(name): CameraBackground(mean=arrays[name], n_frames=n_frames, n_refused=n_refused)
             for name in arrays.files
-            if not name.endswith(".n_frames")
+            if not name.endswith(COUNTS)
+            for n_frames, n_refused in [arrays[name + COUNTS].tolist()]
         }
 
 
@@ -200,7 +209,7 @@ def write_background(path: Path, model: BackgroundModel) -> None:
     arrays: dict[str, Any] = {}
     for camera, background in model.items():
         arrays[camera] = background.mean
-        arrays[f"{camera}.n_frames"] = np.int64(background.n_frames)
+        arrays[camera + COUNTS] = np.array([background.n_frames, background.n_refused])
     partial = path.with_suffix(".tmp")
     with partial.open("wb") as file:
         np.savez(file, **arrays)

@@ -6,7 +6,7 @@ live, by one worker or by many meets the same background.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -19,6 +19,8 @@ SLOWEST_WEIGHT = 0.1
 """Least weight of a new empty frame: the model forgets dust and drift of the light within some tens of them."""
 CHANGED_SHARE = 2e-3
 """A frame that differs from the model in a larger share of its pixels is not empty and teaches nothing."""
+MAX_REFUSED = 3
+"""So many such frames in a row, and it is the model that shows something else: it is learnt anew."""
 COARSE = 4
 """Edge of the blocks, in pixels, on which a body is looked for first."""
 
@@ -29,6 +31,7 @@ class CameraBackground:
 
     mean: NDArray[np.float32]  # (H, W) grey level
     n_frames: int
+    n_refused: int = 0  # frames in a row that differed from it
 
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
@@ -55,6 +58,12 @@ def learn_background(model: BackgroundModel, frames: Mapping[CameraId, Frame]) -
             continue
         image /= np.float32(flash_gain(coarsen(image), known.coarse))
         if np.mean(np.abs(coarsen(image) - known.coarse) > 0.1 * known.coarse + 4) > CHANGED_SHARE:
+            n_refused = known.n_refused + 1
+            learnt[camera] = (
+                replace(known, n_refused=n_refused)
+                if n_refused < MAX_REFUSED
+                else CameraBackground(mean=frame.image.astype(np.float32), n_frames=1)
+            )
             continue
         weight = np.float32(max(1 / (known.n_frames + 1), SLOWEST_WEIGHT))
         mean = known.mean + weight * (image - known.mean)

@@ -1,35 +1,43 @@
-"""`stonefall measure`: the daemon's pipeline over a recording, offline."""
+"""`stonefall measure`: the daemon's processing over a recording, without the daemon around it.
 
+Bundles come from the recording instead of the spool, outcomes go to a folder instead of the store; what
+lies between is the same, so the numbers are.
+"""
+
+import asyncio
 import json
-import multiprocessing
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import IO, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from drivers.errors import RecordingError
-from drivers.recording import BundleHeader, Recording, open_recording, playback_order
+from drivers.recording import Recording, open_recording, playback_order, require_rig_of, unreadable_triggers
 from drivers.rig_file import read_rig
 from pipeline.frames import BundleKind
 from pipeline.gradation import gradation
 from pipeline.particle import PipelineParameters
-from pipeline.rig import require_cameras
-from service.errors import UsageError
-from service.record import lost_record
+from service.errors import ServiceError, UsageError
+from service.processing import Processing, ProcessingContext
 from service.settings import load_settings
-from service.worker_job import LearnJob, MeasureJob, WorkerContext, initialize, learn_background, measure
+from service.spool import Loss, SpooledBundle
+from service.worker_job import WorkerContext, initialize
+from service.workers import WorkerPool
+
+DEADLINE_S = 600.0
+"""Nobody waits for a stone here; only a worker that hangs is ended."""
+IN_FLIGHT = 4
+"""Bundles a worker on their way at a time."""
 
 
 class SegmenterName(StrEnum):
@@ -62,132 +70,125 @@ def command(
     if not rig_path.exists():
         raise UsageError(f"{recording} has no rig.json; name a rig file with --rig")
     calibration = read_rig(rig_path)
-    require_cameras(calibration, source.camera_ids)
+    require_rig_of(source, calibration, rig_path)
     parameters = load_settings(config).pipeline if config else PipelineParameters()
     if field is not None:
         parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
     context = WorkerContext(
-        rig_path=rig_path, parameters=parameters, is_simulated=source.is_simulated, segmenter=segmenter.value
+        rig=calibration, parameters=parameters, is_simulated=source.is_simulated, segmenter=segmenter.value
     )
     (out / "meshes").mkdir(parents=True, exist_ok=True)
-    records = []
-    partial = out / "results.jsonl.tmp"
-    with partial.open("w") as lines:
-        for record in _measured(source, context, out, workers, save_silhouettes, calibration.calibration_id):
-            lines.write(json.dumps(record) + "\n")
-            records.append(record)
-    partial.rename(out / "results.jsonl")
-    measured = [record for record in records if record["outcome"] == "measured"]
-    curve = gradation([r["sieve_size_mm"] for r in measured], [r["volume_mm3"] for r in measured])
+    records = _measure_all(source, context, out, workers, save_silhouettes)
+    stones = [r for r in records if r["outcome"] == "measured" and r["kind"] == BundleKind.PARTICLE]
+    curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
     (out / "gradation.json").write_text(json.dumps(asdict(curve), indent=2) + "\n")
     _report(records, as_json)
 
 
-def _measured(
+class _Playback:
+    """The recording in the place of the spool."""
+
+    def __init__(self, source: Recording, in_flight: int) -> None:
+        self._bundles = [
+            SpooledBundle(trigger=header.trigger, name=header.name, content=header.path)
+            for header in playback_order(source)
+        ] + [
+            SpooledBundle(
+                trigger=trigger, name=error.path.stem, content=Loss(reason="unreadable", detail=error.problem)
+            )
+            for trigger, error in unreadable_triggers(source)
+        ]
+        self.n_particles = sum(not bundle.is_background for bundle in self._bundles)
+        self._room = asyncio.Semaphore(in_flight)
+
+    async def take(self) -> SpooledBundle | None:
+        await self._room.acquire()
+        return self._bundles.pop(0) if self._bundles else None
+
+    async def release(self, bundle: SpooledBundle) -> None:
+        self._room.release()
+
+
+class _Folder:
+    """The output folder in the place of the store."""
+
+    def __init__(self, out: Path, lines: IO[str]) -> None:
+        self._out = out
+        self._lines = lines
+        self.records: list[dict[str, Any]] = []
+
+    async def finish(
+        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+    ) -> int:
+        """Keep a record, and its files where the command promises them."""
+        kept = dict(record)
+        if mesh := (files or {}).get("mesh.ply"):
+            kept["mesh"] = f"meshes/{bundle}.ply"
+            mesh.replace(self._out / kept["mesh"])
+        if silhouettes := (files or {}).get("silhouettes"):
+            folder = self._out / "silhouettes" / bundle
+            folder.parent.mkdir(exist_ok=True)
+            shutil.rmtree(folder, ignore_errors=True)
+            silhouettes.rename(folder)
+        self._lines.write(json.dumps(kept) + "\n")
+        self.records.append(kept)
+        return len(self.records)
+
+
+def _measure_all(
+    source: Recording, context: WorkerContext, out: Path, workers: int, save_silhouettes: bool
+) -> list[dict[str, Any]]:
+    """All records in playback order; `results.jsonl` appears when it is complete."""
+    partial = out / "results.jsonl.tmp"
+    try:
+        with (
+            partial.open("w") as lines,
+            tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as work,
+            Progress(console=Console(file=sys.stderr)) as progress,
+        ):
+            results = _Folder(out, lines)
+            processing_context = ProcessingContext(
+                session=0,
+                camera_ids=source.camera_ids,
+                calibration_id=context.rig.calibration_id,
+                is_simulated=source.is_simulated,
+                archive_raw=False,
+                save_silhouettes=save_silhouettes,
+                folder=Path(work),
+            )
+            asyncio.run(_run(source, context, processing_context, results, workers, progress))
+        partial.rename(out / "results.jsonl")
+    finally:
+        with suppress(FileNotFoundError):
+            partial.unlink()
+    return results.records
+
+
+async def _run(
     source: Recording,
     context: WorkerContext,
-    out: Path,
+    processing_context: ProcessingContext,
+    results: _Folder,
     workers: int,
-    save_silhouettes: bool,
-    calibration_id: str,
-) -> Iterator[dict[str, Any]]:
-    """The records in playback order; background exposures are folded in where they stand in that order."""
-    headers = playback_order(source)
-    n_particles = sum(header.kind is not BundleKind.BACKGROUND for header in headers)
-    progress = Progress(console=Console(file=sys.stderr))
-    with _work_folder(out) as work, progress, _pool(workers, context) as pool:
-        bar = progress.add_task("measuring", total=n_particles)
-        waiting: list[tuple[BundleHeader, Path, Future[dict[str, Any]]]] = []
-        background: Path | None = None
-
-        def finished(keep: int) -> Iterator[dict[str, Any]]:
-            while len(waiting) > keep:
-                header, folder, future = waiting.pop(0)
-                yield _collect(header, folder, future, out, calibration_id, source.is_simulated)
-                progress.advance(bar)
-
-        for number, header in enumerate(headers):
-            if header.kind is BundleKind.BACKGROUND:
-                yield from finished(keep=0)  # nothing reads the old background any more
-                previous, background = background, work / f"background-{number}.npz"
-                job = LearnJob(
-                    bundle_path=header.path,
-                    camera_ids=source.camera_ids,
-                    previous_path=previous,
-                    out_path=background,
-                )
-                pool.submit(learn_background, job).result()
-                if previous is not None:
-                    previous.unlink()
-                continue
-            folder = work / str(number)
-            task = MeasureJob(
-                bundle_path=header.path,
-                camera_ids=source.camera_ids,
-                background_path=background,
-                out_dir=folder,
-                save_silhouettes=save_silhouettes,
-            )
-            waiting.append((header, folder, pool.submit(measure, task)))
-            yield from finished(keep=4 * workers)
-        yield from finished(keep=0)
-    for damaged in source.unreadable:
-        yield lost_record(
-            None,
-            bundle=damaged.path.stem,
-            reason="unreadable",
-            detail=damaged.problem,
-            calibration_id=calibration_id,
-            is_simulated=source.is_simulated,
-        )
-
-
-def _collect(
-    header: BundleHeader,
-    folder: Path,
-    future: Future[dict[str, Any]],
-    out: Path,
-    calibration_id: str,
-    is_simulated: bool,
-) -> dict[str, Any]:
-    """The record of a finished job, its files moved to where the command promises them."""
-    try:
-        record = future.result()
-    except RecordingError as err:
-        return lost_record(
-            header.trigger,
-            bundle=header.name,
-            reason="unreadable",
-            detail=str(err),
-            calibration_id=calibration_id,
-            is_simulated=is_simulated,
-        )
-    if record["mesh"] is not None:
-        record["mesh"] = f"meshes/{header.name}.ply"
-        (folder / "mesh.ply").replace(out / record["mesh"])
-    if (folder / "silhouettes").exists():
-        kept = out / "silhouettes" / header.name
-        kept.parent.mkdir(exist_ok=True)
-        shutil.rmtree(kept, ignore_errors=True)
-        (folder / "silhouettes").rename(kept)
-    return record
-
-
-@contextmanager
-def _work_folder(out: Path) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as work:
-        yield Path(work)
-
-
-@contextmanager
-def _pool(workers: int, context: WorkerContext) -> Iterator[ProcessPoolExecutor]:
-    pool = ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=initialize, initargs=(context,)
+    progress: Progress,
+) -> None:
+    playback = _Playback(source, IN_FLIGHT * workers)
+    bar = progress.add_task("measuring", total=playback.n_particles)
+    pool = WorkerPool(slots=workers, deadline_s=DEADLINE_S, initialize=initialize, context=context)
+    processing = Processing(
+        processing_context,
+        spool=playback,
+        pool=pool,
+        results=results,
+        on_progress=lambda: progress.update(bar, completed=len(results.records)),
     )
     try:
-        yield pool
+        await pool.start()
+        await processing.run()
+    except* ServiceError as group:
+        raise group.exceptions[0] from None
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.close()
 
 
 def _report(records: list[dict[str, Any]], as_json: bool) -> None:

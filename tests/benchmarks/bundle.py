@@ -20,7 +20,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support import rendered
 
 from drivers.recording import write_bundle
-from drivers.rig_file import write_rig
 from pipeline.particle import PipelineParameters
 from pipeline.synthesis.bundles import render_bundle, stream
 from pipeline.synthesis.placement import tumble
@@ -44,11 +43,8 @@ def main() -> None:
 
 def measure_sizes(folder: Path, repeat: int) -> Table:
     rig = rendered.rig()
-    write_rig(folder / "rig.json", rig)
     worker_job.write_background(folder / "background.npz", rendered.background())
-    context = worker_job.WorkerContext(
-        rig_path=folder / "rig.json", parameters=PipelineParameters(), is_simulated=True
-    )
+    context = worker_job.WorkerContext(rig=rig, parameters=PipelineParameters(), is_simulated=True)
     worker_job.initialize(context)
     # stages are timed by the process' CPU clock instead of the wall's
     time.perf_counter = time.process_time  # type: ignore[assignment]

@@ -14,6 +14,7 @@ from support.daemon_process import DaemonProcess, is_running
 from support.small_recording import write_small_recording
 
 from drivers.recording import open_recording, playback_order
+from drivers.rig_file import read_rig
 from pipeline.carving import CarvingParameters
 from pipeline.frames import BundleKind
 from pipeline.particle import PipelineParameters
@@ -45,7 +46,7 @@ def is_through(accounting: dict[str, Any]) -> bool:
 def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
     recording = open_recording(path)
     context = WorkerContext(
-        rig_path=path / "rig.json",
+        rig=read_rig(path / "rig.json"),
         parameters=PipelineParameters(carving=CarvingParameters(n=64)),
         is_simulated=True,
     )

@@ -22,11 +22,15 @@ COMPARED = (
 @pytest.mark.parametrize("slots", [1, 3])
 def test_daemon_equals_offline(tmp_path: Path, slots: int) -> None:
     recording = tmp_path / "recording"
-    write_small_recording(recording, n_stones=4)
+    write_small_recording(recording, n_stones=5)
+    header, torn, page = sorted((recording / "bundles").iterdir())[-3:]
+    header.write_bytes(header.read_bytes()[:50])  # cannot be read at all
+    torn.write_bytes(torn.read_bytes()[:-2000])  # the header is sound, the last pages are not
+    assert page.exists()
     with DaemonProcess(tmp_path, recording, slots=slots) as daemon:
         daemon.hear("READY=1")
         deadline = time.monotonic() + 60
-        while (counts := daemon.get("/accounting"))["triggers"] < 4 or counts["in_progress"]:
+        while (counts := daemon.get("/accounting"))["triggers"] < 5 or counts["in_progress"]:
             assert time.monotonic() < deadline, daemon.log
             time.sleep(0.1)
         live = daemon.get("/results?after=0")["items"]
@@ -35,8 +39,13 @@ def test_daemon_equals_offline(tmp_path: Path, slots: int) -> None:
         result = CliRunner().invoke(build_app(), arguments, catch_exceptions=False)
         assert result.exit_code == 0, result.output
         offline = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
-        assert len(live) == len(offline) == 4
+        assert len(live) == len(offline) == 5
+        assert [record["outcome"] for record in offline] == [*["measured"] * 4, "lost"]
+        assert offline[-1]["reason"] == "unreadable"
+        assert offline[2]["dropped_views"]
         for ours, theirs in zip(live, offline, strict=True):
             assert {key: ours[key] for key in COMPARED} == {key: theirs[key] for key in COMPARED}
+            if ours["mesh"] is None:
+                continue
             kept = tmp_path / "state" / ours["mesh"]
             assert kept.read_bytes() == (tmp_path / "out" / theirs["mesh"]).read_bytes()

@@ -1,114 +1,198 @@
-"""Each fault does what it says, seeded, to the devices it names and to no other."""
-
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import pytest
-from support.collector import Collector
-from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
+from support.recordings import CAMERAS, SPACING_NS, make_bundle, tagged_image
+from support.sinks import Collector
 
-from drivers.factory import ReplayBackend, build_devices
+from drivers.cameras.faulty import FaultyCamera
+from drivers.errors import DriverUnavailableError
+from drivers.factory import AravisBackend, build_devices
 from drivers.faults import Fault, FaultPlan
-from drivers.interfaces import CameraLost, GateLost, PlaybackEnded, TriggersIgnored
+from drivers.gates.faulty import FaultyGate
+from drivers.interfaces import CameraLost, DeviceEvent, EventSink, GateLost, TriggersIgnored
 from pipeline.frames import CameraId, Frame, Trigger
 
-N_BUNDLES = 6
-FIRST, SECOND = CAMERAS[0], CAMERAS[1]
+C01, C02 = CAMERAS[:2]
+FRAMES = [make_bundle(number).frames[C01] for number in range(8)]
+TRIGGERS = [make_bundle(number, name=f"n{number}").trigger for number in range(8)]
 
 
-def played(tmp_path: Path, plan: FaultPlan) -> Collector:
-    """What arrives of six exposures; the frames of one camera are enough."""
-    path = tmp_path / "recording"
-    if not path.exists():
-        write_recording(path, [make_bundle(i) for i in range(1, N_BUNDLES + 1)])
-    devices = build_devices(ReplayBackend(recording=path, pace="fast", faults=plan))
-    assert devices.belt is not None
-    events = Collector()
-    for camera in devices.cameras.values():
-        camera.open()
-        camera.arm(events)
-    devices.gate.open()
-    devices.gate.arm(events)
-    devices.belt.permit(N_BUNDLES)
-    events.wait(lambda: bool(events.of(PlaybackEnded) or events.of(GateLost)))
-    devices.gate.close()
-    for camera in devices.cameras.values():
-        camera.close()
-    return events
+class Puppet:
+    """A camera or gate that delivers what the test says."""
+
+    id = C01
+
+    def __init__(self) -> None:
+        self.sink: EventSink | None = None
+
+    def open(self) -> None: ...
+
+    def arm(self, sink: EventSink) -> None:
+        self.sink = sink
+
+    def disarm(self) -> None:
+        self.sink = None
+
+    def close(self) -> None:
+        self.sink = None
+
+    def say(self, events: list[Any]) -> None:
+        assert self.sink is not None
+        for event in events:
+            self.sink.deliver(event)
 
 
-def shown(events: Collector, camera: CameraId = FIRST) -> list[int]:
-    """Which exposures the camera's frames show, in the order they arrive."""
-    numbers = []
-    for frame in events.of(Frame):
-        if frame.camera == camera:
-            (number,) = (i for i in range(1, N_BUNDLES + 1) if (frame.image == tagged_image(i, camera)).all())
-            numbers.append(number)
-    return numbers
+def at(*indices: int) -> Fault:
+    return Fault(at=frozenset(indices))
 
 
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        (FaultPlan(lose=Fault(at=frozenset({2}))), [1, 2, 4, 5, 6]),
-        (FaultPlan(delay=Fault(at=frozenset({2}))), [1, 2, 3, 4, 5, 6]),
-        (FaultPlan(duplicate=Fault(at=frozenset({2}))), [1, 2, 3, 3, 4, 5, 6]),
-        (FaultPlan(swap=Fault(at=frozenset({2}))), [1, 2, 2, 4, 5, 6]),
-        (FaultPlan(freeze=Fault(at=frozenset({2}))), [1, 2, 3, 3, 3, 3]),
-    ],
-    ids=["lose", "delay", "duplicate", "swap", "freeze"],
-)
-def test_frame_faults(tmp_path: Path, plan: FaultPlan, expected: Sequence[int]) -> None:
-    events = played(tmp_path, replace(plan, cameras=frozenset({FIRST})))
-    assert shown(events) == expected
-    assert shown(events, SECOND) == [1, 2, 3, 4, 5, 6]
+def through_camera(plan: FaultPlan, events: list[Any] = FRAMES) -> list[DeviceEvent]:
+    puppet, sink = Puppet(), Collector()
+    camera = FaultyCamera(puppet, plan)
+    camera.open()
+    camera.arm(sink)
+    puppet.say(events)
+    return sink.events
 
 
-def test_a_delayed_frame_arrives_with_the_next_one(tmp_path: Path) -> None:
-    plan = FaultPlan(delay=Fault(at=frozenset({2})), cameras=frozenset({FIRST}))
-    frames = [frame for frame in played(tmp_path, plan).of(Frame) if frame.camera == FIRST]
-    assert frames[2].received_ns == frames[3].received_ns
-    assert frames[2].frame_id < frames[3].frame_id
+def through_gate(plan: FaultPlan) -> list[DeviceEvent]:
+    puppet, sink = Puppet(), Collector()
+    gate = FaultyGate(puppet, plan)
+    gate.open()
+    gate.arm(sink)
+    puppet.say(TRIGGERS)
+    return sink.events
 
 
-def test_a_disconnected_camera_says_so_and_is_silent(tmp_path: Path) -> None:
-    plan = FaultPlan(disconnect=Fault(at=frozenset({3})), cameras=frozenset({FIRST}))
-    events = played(tmp_path, plan)
-    assert shown(events) == [1, 2, 3]
-    assert [lost.camera for lost in events.of(CameraLost)] == [FIRST]
+def ids(events: list[DeviceEvent]) -> list[int]:
+    return [event.frame_id - 1 for event in events if isinstance(event, Frame)]
 
 
-def test_trigger_faults(tmp_path: Path) -> None:
-    plan = FaultPlan(
-        lose_trigger=Fault(at=frozenset({1})),
-        double_trigger=Fault(at=frozenset({3})),
-        bounce_trigger=Fault(at=frozenset({4})),
-    )
-    events = played(tmp_path, plan)
-    names = [trigger.name for trigger in events.of(Trigger)]
-    assert names == ["00000001", "00000003", "00000004", "00000004-double", "00000005", "00000006"]
-    assert [ignored.count for ignored in events.of(TriggersIgnored)] == [1]
-    assert shown(events) == [1, 2, 3, 4, 5, 6], "the cameras expose all the same"
+def shown(events: list[DeviceEvent]) -> list[int]:
+    """Whose exposure each frame shows."""
+    tags = {tagged_image(number, C01).tobytes(): number for number in range(8)}
+    return [tags[event.image.tobytes()] for event in events if isinstance(event, Frame)]
 
 
-def test_a_disconnected_gate_says_so_and_is_silent(tmp_path: Path) -> None:
-    events = played(tmp_path, FaultPlan(disconnect_gate=Fault(at=frozenset({2}))))
-    assert len(events.of(Trigger)) == 2
-    assert len(events.of(GateLost)) == 1
+def test_without_faults_nothing_changes() -> None:
+    assert through_camera(FaultPlan()) == FRAMES
+    assert through_gate(FaultPlan()) == TRIGGERS
+    assert through_camera(FaultPlan(cameras=frozenset({C02}), lose=Fault(probability=1))) == FRAMES
 
 
-def test_chance_is_seeded_and_independent_for_each_camera(tmp_path: Path) -> None:
-    def survivors(seed: int) -> list[list[int]]:
-        events = played(tmp_path, FaultPlan(seed=seed, lose=Fault(probability=0.5)))
-        return [shown(events, camera) for camera in CAMERAS]
-
-    first = survivors(1)
-    assert survivors(1) == first
-    assert survivors(2) != first
-    assert len({tuple(numbers) for numbers in first}) > 1
+def test_a_frame_is_lost() -> None:
+    assert ids(through_camera(FaultPlan(lose=at(2, 5)))) == [0, 1, 3, 4, 6, 7]
 
 
-def test_probabilities_are_checked() -> None:
-    with pytest.raises(ValueError, match="probability"):
+def test_a_frame_is_late() -> None:
+    events = through_camera(FaultPlan(delay=at(2, 3)))
+    assert ids(events) == [0, 1, 2, 3, 4, 5, 6, 7]
+    arrivals_ns = [event.received_ns - FRAMES[0].received_ns for event in events]
+    assert arrivals_ns == [SPACING_NS * number for number in (0, 1, 4, 4, 4, 5, 6, 7)]
+    assert [event.device_ns for event in events if isinstance(event, Frame)] == [f.device_ns for f in FRAMES]
+
+
+def test_a_frame_comes_twice() -> None:
+    assert ids(through_camera(FaultPlan(duplicate=at(1)))) == [0, 1, 1, 2, 3, 4, 5, 6, 7]
+
+
+def test_a_frame_shows_the_stone_before() -> None:
+    events = through_camera(FaultPlan(swap=at(0, 3)))
+    assert ids(events) == list(range(8))
+    assert shown(events) == [0, 1, 2, 2, 4, 5, 6, 7]
+
+
+def test_a_camera_freezes() -> None:
+    events = through_camera(FaultPlan(freeze=at(3)))
+    assert ids(events) == list(range(8))
+    assert shown(events) == [0, 1, 2, 3, 3, 3, 3, 3]
+
+
+def test_a_camera_is_gone_until_it_is_opened_again() -> None:
+    puppet, sink = Puppet(), Collector()
+    camera = FaultyCamera(puppet, FaultPlan(disconnect=at(2)))
+    camera.open()
+    camera.arm(sink)
+    puppet.say(FRAMES[:4])
+    assert ids(sink.events) == [0, 1]
+    (loss,) = sink.events[2:]
+    assert isinstance(loss, CameraLost)
+    assert loss.camera == C01
+    camera.close()
+    camera.open()
+    camera.arm(sink)
+    puppet.say(FRAMES[4:])
+    assert ids(sink.events) == [0, 1, 4, 5, 6, 7]
+
+
+def test_delayed_frames_do_not_survive_disarming() -> None:
+    puppet, sink = Puppet(), Collector()
+    camera = FaultyCamera(puppet, FaultPlan(delay=at(0)))
+    camera.open()
+    camera.arm(sink)
+    puppet.say(FRAMES[:1])
+    camera.disarm()
+    camera.arm(sink)
+    puppet.say(FRAMES[1:2])
+    assert ids(sink.events) == [1]
+
+
+def test_a_trigger_is_lost() -> None:
+    swallowed: list[int] = []
+    puppet, sink = Puppet(), Collector()
+    gate = FaultyGate(puppet, FaultPlan(lose_trigger=at(2)), on_swallowed=lambda: swallowed.append(1))
+    gate.open()
+    gate.arm(sink)
+    puppet.say(TRIGGERS)
+    assert [event.sequence for event in sink.events if isinstance(event, Trigger)] == [0, 1, 3, 4, 5, 6, 7]
+    assert swallowed == [1]
+
+
+def test_a_stone_is_counted_twice() -> None:
+    events = through_gate(FaultPlan(double_trigger=at(1)))
+    assert [(event.sequence, event.name) for event in events if isinstance(event, Trigger)] == [
+        (0, "n0"),
+        (1, "n1"),
+        (2, "n1-double"),
+        *((number + 1, f"n{number}") for number in range(2, 8)),
+    ]
+    assert 0 < events[2].received_ns - events[1].received_ns < SPACING_NS / 10
+
+
+def test_an_edge_bounces() -> None:
+    events = through_gate(FaultPlan(bounce_trigger=at(1)))
+    assert [event for event in events if isinstance(event, Trigger)] == TRIGGERS
+    (bounce,) = (event for event in events if isinstance(event, TriggersIgnored))
+    assert (bounce.count, bounce.reason) == (1, "bounce")
+
+
+def test_the_gate_is_gone_until_it_is_opened_again() -> None:
+    puppet, sink = Puppet(), Collector()
+    gate = FaultyGate(puppet, FaultPlan(disconnect_gate=at(1)))
+    gate.open()
+    gate.arm(sink)
+    puppet.say(TRIGGERS[:4])
+    assert [type(event) for event in sink.events] == [Trigger, GateLost]
+    gate.close()
+    gate.open()
+    gate.arm(sink)
+    puppet.say(TRIGGERS[4:])
+    assert sink.events[2:] == TRIGGERS[4:]
+
+
+def test_the_seed_decides() -> None:
+    plan = FaultPlan(seed=3, lose=Fault(probability=0.5))
+    outcomes = {tuple(ids(through_camera(replace(plan, seed=seed)))) for seed in range(10)}
+    assert len(outcomes) > 5
+    assert through_camera(plan) == through_camera(plan)
+    # another fault in the plan does not move the first one
+    both = through_camera(replace(plan, duplicate=Fault(probability=0.5)))
+    assert sorted(set(ids(both))) == ids(through_camera(plan))
+
+
+def test_wrong_plans_and_missing_drivers_are_named() -> None:
+    with pytest.raises(ValueError, match=r"probability must be in 0\.\.1"):
         Fault(probability=1.5)
+    with pytest.raises(DriverUnavailableError, match="backend aravis: this version has no driver"):
+        build_devices(AravisBackend(cameras={CameraId("c01"): "192.0.2.11"}))

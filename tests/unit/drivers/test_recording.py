@@ -31,8 +31,8 @@ def test_a_recording_gives_back_what_was_added(tmp_path: Path) -> None:
     assert recording.unreadable == ()
     assert [header.sequence for header in recording.headers] == [0, 1, 2]
     by_sequence = sorted(bundles, key=lambda bundle: bundle.trigger.sequence)
-    for bundle_path, bundle in zip(recording.bundle_paths, by_sequence, strict=True):
-        assert_same_bundle(read_bundle(bundle_path, recording.camera_ids), bundle)
+    for header, bundle in zip(recording.headers, by_sequence, strict=True):
+        assert_same_bundle(read_bundle(header.path, recording.camera_ids), bundle)
 
 
 def test_background_comes_before_the_first_stone(tmp_path: Path) -> None:
@@ -155,3 +155,13 @@ def test_rig_files(tmp_path: Path) -> None:
         read_rig(path)
     with pytest.raises(RecordingError, match="cannot be read: No such file"):
         read_rig(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize("camera", ["../evil", "", "c 1", "é"])
+def test_camera_ids_cannot_be_paths(tmp_path: Path, camera: str) -> None:
+    path = write_recording(tmp_path / "r", [make_bundle(0)])
+    document = json.loads((path / "recording.json").read_text())
+    document["cameras"][0] = camera
+    (path / "recording.json").write_text(json.dumps(document))
+    with pytest.raises(RecordingError, match=r"recording\.json: cameras: "):
+        open_recording(path)

@@ -1,146 +1,224 @@
-"""The belt plays a recording at every pace, and damaged bundles cost only themselves."""
-
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
-from support.collector import Collector
-from support.recordings import CAMERAS, DELAY_NS, SPACING_NS, make_bundle, write_recording
+from support.recordings import (
+    CAMERAS,
+    DELAY_NS,
+    SPACING_NS,
+    make_bundle,
+    tagged_image,
+    write_recording,
+)
+from support.sinks import Collector
 
-from drivers.factory import Devices, ReplayBackend, build_devices
-from drivers.interfaces import FrameLost, PlaybackEnded
-from pipeline.frames import BundleKind, Frame, Trigger
+from drivers.cameras.replay import ReplayCamera
+from drivers.errors import CameraUnavailableError
+from drivers.interfaces import DeviceEvent, FrameLost, PlaybackEnded
+from drivers.recording import open_recording
+from drivers.replay_belt import MAX_SPACING_NS, Pace, ReplayBelt
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 
 
 @contextmanager
-def playing(backend: ReplayBackend, sink: Collector) -> Iterator[Devices]:
-    devices = build_devices(backend)
-    for camera in devices.cameras.values():
-        camera.open()
-        camera.arm(sink)
-    devices.gate.open()
-    devices.gate.arm(sink)
+def playing(
+    path: Path,
+    *,
+    pace: Pace = "fast",
+    permits: int = 1000,
+    speed: float = 1.0,
+    loop: bool = False,
+    cameras: Sequence[CameraId] = CAMERAS,
+) -> Iterator[tuple[ReplayBelt, Collector]]:
+    """A belt with all its sinks in one collector."""
+    belt = ReplayBelt(open_recording(path), pace=pace, speed=speed, loop=loop)
+    sink = Collector()
+    for camera in cameras:
+        belt.cameras[camera].plug(sink)
+    belt.permit(permits)
+    belt.start(sink)
     try:
-        yield devices
+        yield belt, sink
     finally:
-        devices.gate.close()
-        for camera in devices.cameras.values():
-            camera.close()
+        belt.stop()
 
 
-def recorded(path: Path, n: int = 3) -> Path:
-    return write_recording(path, [make_bundle(i) for i in range(1, n + 1)])
+def until_the_end(sink: Collector) -> list[DeviceEvent]:
+    while not isinstance(sink.next(), PlaybackEnded):
+        pass
+    return sink.events[:-1]
 
 
-@pytest.mark.parametrize("pace", ["fast", "recorded"])
-def test_times_within_and_between_bundles_are_as_recorded(tmp_path: Path, pace: str) -> None:
-    events = Collector()
-    backend = ReplayBackend(
-        recording=recorded(tmp_path / "r"),
-        pace=pace,  # type: ignore[arg-type]
-        speed=10.0 if pace == "recorded" else 1.0,
-    )
-    started = time.monotonic()
-    with playing(backend, events) as devices:
-        assert devices.belt is not None
-        devices.belt.permit(3)
-        events.wait(lambda: bool(events.of(PlaybackEnded)))
-    elapsed_s = time.monotonic() - started
-    triggers, frames = events.of(Trigger), events.of(Frame)
-    assert [trigger.name for trigger in triggers] == ["00000001", "00000002", "00000003"]
-    assert len(frames) == 3 * len(CAMERAS)
-    start_ns = triggers[0].received_ns
-    for number, trigger in enumerate(triggers):
-        assert trigger.received_ns == start_ns + number * SPACING_NS
-        of_trigger = frames[number * len(CAMERAS) : (number + 1) * len(CAMERAS)]
-        for position, frame in enumerate(of_trigger):
-            assert frame.received_ns == trigger.received_ns + DELAY_NS + position * 1_000_000
-    times = [event.received_ns for event in events.events]
-    assert times == sorted(times), "the next trigger comes before the last frames of a slow bundle"
-    recorded_s = (2 * SPACING_NS + DELAY_NS) / 1e9
-    assert elapsed_s < recorded_s, "ten times as fast, or without waiting"
-    if pace == "recorded":
-        assert elapsed_s > recorded_s / 10
+def triggers(events: Sequence[DeviceEvent]) -> list[Trigger]:
+    return [event for event in events if isinstance(event, Trigger)]
 
 
-def test_a_bundle_a_permit(tmp_path: Path) -> None:
-    events = Collector()
-    with playing(ReplayBackend(recording=recorded(tmp_path / "r"), pace="stepped"), events) as devices:
-        assert devices.belt is not None
-        for number in (1, 2, 3):
-            devices.belt.step()
-            events.wait(lambda number=number: len(events.of(Frame)) == number * len(CAMERAS))
-            assert len(events.of(Trigger)) == number
+def recorded(tmp_path: Path, bundles: Sequence[FrameBundle]) -> Path:
+    return write_recording(tmp_path / "rec", bundles)
 
 
-def test_background_comes_first_even_when_it_was_recorded_last(tmp_path: Path) -> None:
-    bundles = [make_bundle(1), make_bundle(2), make_bundle(3, kind=BundleKind.BACKGROUND)]
-    events = Collector()
-    backend = ReplayBackend(recording=write_recording(tmp_path / "r", bundles), pace="fast")
-    with playing(backend, events) as devices:
-        assert devices.belt is not None
-        devices.belt.permit(3)
-        events.wait(lambda: bool(events.of(PlaybackEnded)))
-    assert [trigger.sequence for trigger in events.of(Trigger)] == [3, 1, 2]
-    times = [trigger.received_ns for trigger in events.of(Trigger)]
-    assert times == sorted(times)
+@pytest.mark.parametrize("pace", ["recorded", "fast", "stepped"])
+def test_everything_comes_in_time_order_with_recorded_differences(tmp_path: Path, pace: Pace) -> None:
+    path = recorded(tmp_path, [make_bundle(number) for number in range(4)])
+    with playing(path, pace=pace, speed=10) as (belt, sink):
+        events = until_the_end(sink)
+        assert sink.threads == {"replay belt"}
+        assert events[-1].received_ns <= belt.clock()
+    assert all(earlier.received_ns <= later.received_ns for earlier, later in pairwise(events))
+    # the next stone passes the gate before the last one is seen: 250 ms < 259.4 ms
+    assert [type(event).__name__ for event in events[:4]] == ["Trigger", "Trigger", "Frame", "Frame"]
+    seen = triggers(events)
+    assert [trigger.name for trigger in seen] == [f"{number:08d}" for number in range(4)]
+    assert {later.received_ns - earlier.received_ns for earlier, later in pairwise(seen)} == {SPACING_NS}
+    for number, trigger in enumerate(seen):
+        for i, camera in enumerate(CAMERAS):
+            (frame,) = (
+                event
+                for event in events
+                if isinstance(event, Frame) and (event.camera, event.frame_id) == (camera, number + 1)
+            )
+            assert np.array_equal(frame.image, tagged_image(number, camera))
+            assert frame.received_ns - trigger.received_ns == DELAY_NS + 1_000_000 * i
+            assert frame.device_ns - trigger.device_ns == 7_000_000_000 * (i + 1)
 
 
-def test_a_loop_goes_on_with_new_names_sequences_and_frame_ids(tmp_path: Path) -> None:
-    events = Collector()
-    backend = ReplayBackend(recording=recorded(tmp_path / "r", n=2), pace="fast", loop=True)
-    with playing(backend, events) as devices:
-        assert devices.belt is not None
-        devices.belt.permit(6)
-        events.wait(lambda: len(events.of(Frame)) == 6 * len(CAMERAS))
-    triggers = events.of(Trigger)
-    assert [trigger.name for trigger in triggers[:4]] == [
-        "00000001",
-        "00000002",
-        "00000001-r2",
-        "00000002-r2",
+def test_recorded_pace_takes_its_time(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(number) for number in range(5)])
+    started_s = time.monotonic()
+    with playing(path, pace="recorded", speed=8) as (_, sink):
+        until_the_end(sink)
+    assert time.monotonic() - started_s >= (4 * SPACING_NS + DELAY_NS) / 1e9 / 8
+
+
+def test_fast_jumps_over_pauses(tmp_path: Path) -> None:
+    bundles = [make_bundle(number) for number in (0, 1, 200)]
+    started_s = time.monotonic()
+    with playing(recorded(tmp_path, bundles)) as (_, sink):
+        seen = triggers(until_the_end(sink))
+    assert time.monotonic() - started_s < 10
+    assert [later.received_ns - earlier.received_ns for earlier, later in pairwise(seen)] == [
+        SPACING_NS,
+        199 * SPACING_NS,
     ]
-    sequences = [trigger.sequence for trigger in triggers]
-    assert sequences == sorted(set(sequences))
-    ids = [frame.frame_id for frame in events.of(Frame) if frame.camera == CAMERAS[0]]
-    assert ids == list(range(ids[0], ids[0] + 6))
 
 
-def test_a_missing_view_and_a_damaged_bundle_are_lost_frames_not_silence(tmp_path: Path) -> None:
-    path = write_recording(
-        tmp_path / "r", [make_bundle(1, missing={CAMERAS[2]: "unplugged"}), make_bundle(2), make_bundle(3)]
-    )
-    damaged, torn = sorted((path / "bundles").iterdir())[1:]
-    content = bytearray(damaged.read_bytes())
-    content[-400] ^= 0xFF  # in the pixels of the last page
-    damaged.write_bytes(content)
-    torn.write_bytes(torn.read_bytes()[:60])
-    events = Collector()
-    with playing(ReplayBackend(recording=path, pace="fast"), events) as devices:
-        assert devices.belt is not None
-        devices.belt.permit(3)
-        events.wait(lambda: bool(events.of(PlaybackEnded)))
-        assert list(devices.belt.skipped) == ["00000003"]
-    assert len(events.of(Trigger)) == 2
-    losses = {(lost.camera, lost.reason) for lost in events.of(FrameLost)}
-    assert (CAMERAS[2], "unplugged") in losses
-    assert len(losses) == 2
-    assert len(events.of(Frame)) == 2 * len(CAMERAS) - 2
+def test_spacing_is_invented_where_the_order_was_changed_or_days_lie_between(tmp_path: Path) -> None:
+    bundles = [make_bundle(0), make_bundle(1), make_bundle(2, kind=BundleKind.BACKGROUND), make_bundle(10**6)]
+    with playing(recorded(tmp_path, bundles)) as (_, sink):
+        seen = triggers(until_the_end(sink))
+    assert [trigger.sequence for trigger in seen] == [2, 0, 1, 10**6]
+    assert [later.received_ns - earlier.received_ns for earlier, later in pairwise(seen)] == [
+        SPACING_NS,
+        SPACING_NS,
+        MAX_SPACING_NS,
+    ]
 
 
-def test_the_end_is_told_again_after_arming_again(tmp_path: Path) -> None:
-    first, again = Collector(), Collector()
-    with playing(ReplayBackend(recording=recorded(tmp_path / "r", n=1), pace="fast"), first) as devices:
-        assert devices.belt is not None
-        devices.belt.permit(1)
-        first.wait(lambda: bool(first.of(PlaybackEnded)))
-        devices.gate.disarm()
-        devices.gate.arm(again)
-        again.wait(lambda: bool(again.of(PlaybackEnded)))
+def test_without_a_permit_nothing_passes_but_time(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(number) for number in range(4)])
+    with playing(path, permits=2) as (belt, sink):
+        for _ in range(2 * (1 + len(CAMERAS))):
+            sink.next()
+        last_ns = max(event.received_ns for event in sink.events)
+        while belt.clock() <= last_ns + 5_000_000:  # deadlines pass although the belt waits
+            time.sleep(0.001)
+        assert len(triggers(sink.events)) == 2
+        now_ns = belt.clock()
+        belt.step()
+        assert isinstance(third := sink.next(), Trigger)
+        assert third.received_ns >= now_ns
 
 
-def test_speed_must_be_positive(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="speed"):
-        build_devices(ReplayBackend(recording=recorded(tmp_path / "r", n=1), speed=0))
+def test_a_loop_counts_on_under_new_names(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(number, name=f"n{number}") for number in (3, 4)])
+    with playing(path, permits=5, loop=True, cameras=CAMERAS[:1]) as (_, sink):
+        events = [sink.next() for _ in range(10)]
+    seen = triggers(events)
+    assert [trigger.name for trigger in seen] == ["n3", "n4", "n3-r2", "n4-r2", "n3-r3"]
+    assert all(later.sequence > earlier.sequence for earlier, later in pairwise(seen))
+    ids = [event.frame_id for event in events if isinstance(event, Frame)]
+    assert ids == [4, 5, 6, 7, 8]
+    devices_ns = [event.device_ns for event in events if isinstance(event, Frame)]
+    assert {later - earlier for earlier, later in pairwise(devices_ns)} == {SPACING_NS}
+
+
+def test_missing_and_damaged_views_are_told(tmp_path: Path) -> None:
+    bundles = [make_bundle(0, missing={CAMERAS[1]: "no_image"}), make_bundle(1), make_bundle(2)]
+    path = recorded(tmp_path, bundles)
+    torn = path / "bundles" / "00000001.tiff"
+    content = torn.read_bytes()
+    torn.write_bytes(content[:-2000])  # the last page
+    with playing(path) as (belt, sink):
+        events = until_the_end(sink)
+        assert belt.skipped == {}
+    losses = [(event.camera, event.reason) for event in events if isinstance(event, FrameLost)]
+    assert losses == [(CAMERAS[1], "no_image"), (CAMERAS[3], "damaged")]
+    assert sum(isinstance(event, Frame) for event in events) == 10
+
+
+def test_what_cannot_be_read_is_skipped_with_a_reason(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(number) for number in range(5)])
+    bundles = path / "bundles"
+    (bundles / "00000001.tiff").write_bytes(b"")
+    belt = ReplayBelt(open_recording(path), pace="fast", loop=True)
+    for number in (0, 2, 3, 4):
+        (bundles / f"{number:08d}.tiff").unlink()  # after the recording was opened
+    belt.start(sink := Collector())
+    assert isinstance(sink.next(), PlaybackEnded)  # a loop of nothing ends
+    belt.stop()
+    assert set(belt.skipped) == {f"{number:08d}" for number in range(5)}
+    assert belt.skipped["00000002"] == "does not exist"
+
+
+def test_a_bundle_without_a_sound_page_still_triggers(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(0)])
+    belt = ReplayBelt(open_recording(path), pace="stepped")
+    file = path / "bundles" / "00000000.tiff"
+    content = bytearray(file.read_bytes())
+    for i in range(3000, len(content) - 500, 50):
+        content[i] ^= 0xFF
+    file.write_bytes(content)
+    sink = Collector()
+    for outlet in belt.cameras.values():
+        outlet.plug(sink)
+    belt.start(sink)
+    belt.step()
+    events = until_the_end(sink)
+    belt.stop()
+    assert isinstance(events[0], Trigger)
+    assert [(event.camera, event.reason) for event in events[1:] if isinstance(event, FrameLost)] == [
+        (camera, "damaged") for camera in CAMERAS
+    ]
+    assert {event.received_ns - events[0].received_ns for event in events[1:]} == {DELAY_NS + 1_000_000}
+
+
+def test_the_end_is_told_again_after_rearming(tmp_path: Path) -> None:
+    with playing(recorded(tmp_path, [make_bundle(0)])) as (belt, sink):
+        until_the_end(sink)
+        belt.pause()
+        belt.start(again := Collector())
+        assert isinstance(again.next(), PlaybackEnded)
+        belt.stop()
+        belt.start(after_stop := Collector())
+        assert isinstance(after_stop.next(), PlaybackEnded)
+
+
+def test_a_device_clock_that_is_not_there_stays_so(tmp_path: Path) -> None:
+    bundle = make_bundle(0)
+    frames = {camera: replace(frame, device_ns=0) for camera, frame in bundle.frames.items()}
+    with playing(recorded(tmp_path, [replace(bundle, frames=frames)])) as (_, sink):
+        events = until_the_end(sink)
+    assert {event.device_ns for event in events if isinstance(event, Frame)} == {0}
+
+
+def test_an_unknown_camera_is_unavailable(tmp_path: Path) -> None:
+    belt = ReplayBelt(open_recording(recorded(tmp_path, [make_bundle(0)])))
+    with pytest.raises(CameraUnavailableError, match="c99: is not in the recording"):
+        ReplayCamera(CameraId("c99"), belt).open()
+    with pytest.raises(ValueError, match="speed must be positive"):
+        ReplayBelt(belt.recording, speed=0)

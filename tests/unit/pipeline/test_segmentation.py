@@ -186,7 +186,17 @@ def test_background_never_learns_a_stone() -> None:
     camera = CameraId("c01")
     model = rendered.background()
     after = learn_background(model, {camera: rendered.sphere_bundle().frames[camera]})
-    assert after[camera] is model[camera]
+    assert after[camera].mean is model[camera].mean
+    assert after[camera].n_frames == model[camera].n_frames
+
+
+def test_background_that_began_with_a_stone_is_learnt_anew() -> None:
+    camera = CameraId("c01")
+    model = learn_background({}, {camera: rendered.sphere_bundle().frames[camera]})
+    empty = rendered.bundle_of(number=4).frames[camera]
+    for _ in range(4):
+        model = learn_background(model, {camera: empty})
+    assert np.abs(model[camera].mean - empty.image).mean() < 0.1
 
 
 def test_flash_gain_is_found_beside_a_large_body() -> None:

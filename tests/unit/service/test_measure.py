@@ -1,6 +1,7 @@
 """`stonefall measure`: the promised files, the same for any number of workers."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,17 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from support.small_recording import write_small_recording
+from support.small_recording import thumbnail_rig, write_small_recording
 from typer.testing import CliRunner
 
 from drivers.errors import RecordingError
-from pipeline.errors import RigError
+from drivers.recording import RecordingWriter
+from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import rig_to_document
 from pipeline.rig_design import nominal_rig
+from pipeline.synthesis.bodies import Body, sphere
+from pipeline.synthesis.bundles import render_bundle, render_empty, stream, without_views
+from pipeline.synthesis.renderer import PlacedBody, simulate_rig
 from service.cli import build_app
 from service.commands.measure import _report
 from service.errors import UsageError
@@ -85,6 +90,62 @@ def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_pat
         assert record["equivalent_diameter_mm"] < 14.9
 
 
+def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
+    """Of the issue: 14 views, a wrong view, an empty, a double and a cut one, and a ball that is no stone."""
+    rig = thumbnail_rig()
+    simulated = simulate_rig(rig, stream(3, 0))
+
+    def at(body: Body, *offset_mm: float) -> PlacedBody:
+        return PlacedBody(body=body, R=np.eye(3), offset_mm=np.array(offset_mm))
+
+    def exposed(number: int, label: str, *bodies: PlacedBody, kind: str = "particle") -> FrameBundle:
+        rng = stream(3, 1, number)
+        return render_bundle(bodies, simulated, rng, sequence=number, label=label, kind=BundleKind(kind))
+
+    whole = exposed(2, "wrong", at(sphere(), 0, 1, 0))
+    other = exposed(2, "wrong", at(sphere(9.0), 3, -2, 2))
+    bundles = [
+        render_empty(simulated, stream(3, 2), sequence=0),
+        without_views(
+            exposed(1, "fourteen", at(sphere(), 0, 0, 1)), [CameraId("c03"), CameraId("c12")], "no_frame"
+        ),
+        replace(whole, frames={**whole.frames, CameraId("c08"): other.frames[CameraId("c08")]}),
+        exposed(3, "empty"),
+        exposed(4, "double", at(sphere(8.0), 8, 0, 2), at(sphere(7.0), -8, 1, -2)),
+        exposed(5, "cut", at(sphere(), 0, 0, -25)),
+        exposed(6, "ball", at(sphere(10.0), 1, 0, 0), kind="ball"),
+    ]
+    recording = tmp_path / "recording"
+    with RecordingWriter(
+        recording,
+        camera_ids=rig.camera_ids,
+        image_size_px=rig.cameras[0].image_size_px,
+        rig=rig,
+        is_simulated=True,
+        made_by={"test": "special"},
+    ) as writer:
+        for bundle in bundles:
+            writer.add(bundle)
+    run(recording, "--out", tmp_path / "out", "--workers", 2)
+    found = {record["bundle"].partition("-")[2]: record for record in records(tmp_path / "out")}
+    assert {name: (r["outcome"], r["reason"]) for name, r in found.items()} == {
+        "fourteen": ("measured", None),
+        "wrong": ("measured", None),
+        "empty": ("rejected", "empty"),
+        "double": ("rejected", "multiple"),
+        "cut": ("rejected", "clipped"),
+        "ball": ("measured", None),
+    }
+    assert found["fourteen"]["quality"] == "good"
+    assert found["fourteen"]["dropped_views"] == {"c03": "no_frame", "c12": "no_frame"}
+    assert found["wrong"]["quality"] == "good"
+    assert list(found["wrong"]["dropped_views"]) == ["c08"]
+    for name in ("fourteen", "wrong"):
+        assert found[name]["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
+    curve = json.loads((tmp_path / "out" / "gradation.json").read_text())
+    assert curve["n_stones"] == 2, "a calibration ball is no stone"
+
+
 def test_a_damaged_bundle_costs_only_itself(tmp_path: Path) -> None:
     recording = tmp_path / "recording"
     write_small_recording(recording, n_stones=2)
@@ -113,8 +174,11 @@ def test_wrong_input_is_refused_before_anything_is_written(recording: Path, tmp_
         run(tmp_path / "nothing", "--out", out)
     few = rig_to_document(nominal_rig().subset(nominal_rig().camera_ids[:3]))
     (tmp_path / "few.json").write_text(json.dumps(few))
-    with pytest.raises(RigError, match="c04"):
+    with pytest.raises(RecordingError, match=r"few\.json.*c04"):
         run(recording, "--out", out, "--rig", tmp_path / "few.json")
+    (tmp_path / "large.json").write_text(json.dumps(rig_to_document(nominal_rig())))
+    with pytest.raises(RecordingError, match=r"large\.json: camera c01: images of 1280x1024"):
+        run(recording, "--out", out, "--rig", tmp_path / "large.json")
     assert not out.exists()
 
 

@@ -25,7 +25,7 @@ def rig_path(tmp_path: Path) -> Path:
 
 def bundles_of(path: Path) -> list[FrameBundle]:
     recording = open_recording(path)
-    return [read_bundle(bundle, recording.camera_ids) for bundle in recording.bundle_paths]
+    return [read_bundle(header.path, recording.camera_ids) for header in recording.headers]
 
 
 def same_pixels(a: FrameBundle, b: FrameBundle) -> bool:
