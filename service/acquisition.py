@@ -75,13 +75,19 @@ class Acquisition:
         """Why it is held."""
         self.settled = asyncio.Event()
         """Set once the first attempt to arm has ended one way or the other."""
+        self.is_at_work = False
+        """Between the first call to a device and the last one: progress is owed."""
 
     def request(self, target: AcquisitionTarget) -> AcquisitionState:
         """Begin the transition to `target`; raises `ConflictError`."""
         following = next_state(self.state, target)
         if following is not self.state:
             self.state = following
-            (self._arm_requested if target is AcquisitionTarget.ARMED else self._leave).set()
+            if target is AcquisitionTarget.ARMED:
+                self._leave.clear()
+                self._arm_requested.set()
+            else:
+                self._leave.set()
         return self.state
 
     def stop(self) -> None:
@@ -103,9 +109,9 @@ class Acquisition:
             if self.state is AcquisitionState.STOPPING:
                 return
             self._arm_requested.clear()
-            self._leave.clear()
             await supervise("acquisition", self._run_session, DeviceError, self._policy, pause=self._hold)
             self._enter(AcquisitionState.DISARMED)
+            self.settled.set()
 
     def _enter(self, state: AcquisitionState) -> None:
         if self.state is not AcquisitionState.STOPPING:
@@ -122,12 +128,13 @@ class Acquisition:
             return
         self._enter(AcquisitionState.ARMING)
         self._armings += 1
+        self.is_at_work = True
         gate = self._devices.gate
         inbox = EventInbox(asyncio.get_running_loop(), INBOX_TRIGGERS * len(self.cameras.ids))
         assembler = BundleAssembler(self.cameras.ids, self._bundling)
-        self.cameras.counters.append(assembler.counters)
+        self.cameras.count(assembler.counters)
         async with AsyncExitStack() as ending:
-            ending.callback(self._hand_over_rest, inbox, assembler)
+            ending.callback(self._end_session, inbox, assembler)
             ending.push_async_callback(self.cameras.close)
             await self.cameras.arm(inbox)
             self._require_cameras()
@@ -194,7 +201,8 @@ class Acquisition:
             if event is None and assembler.next_deadline_ns is None:
                 return
 
-    def _hand_over_rest(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
+    def _end_session(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
+        self.is_at_work = False
         for bundle in assembler.flush("disarmed"):
             self._on_bundle(bundle)
         log.info("disarmed triggers=%d", assembler.counters.triggers)

@@ -107,7 +107,7 @@ class Health:
     ready: bool  # the next stone will be measured
     reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
     checks: Mapping[str, Check] = field(default_factory=dict)
-    """By name: `camera:c01`, `gate`, `queue`, `workers`, `disk`, `store`, `calibration`, `clock`."""
+    """By name: `camera:c01`, `gate`, `progress`, `queue`, `workers`, `background`, `calibration`, `store`, `disk`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

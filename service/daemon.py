@@ -36,8 +36,12 @@ log = logging.getLogger(__name__)
 
 DRAIN_S = 30.0
 """How long bundles already seen may take after SIGTERM before they are given up."""
-PUMP_LIMIT_S = 5.0
-"""The pump of an armed rig turns twenty times a second."""
+DISARM_S = 15.0
+"""How long the rig may take to disarm, the last stone's frames included, before it is left alone."""
+ABORT_S = 2.0
+"""How long it may then take to let go of the devices."""
+ACQUISITION_LIMIT_S = 20.0
+"""An armed rig moves twenty times a second; to open or close cameras of which some are dead takes longer."""
 COMMIT_LIMIT_S = 30.0
 """A bundle has its outcome so long after its second attempt at the latest."""
 
@@ -116,12 +120,15 @@ class Daemon:
 
     def late(self) -> list[str]:
         """Parts that have something to do and make no progress."""
-        now_s = time.monotonic()
-        if self.rig.state is not AcquisitionState.ARMED:
-            self.heartbeats.beat("acquisition", now_s)
+        return self.heartbeats.late(time.monotonic())
+
+    def watch(self) -> list[str]:
+        """Look after the parts, often: those with nothing to do are not late, the others are named."""
+        if not self.rig.is_at_work:
+            self.heartbeats.beat("acquisition", time.monotonic())
         if self.spool.held == 0:
-            self.heartbeats.beat("processing", now_s)
-        return self.heartbeats.late(now_s)
+            self.heartbeats.beat("processing", time.monotonic())
+        return self.late()
 
     def status(self) -> str:
         """One line for `systemctl status`."""
@@ -149,7 +156,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     folder = settings.spool.dir / store.instance_id  # so that daemons with other stores are not disturbed
     await asyncio.to_thread(_make_empty, folder)
     heartbeats = Heartbeats(
-        {"acquisition": PUMP_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
+        {"acquisition": ACQUISITION_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
     )
     pool = WorkerPool(
         slots=settings.workers.slots,
@@ -178,7 +185,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             camera_ids=camera_ids,
             calibration_id=calibration_id,
             is_simulated=is_simulated,
-            archive_raw=settings.store.archive_raw,
+            archive_raw=settings.store.keep_raw > 0,
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
         ),
@@ -220,7 +227,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
     requests.listen()
     async with AsyncExitStack() as ending:
         listener = ending.enter_context(listen(settings.api.host, settings.api.port))
-        store = await asyncio.to_thread(open_store, settings.store.dir)
+        store = await asyncio.to_thread(open_store, settings.store.dir, keep_raw=settings.store.keep_raw)
         ending.push_async_callback(asyncio.to_thread, store.close)
         daemon = await build(settings, store)
         ending.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder, ignore_errors=True)
@@ -233,19 +240,27 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             tasks.create_task(daemon.spool.write())
             processing = tasks.create_task(daemon.processing.run())
             acquiring = tasks.create_task(daemon.rig.run())
-            watching = tasks.create_task(feed_watchdog(manager, daemon.late, daemon.status, requests.stop))
+            watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
             await server.is_serving.wait()
             log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
-            daemon.rig.request(AcquisitionTarget.ARMED)
-            await daemon.rig.settled.wait()
-            manager.notify("READY=1")
-            await requests.stop.wait()
+            stopping = tasks.create_task(requests.stop.wait())
+            if not requests.stop.is_set():
+                daemon.rig.request(AcquisitionTarget.ARMED)
+                settled = tasks.create_task(daemon.rig.settled.wait())
+                await asyncio.wait([settled, stopping], return_when=asyncio.FIRST_COMPLETED)
+                settled.cancel()
+            if not requests.stop.is_set():
+                manager.notify("READY=1")
+            await stopping
 
             manager.notify("STOPPING=1", "STATUS=disarming")
             daemon.rig.stop()
-            await acquiring
+            await finish(acquiring, requests, DISARM_S)
+            if acquiring.cancel():
+                log.error("the rig does not disarm in time and is left alone")
+                await asyncio.wait([acquiring], timeout=ABORT_S)
             daemon.spool.finish()
-            await drain(processing, requests)
+            await finish(processing, requests, DRAIN_S)
             daemon.processing.abandon()
             await processing
             daemon.pool.close()
@@ -256,8 +271,8 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             await serving
 
 
-async def drain(processing: "asyncio.Task[None]", requests: StopRequests) -> None:
-    """Wait until everything is measured, somebody is in a hurry, or it takes too long."""
+async def finish(part: "asyncio.Task[None]", requests: StopRequests, limit_s: float) -> None:
+    """Wait until the part is through, somebody is in a hurry, or it takes too long."""
     hurry = asyncio.create_task(requests.hurry.wait())
-    await asyncio.wait([processing, hurry], timeout=DRAIN_S, return_when=asyncio.FIRST_COMPLETED)
+    await asyncio.wait([part, hurry], timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
     hurry.cancel()

@@ -124,7 +124,8 @@ class Processing:
         while (turn := await turns.get()) is not None:
             bundle, job = turn
             await asyncio.wait([job])
-            await self._commit(bundle, SHUTDOWN if job.cancelled() else job.result())
+            abandoned = bundle.content if isinstance(bundle.content, Loss) else SHUTDOWN
+            await self._commit(bundle, abandoned if job.cancelled() else job.result())
             await self._spool.release(bundle)
             self._on_progress()
 

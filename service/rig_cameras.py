@@ -3,15 +3,16 @@
 import asyncio
 import logging
 import time
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 
 import cv2
 
 from drivers.errors import DeviceError
 from drivers.interfaces import Camera, CameraLost, DeviceEvent, EventSink
 from pipeline.frames import CameraId, Frame, Image
-from service.bundling import BundlingCounters
+from service.bundling import BundlingCounters, CameraCounters
 from service.control import CameraStatus
 
 log = logging.getLogger(__name__)
@@ -31,6 +32,8 @@ class _Place:
     image: Image | None = None
     image_at_s: float = 0.0
     lost_at_s: float = 0.0
+    counters: CameraCounters = field(default_factory=CameraCounters)  # of the latest session
+    earlier: Counter[str] = field(default_factory=Counter)  # the same, of all sessions before
 
     def lose(self, reason: str) -> None:
         """Log the loss once, not every failed attempt to undo it."""
@@ -46,12 +49,10 @@ class _Place:
 
 
 class RigCameras:
-    """Life cycle of a session: `arm`, `note` for every event, `close`; meanwhile `retry_lost` as a task."""
+    """Life cycle of a session: `count`, `arm`, `note` for every event, `close`; meanwhile `retry_lost` as a task."""
 
     def __init__(self, cameras: Mapping[CameraId, Camera]) -> None:
         self._places = {camera: _Place(device) for camera, device in cameras.items()}
-        self.counters: list[BundlingCounters] = []
-        """Of every session's assembler."""
 
     @property
     def ids(self) -> tuple[CameraId, ...]:
@@ -60,6 +61,12 @@ class RigCameras:
     @property
     def armed(self) -> int:
         return sum(place.state == "armed" for place in self._places.values())
+
+    def count(self, counters: BundlingCounters) -> None:
+        """Look on while a new session's assembler counts; what those before it came to is kept."""
+        for camera, place in self._places.items():
+            place.earlier.update(asdict(place.counters))
+            place.counters = counters.cameras[camera]
 
     async def arm(self, sink: EventSink) -> None:
         """Open and arm all cameras at once; one that does not answer is lost for now."""
@@ -94,9 +101,9 @@ class RigCameras:
                 state=place.state,
                 last_error=place.last_error,
                 frames=place.frames,
-                lost=sum(counters.cameras[camera].lost for counters in self.counters),
-                late=sum(counters.cameras[camera].late for counters in self.counters),
-                duplicates=sum(counters.cameras[camera].duplicates for counters in self.counters),
+                lost=place.earlier["lost"] + place.counters.lost,
+                late=place.earlier["late"] + place.counters.late,
+                duplicates=place.earlier["duplicates"] + place.counters.duplicates,
                 last_frame_age_s=None if place.image is None else round(now_s - place.image_at_s, 3),
             )
             for camera, place in self._places.items()

@@ -17,17 +17,16 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, Val
 
 from drivers.errors import RecordingError
 from drivers.factory import ReplayBackend
-from drivers.recording import open_recording
+from drivers.recording import open_recording, require_rig_of
 from drivers.rig_file import read_rig
 from pipeline.carving import CarvingParameters
 from pipeline.consistency import ConsistencyParameters
-from pipeline.errors import RigError
 from pipeline.particle import MeasuringParameters, PipelineParameters, ViewsParameters
-from pipeline.rig import require_cameras
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.api.settings import ApiSettings
 from service.bundling import BundlingParameters
 from service.errors import SettingsError
+from service.store import KEEP_RAW
 
 
 def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
@@ -95,8 +94,12 @@ class StoreSettings:
     """Where results stay."""
 
     dir: ConfiguredPath
-    archive_raw: bool = False  # keep the frames of every stone, compressed
+    keep_raw: int = KEEP_RAW  # frames of so many newest stones are kept, compressed
     save_silhouettes: bool = True
+
+    def __post_init__(self) -> None:
+        if self.keep_raw < 0:
+            raise ValueError(f"keep_raw must not be negative, not {self.keep_raw}")
 
 
 class Settings(BaseModel):
@@ -148,18 +151,23 @@ def load_settings(path: Path) -> Settings:
 
 
 def problems(settings: Settings) -> Iterator[str]:
-    """Say what is wrong with the files and folders that the settings refer to, each with its field."""
+    """Say which settings contradict each other or what they refer to, each with its field."""
+    n_disagreeing = settings.carving.max_disagreeing_views
+    if settings.views.min < n_disagreeing + 2:
+        yield (
+            f"views.min: must be at least {n_disagreeing + 2}, two more than"
+            f" carving.max_disagreeing_views, not {settings.views.min}"
+        )
     try:
         recording = open_recording(settings.rig.recording)
     except RecordingError as err:
         yield f"rig.recording: {err}"
     else:
+        path = settings.rig.calibration_path
         try:
-            require_cameras(read_rig(settings.rig.calibration_path), recording.camera_ids)
+            require_rig_of(recording, read_rig(path), path)
         except RecordingError as err:
             yield f"rig.calibration: {err}"
-        except RigError as err:
-            yield f"rig.calibration: {settings.rig.calibration_path}: {err}"
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _cannot_hold_files(folder):
             yield f"{name}: {problem}"

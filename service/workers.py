@@ -9,6 +9,7 @@ import asyncio
 import logging
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections.abc import Callable
@@ -158,7 +159,8 @@ class _Slot:
         except BrokenProcessPool as err:
             raise JobLostError("worker_crash", f"worker process {self.pid} died") from err
         except WorkerFailure as err:
-            raise JobLostError("worker_crash", str(err)) from err
+            log.error("a job failed in worker process %s:\n%s", self.pid, err)
+            raise JobLostError("worker_crash", _last_line(str(err))) from err
 
     def kill(self) -> None:
         if self.process is not None:
@@ -166,6 +168,11 @@ class _Slot:
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
         self.process = self._executor = None
+
+
+def _last_line(traceback: str) -> str:
+    """Type and message of the exception, without the folders of paths: clients get to read it."""
+    return re.sub(r"(?<![\w.])/\S*/", "", traceback.strip().rpartition("\n")[2])
 
 
 def _initialize_worker(initialize: Callable[[Any], None], context: object) -> None:

@@ -1,13 +1,14 @@
-"""What holds for every test: reproducible hypotheses, no leaked task, no leaked thread."""
+"""What holds for every test: reproducible hypotheses, no leaked task or thread."""
 
 import asyncio
+import functools
+import inspect
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Generator, Iterator
 
 import hypothesis
 import pytest
-import pytest_asyncio
 
 hypothesis.settings.register_profile(
     "gate", deadline=None, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]
@@ -31,11 +32,18 @@ def no_leaked_threads() -> Iterator[None]:
         time.sleep(0.01)
 
 
-@pytest_asyncio.fixture
-async def no_leaked_tasks() -> AsyncIterator[None]:
-    """Fail a test that leaves an asyncio task behind."""
-    before = asyncio.all_tasks()
-    yield
-    leaked = asyncio.all_tasks() - before - {asyncio.current_task()}
-    if leaked:
-        pytest.fail(f"tasks left behind: {leaked}")
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, object]:
+    """Fail an async test that leaves a task behind."""
+    if inspect.iscoroutinefunction(pyfuncitem.obj):
+        test = pyfuncitem.obj
+
+        @functools.wraps(test)
+        async def checked(*args: object, **kwargs: object) -> None:
+            before = asyncio.all_tasks()
+            await test(*args, **kwargs)
+            if leaked := asyncio.all_tasks() - before:
+                pytest.fail(f"tasks left behind: {leaked}")
+
+        pyfuncitem.obj = checked
+    return (yield)

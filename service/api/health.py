@@ -44,7 +44,7 @@ async def ready(context: Context) -> Ready:
     "", response_model=HealthDocument, dependencies=[Depends(require(Scope.READ))], responses=documented()
 )
 async def health(context: Context) -> dict[str, Any]:
-    """Look at each camera, the gate, queue, workers, disk, store, calibration and clock; always 200."""
+    """Look at cameras, gate, progress, queue, workers, background, calibration, store and disk; always 200."""
     state = context.control.health()
     return {
         "status": STATUS.get(state.ne107, CheckStatus.WARN),

@@ -1,5 +1,6 @@
 """Errors as RFC 9457 problem details: one shape for everything that is not a success, and no stack traces."""
 
+import logging
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
@@ -11,6 +12,8 @@ from starlette.exceptions import HTTPException
 
 from service.control import ConflictError
 from service.errors import StoreError
+
+log = logging.getLogger(__name__)
 
 TITLES = {
     "cursor-ahead": "The cursor is ahead of the history",
@@ -109,11 +112,13 @@ async def _of_conflict(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _of_store(request: Request, error: Exception) -> JSONResponse:
-    # the message names paths of this machine; it is in the journal, not in the answer
+    # the message names paths of this machine: it belongs into the journal, not into the answer
+    log.error("%s %s failed: %s", request.method, request.scope["path"], error)
     return problem_response(
         request, Problem(503, "store-unavailable", "try again", headers={"Retry-After": "5"}, retry_after_s=5)
     )
 
 
 async def _of_bug(request: Request, error: Exception) -> JSONResponse:
+    log.error("%s %s failed", request.method, request.scope["path"], exc_info=error)
     return problem_response(request, Problem(500, "internal-error", "the journal of the service says more"))

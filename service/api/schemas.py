@@ -58,7 +58,7 @@ class Result(BaseModel):
     timings_ms: dict[str, float] = Field(description="Computing time of each stage, ms")
     calibration_id: str | None = Field(description="Calibration the measurement rests on")
     algorithm_version: str | None = Field(description="Changes whenever results may")
-    is_simulated: bool | None = Field(description="True for replays and synthetic images: never production")
+    is_simulated: bool | None = Field(description="True when the images are synthetic")
 
 
 _EMPTY: dict[str, Any] = {

@@ -1,7 +1,7 @@
 """The files of a particle, `particles/<id>/`: on the disk before the row that speaks of them.
 
 A folder without a row is what a crash left between the two; it is invisible, and whoever gets its number
-next removes it.
+next removes it. Raw frames are large, so only those of the newest results stay.
 """
 
 import os
@@ -12,6 +12,27 @@ from pathlib import Path
 from drivers.files import sync
 
 
+RAW = "bundle.tiff"
+
+
+def particle_id(instance_id: str, seq: int) -> str:
+    """Unique across stores; in the order of `seq`."""
+    return f"{instance_id[:8]}-{seq:08d}"
+
+
+def raw_frames(particles_dir: Path, instance_id: str, seq: int) -> Path:
+    """Where a result's frames are, if they are kept."""
+    return particles_dir / particle_id(instance_id, seq) / RAW
+
+
+def drop_raw_before(particles_dir: Path, instance_id: str, seq: int) -> None:
+    """Remove the frames of all results older than `seq`."""
+    oldest = particle_id(instance_id, seq)
+    for path in particles_dir.glob(f"{instance_id[:8]}-*/{RAW}"):
+        if path.parent.name < oldest:
+            path.unlink()
+
+
 def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
     """Bring `files` (a name in `folder` each; a file, or a folder of files) there, durably.
 
@@ -20,7 +41,7 @@ def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     if not files:
         return
-    folder.mkdir(parents=True)
+    folder.mkdir()
     for name, source in files.items():
         target = folder / name
         if source.is_dir():

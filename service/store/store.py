@@ -13,18 +13,26 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
+from drivers.files import sync
 from pipeline.frames import Trigger
 from service.errors import StoreError
 from service.ledger import Accounting
 from service.store import reads, writes
+from service.store.particle_files import drop_raw_before, raw_frames
 from service.store.schema import connect_reader, connect_writer
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def open_store(state_dir: Path) -> "Store":
+KEEP_RAW = 200
+"""Raw frames take about 9 MB a result."""
+
+
+def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
     """Open `state_dir/results.sqlite`, creating what is missing.
+
+    Of `bundle.tiff`, the raw frames, those of the newest `keep_raw` results are kept.
 
     Raises
     ------
@@ -32,7 +40,8 @@ def open_store(state_dir: Path) -> "Store":
         Another process has the store open, the file is no database, or its schema is newer than this program.
     """
     try:
-        state_dir.mkdir(parents=True, exist_ok=True)
+        (state_dir / "particles").mkdir(parents=True, exist_ok=True)
+        sync(state_dir)
         lock = FileIO(state_dir / "store.lock", "w")
     except OSError as err:
         raise StoreError(f"{state_dir}: {err}") from err
@@ -48,14 +57,19 @@ def open_store(state_dir: Path) -> "Store":
         writer.shutdown()
         lock.close()
         raise
-    return Store(state_dir, lock, writer, connection)
+    return Store(state_dir, lock, writer, connection, keep_raw)
 
 
 class Store:
     """Triggers, their outcomes and the files of the particles; made by `open_store`."""
 
     def __init__(
-        self, state_dir: Path, lock: FileIO, writer: ThreadPoolExecutor, connection: sqlite3.Connection
+        self,
+        state_dir: Path,
+        lock: FileIO,
+        writer: ThreadPoolExecutor,
+        connection: sqlite3.Connection,
+        keep_raw: int,
     ) -> None:
         self.particles_dir = state_dir / "particles"
         self._path = state_dir / "results.sqlite"
@@ -69,6 +83,8 @@ class Store:
             row = reader.execute("SELECT instance_id, last_seq FROM store").fetchone()
         self._instance_id: str = row[0]
         self._last_seq: int = row[1]
+        self._keep_raw = keep_raw
+        self._first_raw: int | None = None  # results before have no raw frames; None: not looked at yet
 
     def __enter__(self) -> Self:
         return self
@@ -121,7 +137,7 @@ class Store:
         """
         return await self._write(writes.finish, self.particles_dir, session, bundle, record, files or {})
 
-    async def lose_open(self, reason: str, detail: str | None = None) -> int:
+    async def lose_open(self, reason: str, detail: str) -> int:
         """End as `lost` every trigger that an earlier session left open, all at once; how many they were."""
         return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail)
 
@@ -163,6 +179,7 @@ class Store:
             try:
                 result = work(self._connection, *args, **kwargs)
                 (self._last_seq,) = self._connection.execute("SELECT last_seq FROM store").fetchone()
+                self._drop_old_raw()
             except (sqlite3.Error, OSError) as err:
                 raise StoreError(f"{self._path}: {err}") from err
             return result
@@ -171,6 +188,15 @@ class Store:
         # on the inner future, and shielded: a caller cancelled meanwhile must not leave the readers asleep
         written.add_done_callback(lambda _: self._wake())
         return await asyncio.shield(written)
+
+    def _drop_old_raw(self) -> None:
+        first = max(1, self._last_seq - self._keep_raw + 1)
+        if self._first_raw is None:  # more may have been kept so far
+            drop_raw_before(self.particles_dir, self._instance_id, first)
+        else:
+            for seq in range(self._first_raw, first):
+                raw_frames(self.particles_dir, self._instance_id, seq).unlink(missing_ok=True)
+        self._first_raw = first
 
     async def _read(
         self, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs

@@ -13,7 +13,8 @@ from typing import Any
 
 from pipeline.frames import BundleKind, Trigger
 from service.errors import StoreError
-from service.store.particle_files import drop_sources, keep_files
+from service.record import lost_record
+from service.store.particle_files import drop_sources, keep_files, particle_id
 from service.store.schema import transaction
 
 
@@ -68,19 +69,25 @@ def lose_open(
     particles_dir: Path,
     live_session: int | None,
     reason: str,
-    detail: str | None,
+    detail: str,
 ) -> int:
     """How many triggers of other sessions than `live_session` were open and are `lost` now."""
     with transaction(connection):
         rows = connection.execute(
-            "SELECT trigger, info FROM triggers JOIN sessions USING (session)"
+            "SELECT trigger, bundle, info FROM triggers JOIN sessions USING (session)"
             " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
             (live_session,),
         ).fetchall()
-        for trigger, info_text in rows:
+        for trigger, bundle, info_text in rows:
             info = json.loads(info_text)
-            record = {"outcome": "lost", "reason": reason, "detail": detail}
-            record |= {name: info[name] for name in ("calibration_id", "is_simulated") if name in info}
+            record = lost_record(
+                None,
+                bundle=bundle,
+                reason=reason,
+                detail=detail,
+                calibration_id=info.get("calibration_id"),
+                is_simulated=info.get("is_simulated"),
+            )
             _end(connection, particles_dir, trigger, record, {})
     return len(rows)
 
@@ -98,11 +105,11 @@ def _end(
     seq, instance_id = connection.execute(
         "UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq, instance_id"
     ).fetchone()
-    particle_id = f"{instance_id[:8]}-{seq:08d}"
-    keep_files(particles_dir / particle_id, files)
+    name = particle_id(instance_id, seq)
+    keep_files(particles_dir / name, files)
     identity = {
         "seq": seq,
-        "id": particle_id,
+        "id": name,
         "session": session,
         "bundle": bundle,
         "sequence": sequence,
@@ -110,12 +117,12 @@ def _end(
         "captured_at": captured_at,
         "recorded_at": _now(),
         # relative to the state directory, and likewise to the base path of the REST interface
-        "mesh": f"particles/{particle_id}/mesh.ply" if "mesh.ply" in files else None,
+        "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in files else None,
     }
     stored = identity | dict(record) | identity  # first to be read first, last to have the last word
     connection.execute(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
-        (seq, particle_id, trigger, session, json.dumps(stored, allow_nan=False)),
+        (seq, name, trigger, session, json.dumps(stored, allow_nan=False)),
     )
     connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record["outcome"], trigger))
     return int(seq)

@@ -62,15 +62,19 @@ class FaultyControl(FakeControl):
         raise ZeroDivisionError("the secret of the house")
 
 
-async def test_a_bug_is_a_500_without_a_trace(store: Store) -> None:
+async def test_a_bug_is_a_500_without_a_trace(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     async with client_of(create_app(store, FaultyControl(), ApiSettings())) as client:
         answer = await client.get("/health")
     assert_problem(answer, 500, "internal-error")
     assert "secret" not in answer.text
     assert "ZeroDivision" not in answer.text
+    assert "GET /api/v1/health failed" in caplog.text
+    assert "ZeroDivisionError: the secret of the house" in caplog.text
 
 
-async def test_a_broken_store_is_a_503(client: httpx.AsyncClient, state_dir: Path) -> None:
+async def test_a_broken_store_is_a_503(
+    client: httpx.AsyncClient, state_dir: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     database, aside = state_dir / "results.sqlite", state_dir / "aside"
     database.rename(aside)
     answer = await client.get("/results")
@@ -78,6 +82,7 @@ async def test_a_broken_store_is_a_503(client: httpx.AsyncClient, state_dir: Pat
     assert_problem(answer, 503, "store-unavailable")
     assert answer.headers["Retry-After"] == "5"
     assert str(state_dir) not in answer.text
+    assert f"GET /api/v1/results failed: {database}: unable to open" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ async def test_kill_9_loses_nothing_acknowledged(state_dir: Path) -> None:
     try:
         n_open = (await store.accounting()).in_progress
         assert n_open > 0
-        assert await store.lose_open("shutdown") == n_open
+        assert await store.lose_open("shutdown", "killed") == n_open
         counts = await store.accounting()
         items = (await store.results_after(0, 10_000)).items
     finally:

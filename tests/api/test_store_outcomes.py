@@ -8,7 +8,9 @@ import pytest
 from support.rest import add, measured, particle_files, rejected, trigger
 
 from pipeline.frames import BundleKind
+from service.api.schemas import Result
 from service.errors import StoreError
+from service.record import ALGORITHM_VERSION
 from service.store import Store, open_store, rfc3339_ms
 
 
@@ -63,6 +65,47 @@ async def test_a_failed_write_changes_nothing_and_can_be_repeated(
     assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes"]
 
 
+async def add_raw(store: Store, session: int, sequence: int, folder: Path) -> int:
+    """One stone with its frames."""
+    raw = folder / f"{sequence}.tiff"
+    raw.write_bytes(b"frames")
+    return await add(store, session, sequence, measured(), {"bundle.tiff": raw})
+
+
+def seqs_with_raw(state_dir: Path) -> list[int]:
+    return sorted(int(path.parent.name[-8:]) for path in (state_dir / "particles").glob("*/bundle.tiff"))
+
+
+async def test_only_the_newest_raw_frames_are_kept(state_dir: Path, tmp_path: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=4) as store:
+        old = await store.begin_session({})
+        for sequence in range(6):
+            await add_raw(store, old, sequence, tmp_path)
+        assert seqs_with_raw(state_dir) == [3, 4, 5, 6]
+        await store.record_trigger(old, trigger(6), "open")
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
+        new = await store.begin_session({})
+        assert seqs_with_raw(state_dir) == [5, 6]
+        assert await store.lose_open("crash", "killed") == 1
+        assert seqs_with_raw(state_dir) == [6]
+        assert await add_raw(store, new, 7, tmp_path) == 8
+        await add(store, new, 8, measured())
+        assert seqs_with_raw(state_dir) == [8]
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=0) as store:
+        session = await store.begin_session({})
+        await add_raw(store, session, 9, tmp_path)
+        assert seqs_with_raw(state_dir) == []
+
+
+def test_the_folder_of_the_particles_is_durable_from_the_beginning(
+    state_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[set[Path]] = []
+    monkeypatch.setattr("service.store.store.sync", lambda folder: synced.append({folder, *folder.iterdir()}))
+    open_store(state_dir).close()
+    assert synced == [{state_dir, state_dir / "particles"}]
+
+
 async def test_what_a_crash_left_under_the_next_number_is_removed(
     store: Store, session: int, state_dir: Path
 ) -> None:
@@ -104,14 +147,16 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
         new = await store.begin_session({})
         await store.record_trigger(new, trigger(1), "1")  # has its life before it
         assert await store.lose_open("worker_crash", "the daemon was killed") == 2
-        assert await store.lose_open("worker_crash") == 0
+        assert await store.lose_open("worker_crash", "") == 0
         assert store.instance_id == instance_id
         items = (await store.results_after(1, 10)).items
         assert [(item["seq"], item["bundle"], item["outcome"], item["reason"]) for item in items] == [
             (2, "2", "lost", "worker_crash"),
             (3, "3", "lost", "worker_crash"),
         ]
-        assert items[0]["is_simulated"] is True
+        result = Result.model_validate(items[0], strict=True)  # complete: no field is absent
+        assert (result.is_simulated, result.calibration_id) == (True, "0123")
+        assert result.algorithm_version == ALGORITHM_VERSION
         everything, current = await store.accounting(), await store.accounting(new)
     assert (everything.triggers, everything.measured, everything.lost, everything.in_progress) == (4, 1, 2, 1)
     assert (current.triggers, current.lost, current.in_progress) == (1, 0, 1)

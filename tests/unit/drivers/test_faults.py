@@ -6,12 +6,10 @@ from support.recordings import CAMERAS, SPACING_NS, make_bundle, tagged_image
 from support.sinks import Collector
 
 from drivers.cameras.faulty import FaultyCamera
-from drivers.errors import DriverUnavailableError
-from drivers.factory import AravisBackend, build_devices
 from drivers.faults import Fault, FaultPlan
 from drivers.gates.faulty import FaultyGate
 from drivers.interfaces import CameraLost, DeviceEvent, EventSink, GateLost, TriggersIgnored
-from pipeline.frames import CameraId, Frame, Trigger
+from pipeline.frames import Frame, Trigger
 
 C01, C02 = CAMERAS[:2]
 FRAMES = [make_bundle(number).frames[C01] for number in range(8)]
@@ -191,8 +189,6 @@ def test_the_seed_decides() -> None:
     assert sorted(set(ids(both))) == ids(through_camera(plan))
 
 
-def test_wrong_plans_and_missing_drivers_are_named() -> None:
+def test_wrong_plans_are_named() -> None:
     with pytest.raises(ValueError, match=r"probability must be in 0\.\.1"):
         Fault(probability=1.5)
-    with pytest.raises(DriverUnavailableError, match="backend aravis: this version has no driver"):
-        build_devices(AravisBackend(cameras={CameraId("c01"): "192.0.2.11"}))

@@ -153,26 +153,31 @@ def test_missing_and_damaged_views_are_told(tmp_path: Path) -> None:
     torn = path / "bundles" / "00000001.tiff"
     content = torn.read_bytes()
     torn.write_bytes(content[:-2000])  # the last page
-    with playing(path) as (belt, sink):
+    with playing(path) as (_, sink):
         events = until_the_end(sink)
-        assert belt.skipped == {}
     losses = [(event.camera, event.reason) for event in events if isinstance(event, FrameLost)]
     assert losses == [(CAMERAS[1], "no_image"), (CAMERAS[3], "damaged")]
     assert sum(isinstance(event, Frame) for event in events) == 10
 
 
-def test_what_cannot_be_read_is_skipped_with_a_reason(tmp_path: Path) -> None:
-    path = recorded(tmp_path, [make_bundle(number) for number in range(5)])
-    bundles = path / "bundles"
-    (bundles / "00000001.tiff").write_bytes(b"")
-    belt = ReplayBelt(open_recording(path), pace="fast", loop=True)
-    for number in (0, 2, 3, 4):
-        (bundles / f"{number:08d}.tiff").unlink()  # after the recording was opened
-    belt.start(sink := Collector())
-    assert isinstance(sink.next(), PlaybackEnded)  # a loop of nothing ends
+def test_what_cannot_be_read_still_triggers_after_all_others(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(number) for number in range(3)])
+    (path / "bundles" / "00000001.tiff").write_bytes(b"")
+    belt = ReplayBelt(open_recording(path), pace="fast")
+    (path / "bundles" / "00000002.tiff").unlink()  # after the recording was opened
+    sink = Collector()
+    for outlet in belt.cameras.values():
+        outlet.plug(sink)
+    belt.permit(3)
+    belt.start(sink)
+    events = until_the_end(sink)
     belt.stop()
-    assert set(belt.skipped) == {f"{number:08d}" for number in range(5)}
-    assert belt.skipped["00000002"] == "does not exist"
+    names = [event.name for event in events if isinstance(event, Trigger)]
+    assert names == ["00000000", "00000002", "00000001"]
+    reasons = [event.reason for event in events if isinstance(event, FrameLost)]
+    assert reasons[:4] == ["unreadable: does not exist"] * 4
+    assert all(reason.startswith("unreadable: ") for reason in reasons[4:])
+    assert len(reasons) == 8
 
 
 def test_a_bundle_without_a_sound_page_still_triggers(tmp_path: Path) -> None:
@@ -192,7 +197,7 @@ def test_a_bundle_without_a_sound_page_still_triggers(tmp_path: Path) -> None:
     belt.stop()
     assert isinstance(events[0], Trigger)
     assert [(event.camera, event.reason) for event in events[1:] if isinstance(event, FrameLost)] == [
-        (camera, "damaged") for camera in CAMERAS
+        (camera, "unreadable: every page is damaged") for camera in CAMERAS
     ]
     assert {event.received_ns - events[0].received_ns for event in events[1:]} == {DELAY_NS + 1_000_000}
 

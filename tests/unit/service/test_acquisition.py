@@ -16,7 +16,7 @@ from drivers.recording import RecordingWriter
 from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
 from service import rig_cameras
 from service.acquisition import Acquisition
-from service.bundling import BundlingParameters
+from service.bundling import BundlingCounters, BundlingParameters, CameraCounters
 from service.control import AcquisitionState, AcquisitionTarget, ConflictError
 from service.supervision import RestartPolicy
 
@@ -153,6 +153,47 @@ async def test_disarmed_and_armed_again_no_stone_is_missed_or_doubled(recording:
     assert acquisition.state is AcquisitionState.STOPPING
     with pytest.raises(ConflictError):
         acquisition.request(AcquisitionTarget.ARMED)
+
+
+async def test_disarming_before_the_rig_has_begun_to_arm_wins(recording: Path):
+    bench = Bench(recording)
+    acquisition = bench.acquisition
+    acquisition.request(AcquisitionTarget.ARMED)
+    assert acquisition.request(AcquisitionTarget.DISARMED) is AcquisitionState.DISARMING
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(acquisition.run())
+        await asyncio.wait_for(acquisition.settled.wait(), 5)
+        assert acquisition.state is AcquisitionState.DISARMED
+        acquisition.request(AcquisitionTarget.ARMED)
+        await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
+        acquisition.stop()
+        await running
+
+
+async def test_it_is_at_work_as_long_as_a_device_may_keep_it(recording: Path):
+    bench = Bench(recording)
+    acquisition = bench.acquisition
+    assert not acquisition.is_at_work
+    async with armed(bench):
+        assert acquisition.is_at_work
+        acquisition.request(AcquisitionTarget.DISARMED)
+        assert acquisition.is_at_work
+        await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
+        assert not acquisition.is_at_work
+        acquisition.request(AcquisitionTarget.ARMED)
+        await bench.until(lambda: acquisition.is_at_work)
+        acquisition.stop()
+        assert acquisition.is_at_work
+    assert not acquisition.is_at_work
+
+
+def test_the_counters_of_all_sessions_add_up(recording: Path):
+    cameras = rig_cameras.RigCameras(Bench(recording).devices.cameras)
+    for n_lost in (1, 2, 3):
+        counters = BundlingCounters(cameras={camera: CameraCounters() for camera in CAMERAS})
+        cameras.count(counters)
+        counters.cameras[CAMERAS[1]].lost += n_lost
+    assert [status.lost for status in cameras.statuses()] == [0, 6, 0]
 
 
 async def test_a_stone_in_the_air_is_seen_through_when_stopping(recording: Path):

@@ -151,9 +151,11 @@ async def test_failures_cost_their_own_bundle_alone(tmp_path: Path):
     failures = {
         "a": JobLostError("deadline", "not finished within 1 s"),
         "b": RecordingError(Path("b.tiff"), "torn"),
-        "e": JobLostError("worker_crash", "died"),
+        "e1": JobLostError("worker_crash", "died"),
+        "e2": RecordingError(Path("e2.tiff"), "torn"),
     }
-    bundles = [turn("a"), turn("b"), turn("e", kind=BundleKind.BACKGROUND), turn("c")]
+    empty = BundleKind.BACKGROUND
+    bundles = [turn("a"), turn("b"), turn("e1", kind=empty), turn("e2", kind=empty), turn("c")]
     bench = Bench(tmp_path, bundles, ScriptedPool(failures))
     await bench.processing.run()
     assert bench.outcomes == [("a", "deadline"), ("b", "unreadable"), ("c", None)]
@@ -170,13 +172,14 @@ async def test_only_known_files_reach_the_store(tmp_path: Path):
 
 async def test_what_is_abandoned_is_lost_with_the_reason(tmp_path: Path):
     pool = ScriptedPool(is_gated=True)
-    bundles = [turn("e", kind=BundleKind.BACKGROUND), turn("a"), turn("b")]
+    full = Loss(reason="queue_full", detail="16 bundles were waiting")
+    bundles = [turn("e", kind=BundleKind.BACKGROUND), turn("a"), turn("b", loss=full)]
     bench = Bench(tmp_path, bundles, pool)
     run = asyncio.create_task(bench.processing.run())
     await pool.has_job.wait()
     bench.processing.abandon()
     await run
-    assert bench.outcomes == [("a", "shutdown"), ("b", "shutdown")]
+    assert bench.outcomes == [("a", "shutdown"), ("b", "queue_full")]
 
 
 async def test_a_bug_ends_the_consumer(tmp_path: Path):

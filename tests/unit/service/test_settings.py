@@ -66,6 +66,7 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (MINIMAL + "[workers]\nslot = 2", ["workers.slot: "]),
         (MINIMAL + "[workers]\nslots = 0", ["workers: slots must be in 1..256, not 0"]),
         (MINIMAL + "[bundling]\nwindow_ms = 150", ["bundling: dead_time_ms must exceed twice window_ms"]),
+        (MINIMAL + "keep_raw = -1", ["store: keep_raw must not be negative, not -1"]),
         (MINIMAL.replace('dir = "spool"', ""), ["spool.dir: "]),
         (MINIMAL.replace("[rig]", "[rig]\nspeed = 0.0"), ["rig: speed must be in"]),
         (MINIMAL.replace("[rig]", '[rig]\npace = "fast"\nspeed = 2.0'), ["rig: speed scales"]),
@@ -139,6 +140,19 @@ def test_files_and_folders_the_settings_speak_of_are_checked(tmp_path: Path):
     (wrong,) = problems(settings_of(tmp_path, other))
     assert wrong.startswith("rig.calibration: ")
     assert rig.camera_ids[15] in wrong
+    binned = replace(rig.cameras[2], image_size_px=(640, 512))
+    write_rig(tmp_path / "other.json", replace(rig, cameras=(*rig.cameras[:2], binned, *rig.cameras[3:])))
+    (wrong,) = problems(settings_of(tmp_path, other))
+    assert wrong.startswith(f"rig.calibration: {tmp_path}/other.json: camera {binned.id}: ")
+
+
+def test_enough_views_must_be_left_to_carve_with(tmp_path: Path):
+    write_tiny_recording(tmp_path / "recording")
+    text = MINIMAL.replace("/var/lib/somewhere", "store") + "[views]\nmin = 3\n[carving]\n"
+    assert list(problems(settings_of(tmp_path, text + "max_disagreeing_views = 1"))) == []
+    assert list(problems(settings_of(tmp_path, text + "max_disagreeing_views = 2"))) == [
+        "views.min: must be at least 4, two more than carving.max_disagreeing_views, not 3"
+    ]
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
@@ -166,6 +180,7 @@ def test_check_config_prints_what_a_file_comes_to(tmp_path: Path):
     assert good.exit_code == 0, good.output
     assert f'recording = "{tmp_path}/recording"' in good.stdout
     assert "# density_g_cm3 is not set" in good.stdout
+    assert "keep_raw = 200" in good.stdout
     again = tmp_path / "again.toml"
     again.write_text(good.stdout)
     assert load_settings(again) == load_settings(path)

@@ -1,0 +1,83 @@
+"""The parts of deploy/demo without its environment: the client against a real daemon, the refusals of the script."""
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.daemon_process import DaemonProcess
+from support.small_recording import write_small_recording
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+N_STONES = 3
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
+    folder = tmp_path_factory.mktemp("demo")
+    write_small_recording(folder / "recording", n_stones=N_STONES)
+    with DaemonProcess(folder, folder / "recording") as daemon:
+        daemon.hear("READY=1")
+        yield daemon
+
+
+def start_watch(daemon: DaemonProcess, process: int, *options: str) -> subprocess.Popen[str]:
+    base = daemon.url("").removesuffix("/api/v1")
+    command = [sys.executable, DEPLOY / "watch.py", base, "--while-process", str(process), *options]
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def read_rows(watch: subprocess.Popen[str]) -> None:
+    """Return once all stones are printed."""
+    assert watch.stdout is not None
+    while not re.match(rf" *{N_STONES} ", watch.stdout.readline()):
+        assert watch.poll() is None
+
+
+def test_every_stone_is_printed_and_accounted_for(daemon: DaemonProcess):
+    watch = start_watch(daemon, daemon.process.pid, "--once")
+    out, errors = watch.communicate(timeout=30)
+    assert (watch.returncode, errors) == (0, "")
+    rows = re.findall(r"^ +(\d+)  (\S+) .* (measured) +(\w+) +\d+\.\d ", out, re.MULTILINE)
+    assert [int(seq) for seq, *_ in rows] == list(range(1, N_STONES + 1))
+    assert [bundle for _, bundle, *_ in rows] == [result["bundle"] for result in daemon.results()]
+    assert out.endswith(f"\n{N_STONES} triggers = {N_STONES} measured + 0 rejected + 0 lost\n")
+
+
+def test_stones_of_a_stranger_are_not_printed(daemon: DaemonProcess):
+    with subprocess.Popen([sys.executable, "-c", ""]) as own:
+        own.wait()
+    watch = start_watch(daemon, own.pid)
+    assert watch.communicate(timeout=30) == ("", "the daemon ended\n")
+    assert watch.returncode == 1
+
+
+def test_ctrl_c_ends_it_quietly(daemon: DaemonProcess):
+    watch = start_watch(daemon, daemon.process.pid)
+    read_rows(watch)
+    watch.send_signal(signal.SIGINT)
+    assert watch.communicate(timeout=30) == ("", "")
+    assert watch.returncode == 130
+
+
+def test_it_ends_with_the_daemon(daemon: DaemonProcess):
+    watch = start_watch(daemon, daemon.process.pid)
+    read_rows(watch)
+    daemon.stop()
+    assert watch.communicate(timeout=30) == ("", "the daemon ended\n")
+    assert watch.returncode == 1
+
+
+@pytest.mark.parametrize(
+    ("argument", "line"),
+    [
+        ("--gige", "--gige is not available in this version\n"),
+        ("--twice", "usage: deploy/demo [--once]\n"),
+    ],
+)
+def test_unknown_arguments_are_refused(argument: str, line: str):
+    done = subprocess.run([DEPLOY / "demo", argument], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
