@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-R20_MM = (
+SIEVES_MM = (
     2.0,
     2.8,
     4.0,
@@ -44,7 +44,7 @@ class LotGradation:
 
 
 def gradation(
-    sieve_sizes_mm: Sequence[float], volumes_mm3: Sequence[float], sieves_mm: Sequence[float] = R20_MM
+    sieve_sizes_mm: Sequence[float], volumes_mm3: Sequence[float], sieves_mm: Sequence[float] = SIEVES_MM
 ) -> LotGradation:
     """P(s) = 100 sum(V_i [d_i <= s]) / sum(V_i); equality passes (domain 2.1).
 

@@ -221,11 +221,11 @@ def _measure(
         shape = measure_shape(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False))
     except MeshError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
-    excess = sphere_hull_excess(
-        np.array([camera.center_mm for camera in rig.subset(carving).cameras]),
-        np.array(shape.center_mm),
-        shape.equivalent_diameter_mm / 2,
-    )
+    centers_mm = np.array([camera.center_mm for camera in rig.subset(carving).cameras])
+    try:
+        excess = sphere_hull_excess(centers_mm, np.array(shape.center_mm), shape.equivalent_diameter_mm / 2)
+    except ValueError as err:  # so few views that even a sphere's hull is open
+        raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
     angularities = [
         gradient_angularity(silhouette.outline_uv)
         for silhouette in carving.values()

@@ -8,7 +8,7 @@ tangential distortion (k1, k2, p1, p2, k3) of OpenCV.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -132,19 +132,6 @@ def distort(normalized: Array, distortion: Array) -> Array:
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         ]
     )
-
-
-def require_cameras(rig: RigCalibration, camera_ids: Sequence[CameraId]) -> None:
-    """Refuse a rig that lacks one of the cameras.
-
-    Raises
-    ------
-    RigError
-        Naming the missing cameras.
-    """
-    missing = sorted(set(camera_ids) - set(rig.camera_ids))
-    if missing:
-        raise RigError("cameras", f"no calibration for {', '.join(missing)}")
 
 
 # --- the rig document (format "stonefall-rig/1") ---

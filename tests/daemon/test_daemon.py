@@ -217,8 +217,8 @@ def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
 
 
 def test_a_fatal_error_ends_the_process_with_its_traceback(recording: Path, tmp_path: Path):
-    (tmp_path / "state").mkdir()
-    (tmp_path / "state/particles").touch()  # no folder: the first result cannot be kept
+    with open_store(tmp_path / "state") as store:  # a file in the way of the first result's folder
+        (store.particles_dir / f"{store.instance_id[:8]}-00000001").touch()
     with DaemonProcess(tmp_path, recording, slots=1) as daemon:
         assert daemon.process.wait(timeout=30) == 1
         workers = daemon.worker_pids()

@@ -8,6 +8,11 @@ from pathlib import Path
 
 from service.worker_job import WorkerFailure
 
+TRACEBACK = """Traceback (most recent call last):
+  File "/opt/stonefall/service/worker_job.py", line 1, in measure
+FileNotFoundError: 3 mm/s: '/run/stonefall/7/mesh.ply'
+"""
+
 GREETING: list[str] = []
 
 
@@ -38,7 +43,7 @@ def stumble(job: Stumble) -> str:
             os.kill(os.getpid(), signal.SIGKILL)
         if job.way == "hang":
             time.sleep(60)
-        raise WorkerFailure("a bug in the pipeline")
+        raise WorkerFailure(TRACEBACK)
     return "done"
 
 

@@ -6,10 +6,10 @@ from support.recordings import CAMERAS, SPACING_NS, make_bundle, tagged_image
 from support.sinks import Collector
 
 from drivers.cameras.faulty import FaultyCamera
-from drivers.faults import Fault, FaultPlan
+from drivers.faults import Dice, Fault, FaultPlan
 from drivers.gates.faulty import FaultyGate
 from drivers.interfaces import CameraLost, DeviceEvent, EventSink, GateLost, TriggersIgnored
-from pipeline.frames import Frame, Trigger
+from pipeline.frames import CameraId, Frame, Trigger
 
 C01, C02 = CAMERAS[:2]
 FRAMES = [make_bundle(number).frames[C01] for number in range(8)]
@@ -187,6 +187,15 @@ def test_the_seed_decides() -> None:
     # another fault in the plan does not move the first one
     both = through_camera(replace(plan, duplicate=Fault(probability=0.5)))
     assert sorted(set(ids(both))) == ids(through_camera(plan))
+
+
+def test_chance_strikes_each_camera_on_its_own() -> None:
+    def strikes(camera: CameraId) -> tuple[bool, ...]:
+        dice = Dice(1, camera)
+        return tuple(dice.strikes(Fault(probability=0.5), index) for index in range(32))
+
+    assert strikes(C01) == strikes(C01)
+    assert len({strikes(camera) for camera in CAMERAS}) == len(CAMERAS)
 
 
 def test_wrong_plans_are_named() -> None:

@@ -48,6 +48,15 @@ async def test_get_wakes_up_for_another_thread() -> None:
     thread.join()
 
 
+async def test_waiting_can_be_cancelled() -> None:
+    inbox = EventInbox(asyncio.get_running_loop(), capacity=8)
+    getting = asyncio.create_task(inbox.get(timeout_s=10))
+    await asyncio.sleep(0)
+    getting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await getting
+
+
 async def test_a_full_inbox_refuses_and_counts_frames_before_triggers() -> None:
     inbox = EventInbox(asyncio.get_running_loop(), capacity=3)
     assert [inbox.deliver(frame(number)) for number in range(5)] == [True] * 3 + [False] * 2

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import RigError
-from pipeline.frames import CameraId
-from pipeline.rig import checksum_of, require_cameras, rig_from_document, rig_to_document
+from pipeline.rig import checksum_of, rig_from_document, rig_to_document
 from pipeline.rig_design import as_built, nominal_rig
 
 NOMINAL = nominal_rig()
@@ -140,9 +139,3 @@ def test_an_edited_file_with_its_old_checksum_is_refused() -> None:
     del document["cameras"][0]["projection"]
     document["checksum"] = checksum_of(document)
     rig_from_document(document)
-
-
-def test_missing_cameras_are_named() -> None:
-    require_cameras(NOMINAL, [CameraId("c01")])
-    with pytest.raises(RigError, match="c17"):
-        require_cameras(NOMINAL, [CameraId("c01"), CameraId("c17")])

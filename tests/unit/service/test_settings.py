@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.recordings import small_rig
 from typer.testing import CliRunner
 
 from drivers.recording import RecordingWriter
@@ -140,10 +141,10 @@ def test_files_and_folders_the_settings_speak_of_are_checked(tmp_path: Path):
     (wrong,) = problems(settings_of(tmp_path, other))
     assert wrong.startswith("rig.calibration: ")
     assert rig.camera_ids[15] in wrong
-    binned = replace(rig.cameras[2], image_size_px=(640, 512))
-    write_rig(tmp_path / "other.json", replace(rig, cameras=(*rig.cameras[:2], binned, *rig.cameras[3:])))
+    write_rig(tmp_path / "other.json", small_rig(rig.camera_ids))
     (wrong,) = problems(settings_of(tmp_path, other))
-    assert wrong.startswith(f"rig.calibration: {tmp_path}/other.json: camera {binned.id}: ")
+    assert wrong.startswith(f"rig.calibration: {tmp_path}/other.json: camera c01: ")
+    assert "64" in wrong
 
 
 def test_enough_views_must_be_left_to_carve_with(tmp_path: Path):

@@ -9,9 +9,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from support.worker_jobs import Stumble, greeting_and_pid, initialize, stumble
+from support.worker_jobs import TRACEBACK, Stumble, greeting_and_pid, initialize, stumble
 
-from service.worker_job import WorkerFailure
 from service.workers import JobLostError, WorkerPool, WorkerStartError
 
 
@@ -60,24 +59,13 @@ async def test_the_second_failure_loses_this_job_alone(way: str, reason: str, tm
 
 
 async def test_the_traceback_is_for_the_journal_and_its_last_line_for_clients(
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
     async with pool_of(1) as pool:
         with pytest.raises(JobLostError) as lost:
-            await pool.run(fail_as, TRACEBACK)
+            await pool.run(stumble, Stumble(tmp_path, "raise", failures=2))
     assert lost.value.detail == "FileNotFoundError: 3 mm/s: 'mesh.ply'"
-    (record, _) = (record for record in caplog.records if record.levelname == "ERROR")
-    assert TRACEBACK in record.message
-
-
-TRACEBACK = """Traceback (most recent call last):
-  File "/opt/stonefall/service/worker_job.py", line 1, in measure
-FileNotFoundError: 3 mm/s: '/run/stonefall/7/mesh.ply'
-"""
-
-
-def fail_as(text: str) -> None:
-    raise WorkerFailure(text)
+    assert [TRACEBACK in entry.message for entry in caplog.records if entry.levelname == "ERROR"] == [True] * 2
 
 
 async def test_a_worker_killed_while_idle_is_replaced():

@@ -1,0 +1,96 @@
+"""The daemon in this process, on a rig that hangs: it is noticed, and ends none the less."""
+
+import asyncio
+import os
+import signal
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+from support.recordings import make_bundle, write_recording
+
+from drivers.factory import Devices, ReplayBackend, build_devices
+from drivers.interfaces import EventSink
+from service import daemon
+from service.settings import RigSettings, Settings, SpoolSettings, StoreSettings, WorkersSettings
+from service.store import open_store
+from service.systemd import ServiceManager
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    recording = write_recording(tmp_path / "recording", [make_bundle(1)])
+    return Settings(
+        rig=RigSettings(recording=recording),
+        spool=SpoolSettings(dir=tmp_path / "spool"),
+        store=StoreSettings(dir=tmp_path / "state"),
+        workers=WorkersSettings(slots=1),
+        api=replace(Settings.model_fields["api"].default, port=0),
+    )
+
+
+class HangingGate:
+    """Does not come back from `open` until it is closed; asks the daemon to stop meanwhile."""
+
+    def __init__(self, n_signals: int) -> None:
+        self.n_signals = n_signals
+        self.closed = threading.Event()
+
+    def open(self) -> None:
+        for _ in range(self.n_signals):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.2)
+        self.closed.wait()
+
+    def arm(self, sink: EventSink) -> None:
+        raise AssertionError("armed although it was never opened")
+
+    def disarm(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+@dataclass(frozen=True)
+class ListeningManager(ServiceManager):
+    heard: list[str] = field(default_factory=list)
+
+    def notify(self, *assignments: str) -> None:
+        self.heard.extend(assignments)
+
+
+@pytest.mark.parametrize(("n_signals", "disarm_s"), [(1, 0.5), (2, 60.0)])
+async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
+    n_signals: int,
+    disarm_s: float,
+    settings: Settings,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+):
+    def hanging(backend: ReplayBackend) -> Devices:
+        return replace(build_devices(backend), gate=HangingGate(n_signals))
+
+    monkeypatch.setattr(daemon, "build_devices", hanging)
+    monkeypatch.setattr(daemon, "DISARM_S", disarm_s)
+    monkeypatch.setattr(daemon, "ACQUISITION_LIMIT_S", 0.1)
+    manager = ListeningManager(watchdog_s=0.15)
+    await asyncio.wait_for(daemon.run(settings, manager), 30)
+    assert "READY=1" not in manager.heard
+    assert "STOPPING=1" in manager.heard
+    assert "no progress of acquisition" in caplog.text
+    assert "the rig does not disarm" in caplog.text
+
+
+async def test_only_who_looks_after_the_parts_calls_an_idle_one_alive(settings: Settings):
+    store = await asyncio.to_thread(open_store, settings.store.dir)
+    built = await daemon.build(settings, store)
+    for part in ("acquisition", "processing"):
+        built.heartbeats.beat(part, time.monotonic() - 1000)
+    assert built.late() == built.late() == ["acquisition", "processing"]
+    built.rig.is_at_work = True  # whatever its state is
+    assert built.watch() == ["acquisition"]
+    built.rig.is_at_work = False
+    assert built.watch() == built.late() == []
+    await asyncio.to_thread(store.close)
