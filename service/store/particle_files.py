@@ -11,7 +11,6 @@ from pathlib import Path
 
 from drivers.files import sync
 
-
 RAW = "bundle.tiff"
 
 

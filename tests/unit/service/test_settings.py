@@ -163,7 +163,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
     assert wrong.startswith("store.dir: cannot write to /proc: ")
 
 
-@pytest.mark.parametrize("name", ["stonefall.toml", "simulated.toml"])
+@pytest.mark.parametrize("name", ["stonefall.toml", "demo.toml"])
 def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, tmp_path: Path):
     text = (DEPLOY / name).read_text()
     settings = settings_of(tmp_path, text)

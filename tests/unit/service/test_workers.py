@@ -65,7 +65,9 @@ async def test_the_traceback_is_for_the_journal_and_its_last_line_for_clients(
         with pytest.raises(JobLostError) as lost:
             await pool.run(stumble, Stumble(tmp_path, "raise", failures=2))
     assert lost.value.detail == "FileNotFoundError: 3 mm/s: 'mesh.ply'"
-    assert [TRACEBACK in entry.message for entry in caplog.records if entry.levelname == "ERROR"] == [True] * 2
+    assert [TRACEBACK in entry.message for entry in caplog.records if entry.levelname == "ERROR"] == [
+        True
+    ] * 2
 
 
 async def test_a_worker_killed_while_idle_is_replaced():
