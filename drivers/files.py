@@ -34,6 +34,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     RecordingError
         `path` exists and is not an empty folder.
     """
+    path = path.resolve()  # `.` has no name, and a link must not be replaced
     require_unused(path)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     unfinished.mkdir(parents=True)

@@ -21,7 +21,7 @@ def read_png(path: Path, size_px: tuple[int, int]) -> Image:
         image = imagecodecs.png_decode(path.read_bytes())
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
-    except (imagecodecs.PngError, ValueError) as err:
+    except (imagecodecs.PngError, ValueError, MemoryError) as err:
         raise RecordingError(path, f"is not a sound PNG: {err}") from err
     if image.ndim != 2:
         raise RecordingError(path, "is a colour image; 8-bit grey is needed")

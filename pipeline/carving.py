@@ -48,8 +48,8 @@ class CarvingParameters:
     def __post_init__(self) -> None:
         if self.n % BLOCKS[0] or not 16 <= self.n <= 1024:
             raise ValueError(f"n must be a multiple of {BLOCKS[0]} between 16 and 1024")
-        if self.size_mm <= 0:
-            raise ValueError("size_mm must be positive")
+        if not 0 < self.size_mm < 1000:
+            raise ValueError("size_mm must be between 0 and 1000")
         if self.max_disagreeing_views < 0:
             raise ValueError("max_disagreeing_views must not be negative")
 
@@ -267,6 +267,8 @@ def _sample(
 ) -> Array:
     """Values (N,) of an image at pixels u, v."""
     n = len(u)
+    if n == 0:
+        return np.zeros(0, np.float32)
     rows = -(-n // ROW)
     width = min(n, ROW)
     if rows * width != n:

@@ -35,7 +35,7 @@ class ConsistencyParameters:
     def __post_init__(self) -> None:
         if self.max_suspect_views < 0:
             raise ValueError("max_suspect_views must not be negative")
-        if self.max_residual_px <= 0 or self.max_denied_share <= 0:
+        if not (self.max_residual_px > 0 and self.max_denied_share > 0):
             raise ValueError("max_residual_px and max_denied_share must be positive")
 
 
@@ -72,7 +72,7 @@ def check_consistency(
             # clearances are cut off like the distances they come from
             denied_px = min(parameters.max_denied_share * diameter_px, 0.7 * MARGIN_PX)
             claimed = _rms_outside(clearance) / parameters.max_residual_px
-            denied = float(np.median(clearance)) / denied_px
+            denied = float(np.median(clearance)) / denied_px if len(clearance) else 0.0
             if max(claimed, denied) > score:
                 worst, score = camera.id, max(claimed, denied)
                 problem = "claims a body that other views exclude" if claimed > denied else "denies the body"

@@ -182,13 +182,14 @@ def rig_from_document(document: Any) -> RigCalibration:
     root = _mapping(document, "document")
     if root.get("format") != FORMAT:
         raise RigError("format", f'must be "{FORMAT}", not {root.get("format")!r}')
-    if "checksum" in root:
-        try:
-            expected = checksum_of(root)
-        except ValueError as err:
-            raise RigError("document", "numbers must be finite") from err
-        if root["checksum"] != expected:
-            raise RigError("checksum", "does not match the content: the file was damaged or edited")
+    try:
+        expected = checksum_of(root)
+    except UnicodeEncodeError as err:
+        raise RigError("document", "holds text that is no Unicode") from err
+    except ValueError as err:
+        raise RigError("document", "numbers must be finite") from err
+    if "checksum" in root and root["checksum"] != expected:
+        raise RigError("checksum", "does not match the content: the file was damaged or edited")
     name = _member(root, "name", str, "")
     method = root.get("method", "imported")
     if method not in get_args(Method):
@@ -239,7 +240,9 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
     else:
         K, R, t_mm = _decompose(_numbers(members, "projection", (3, 4), path), path)
     serial, rms_px = members.get("serial"), members.get("rms_px")
-    if rms_px is not None and (not isinstance(rms_px, int | float) or not 0 <= rms_px < np.inf):
+    if rms_px is not None and (
+        isinstance(rms_px, bool) or not isinstance(rms_px, int | float) or not 0 <= rms_px < 1e6
+    ):
         raise RigError(f"{path}.rms_px", f"must be a residual in pixels or null, not {rms_px!r}")
     camera = CameraCalibration(
         id=CameraId(camera_id),
@@ -327,7 +330,7 @@ def _numbers(members: Mapping[str, Any], key: str, shape: tuple[int, ...], path:
         raise RigError(where, "is missing")
     try:
         array = np.array(members[key], dtype=np.float64)
-    except (TypeError, ValueError) as err:
+    except (TypeError, ValueError, OverflowError) as err:
         raise RigError(where, "must hold numbers") from err
     if array.shape != shape:
         raise RigError(where, f"must have shape {list(shape)}, not {list(array.shape)}")

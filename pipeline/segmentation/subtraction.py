@@ -23,9 +23,9 @@ from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-CORE_DEPTH_PX = 3
-"""Beyond this depth behind the edge, blur (sigma below 1 px) no longer mixes the background in."""
-REACH_PX = 15
+CORE_DEPTH_PX = 4
+"""Beyond this depth behind the first trace of the body, blur no longer mixes the background in."""
+REACH_PX = 13
 """Window over which the body's grey level is carried from the core outwards."""
 
 
@@ -43,8 +43,10 @@ class SegmentationParameters:
         for name in ("min_contrast", "dark_share", "second_body_share"):
             if not 0 < getattr(self, name) < 1:
                 raise ValueError(f"{name} must be between 0 and 1")
-        if self.min_body_px < COARSE**2:
+        if not self.min_body_px >= COARSE**2:
             raise ValueError(f"min_body_px must be at least {COARSE**2}")
+        if self.hole_px < 0:
+            raise ValueError("hole_px must not be negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,17 +114,16 @@ class BackgroundSegmenter:
         difference = expected - image
         unknown: Mask = cv2.dilate((expected < dark_below).astype(np.uint8), _disc(2)).astype(bool)
         differs = (np.abs(difference) > self.parameters.min_contrast * expected + 4) & ~unknown
-        # half of the body's typical contrast is near enough to the edge to find the core behind it
-        typical = _median(difference[differs])
-        rough = (difference * np.sign(typical) > 0.5 * abs(typical)) & ~unknown
-        core = cv2.erode(rough.astype(np.uint8), _disc(CORE_DEPTH_PX)).astype(np.float32)
-        weight = cv2.blur(core, (REACH_PX, REACH_PX))
-        level = cv2.blur(image * core, (REACH_PX, REACH_PX))
-        # slivers too thin for a core, and edges beside the unknown, take the body's typical level instead
-        level = np.where(weight > 1e-3, level / np.maximum(weight, np.float32(1e-3)), _median(image[rough]))
+        core = cv2.erode(differs.astype(np.uint8), _disc(CORE_DEPTH_PX)).astype(np.float32)
+        level = _carried(image, core, REACH_PX)
+        if (lacking := np.isnan(level) & differs).any():
+            # slivers too thin for a core, and edges beside the unknown, ask further around
+            level[lacking] = _carried(image, core, 5 * REACH_PX)[lacking]
+        level[np.isnan(level)] = _median(image[differs])
         contrast = expected - level
-        unknown |= np.abs(contrast) < self.parameters.min_contrast * expected
+        unknown |= (np.abs(contrast) < self.parameters.min_contrast * expected) & (core == 0)
         coverage: Array = np.clip(difference / np.where(unknown, np.float32(1), contrast), 0, 1)
+        coverage[core > 0] = 1  # light veins and dark stains: only the edge is judged by its surroundings
         inside = (coverage > 0.5) & ~unknown
         body = _largest_with_holes_filled(inside, unknown, self.parameters.hole_px)
         return body, unknown, coverage
@@ -155,6 +156,14 @@ def _largest_with_holes_filled(inside: Mask, unknown: Mask, hole_px: int) -> Mas
         if n_inside > size:
             largest, size = part.astype(bool), n_inside
     return largest
+
+
+def _carried(image: Array, core: Array, window_px: int) -> Array:
+    """Mean of the core's grey levels in the window around each pixel, NaN where the window holds no core."""
+    window = (window_px, window_px)
+    weight = cv2.blur(core, window)
+    level = cv2.blur(image * core, window)
+    return np.where(weight > 1e-4, level / np.maximum(weight, np.float32(1e-4)), np.float32(np.nan))
 
 
 def _median(values: Array) -> np.float32:

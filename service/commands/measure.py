@@ -67,7 +67,7 @@ def command(
     """Measure every particle of a recording; the same numbers as the daemon's, whatever the number of workers."""
     source = open_recording(recording)
     rig_path = rig or source.path / "rig.json"
-    if not rig_path.exists():
+    if rig is None and not rig_path.exists():
         raise UsageError(f"{recording} has no rig.json; name a rig file with --rig")
     calibration = read_rig(rig_path)
     require_rig_of(source, calibration, rig_path)

@@ -174,7 +174,9 @@ def test_too_few_views_and_foreign_cameras_are_refused() -> None:
         carve(silhouettes, RIG.subset([CameraId("c02")]), COARSE)
 
 
-@pytest.mark.parametrize("wrong", [{"n": 100}, {"size_mm": 0.0}, {"max_disagreeing_views": -1}])
+@pytest.mark.parametrize(
+    "wrong", [{"n": 100}, {"size_mm": 0.0}, {"size_mm": float("nan")}, {"max_disagreeing_views": -1}]
+)
 def test_parameters_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         CarvingParameters(**wrong)  # type: ignore[arg-type]

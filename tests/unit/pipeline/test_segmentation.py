@@ -69,6 +69,36 @@ def test_a_body_brighter_than_the_wall_is_found_as_well() -> None:
     assert abs(outline_errors_px(silhouette, CENTER_MM).mean()) < 0.05
 
 
+@pytest.mark.parametrize("shading", ["lit from the camera", "lit from one side", "light vein"])
+def test_light_parts_of_a_body_belong_to_it(shading: str) -> None:
+    camera = CameraId("c02")
+    wall = rendered.background()[camera].mean
+    truth = sphere_silhouette(RIG.subset([camera]).cameras[0], CENTER_MM, 7.5)
+    depth = np.clip(truth.distance_px, 0, None) / 156
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    match shading:
+        case "lit from the camera":
+            grey = 60 + 80 * np.sqrt(np.clip(2 * depth - depth**2, 0, 1))
+        case "lit from one side":
+            grey = 60 + 80 * columns / columns.max()
+        case _:
+            grey = np.where(np.abs(columns - rows - 20) < 9, 145, 70)
+    share = np.clip(truth.distance_px + 0.5, 0, 1)
+    (u, v), (h, w) = truth.offset_uv, share.shape
+    image = wall.astype(float)
+    image[v : v + h, u : u + w] = image[v : v + h, u : u + w] * (1 - share) + grey * share
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    frame = with_image(rendered.sphere_bundle().frames[camera], image)
+    silhouette = SEGMENTER(frame, rendered.background())
+    assert silhouette.status is ViewStatus.OK
+    errors_px = outline_errors_px(silhouette, CENTER_MM)
+    # a light that falls to the rim leaves its gradient over the carried level: a tenth of the contrast
+    assert abs(errors_px.mean()) < 0.2
+    assert np.abs(errors_px).max() < 4
+    inside = truth.label_image() == INSIDE
+    assert (silhouette.label_image()[inside] == INSIDE).mean() > 0.99
+
+
 def test_empty_view() -> None:
     silhouettes = segment_all(rendered.bundle_of(number=1).frames, rendered.background(), SEGMENTER)
     assert {silhouette.status for silhouette in silhouettes.values()} == {ViewStatus.EMPTY}
