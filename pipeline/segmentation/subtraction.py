@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.frames import CameraId, Frame
+from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, coarsen, flash_gain
 from pipeline.segmentation.edge import signed_distance
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
@@ -110,7 +110,7 @@ class BackgroundSegmenter:
         return ViewStatus.OK, (x, y, width, height)
 
     def _delineate(self, image: Array, expected: Array, dark_below: float) -> tuple[Mask, Mask, Array]:
-        """Masks of the body (with the unknown pixels it may hide behind) and of the unknown, and coverage c."""
+        """Masks (h, w) of the body, with unknown pixels it may hide behind, and of the unknown; coverage c, 0..1."""
         difference = expected - image
         unknown: Mask = cv2.dilate((expected < dark_below).astype(np.uint8), _disc(2)).astype(bool)
         differs = (np.abs(difference) > self.parameters.min_contrast * expected + 4) & ~unknown
@@ -131,7 +131,7 @@ class BackgroundSegmenter:
 
 def _no_body(frame: Frame, status: ViewStatus) -> Silhouette:
     height_px, width_px = frame.image.shape
-    return Silhouette(camera=CameraId(frame.camera), status=status, image_size_px=(width_px, height_px))
+    return Silhouette(camera=frame.camera, status=status, image_size_px=(width_px, height_px))
 
 
 def _largest_with_holes_filled(inside: Mask, unknown: Mask, hole_px: int) -> Mask:
