@@ -46,13 +46,58 @@ class TriggersIgnored:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PulseEnded:
+    """The beam is open again: how long the stone of trigger `sequence` interrupted it."""
+
+    sequence: int
+    received_ns: int
+    width_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TriggersLost:
+    """The gate's own counter went on by more than was announced: the cameras may have exposed."""
+
+    received_ns: int
+    count: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlaybackEnded:
     """A replayed recording is through; devices of a real rig never say this."""
 
     received_ns: int
 
 
-DeviceEvent = Trigger | Frame | FrameLost | CameraLost | GateLost | TriggersIgnored | PlaybackEnded
+DeviceEvent = (
+    Trigger
+    | PulseEnded
+    | TriggersLost
+    | TriggersIgnored
+    | GateLost
+    | Frame
+    | FrameLost
+    | CameraLost
+    | PlaybackEnded
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraVitals:
+    """What a camera and its stream tell about themselves; None where the device cannot say."""
+
+    serial: str | None = None
+    model: str | None = None
+    address: str | None = None
+    temperature_c: float | None = None
+    ptp_offset_ns: int | None = None  # from the master's clock
+    receive_buffer_bytes: int | None = None  # of the stream's socket, as the kernel granted it
+    frames: int = 0  # received whole, since opened
+    failed_frames: int = 0  # received in part, or given up
+    missing_packets: int = 0
+    resent_packets: int = 0
+    warnings: tuple[str, ...] = ()  # what works but should be looked at, with the remedy
 
 
 class EventSink(Protocol):
@@ -67,6 +112,7 @@ class Camera(Protocol):
     """One camera of the rig: `open`, then any number of `arm` / `disarm`, then `close`.
 
     `close` is idempotent and allowed in every state; after `disarm` returns nothing more is delivered.
+    Calls come from any thread, but one at a time.
     """
 
     @property
@@ -78,6 +124,13 @@ class Camera(Protocol):
 
     def arm(self, sink: EventSink) -> None:
         """Expose at every trigger from now on and deliver to `sink`."""
+        ...
+
+    def examine(self) -> CameraVitals:
+        """Ask an open or armed camera how it is.
+
+        Raises `CameraUnavailableError` when it does not answer, is no longer ours, or is not set as `open` set it.
+        """
         ...
 
     def disarm(self) -> None: ...
@@ -93,6 +146,13 @@ class LightGate(Protocol):
         ...
 
     def arm(self, sink: EventSink) -> None: ...
+
+    def test_pulse(self) -> None:
+        """Expose without a stone: a `BACKGROUND` trigger follows.
+
+        Raises `GateUnavailableError` when this gate has no way to trigger the cameras, or is not armed.
+        """
+        ...
 
     def disarm(self) -> None: ...
 

@@ -19,7 +19,9 @@ from drivers.interfaces import (
     FrameLost,
     GateLost,
     PlaybackEnded,
+    PulseEnded,
     TriggersIgnored,
+    TriggersLost,
 )
 from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
 from service.frame_checks import ExposureCheck, id_step
@@ -150,7 +152,7 @@ class BundleAssembler:
                 self.counters.triggers_ignored += event.count
             case PlaybackEnded():
                 return self.flush()
-            case GateLost():
+            case GateLost() | PulseEnded() | TriggersLost():
                 pass
         return self.advance(event.received_ns)
 

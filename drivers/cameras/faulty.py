@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from drivers.faults import Dice, FaultPlan
-from drivers.interfaces import Camera, CameraLost, DeviceEvent, EventSink
+from drivers.errors import CameraUnavailableError
+from drivers.interfaces import Camera, CameraLost, CameraVitals, DeviceEvent, EventSink
 from pipeline.frames import CameraId, Frame, Image
 
 
@@ -33,6 +34,11 @@ class FaultyCamera:
     def arm(self, sink: EventSink) -> None:
         self._sink = sink
         self._camera.arm(self)
+
+    def examine(self) -> CameraVitals:
+        if self._is_lost:
+            raise CameraUnavailableError(self.id, "disconnected")
+        return self._camera.examine()
 
     def disarm(self) -> None:
         self._camera.disarm()

@@ -1,7 +1,7 @@
 """A camera of a recorded rig."""
 
 from drivers.errors import CameraUnavailableError
-from drivers.interfaces import EventSink
+from drivers.interfaces import CameraVitals, EventSink
 from drivers.replay_belt import ReplayBelt
 from pipeline.frames import CameraId
 
@@ -28,6 +28,11 @@ class ReplayCamera:
         if not self._is_open:
             raise CameraUnavailableError(self._id, "is not open")
         self._belt.cameras[self._id].plug(sink)
+
+    def examine(self) -> CameraVitals:
+        if not self._is_open:
+            raise CameraUnavailableError(self._id, "is not open")
+        return CameraVitals()
 
     def disarm(self) -> None:
         if self._is_open:

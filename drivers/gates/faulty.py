@@ -37,6 +37,9 @@ class FaultyGate:
         self._sink = sink
         self._gate.arm(self)
 
+    def test_pulse(self) -> None:
+        self._gate.test_pulse()
+
     def disarm(self) -> None:
         self._gate.disarm()
 

@@ -20,6 +20,10 @@ class ReplayGate:
             raise GateUnavailableError("gate", "is not open")
         self._belt.start(sink)
 
+    def test_pulse(self) -> None:
+        """Never: a recording cannot expose; raises `GateUnavailableError`."""
+        raise GateUnavailableError("gate", "a recording has no rig to expose")
+
     def disarm(self) -> None:
         self._belt.pause()
 
