@@ -61,6 +61,7 @@ class Trigger:
     pulse_width_ns: int | None = None
     kind: BundleKind = BundleKind.PARTICLE
     name: str | None = None  # of the recorded bundle, in replay
+    is_announced: bool = True  # by the gate; False: made up for frames that came without, `utc` still unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,8 +1,8 @@
 """From the light gate and the cameras to the bundles, armed and disarmed on request.
 
-A session opens and arms the cameras, then the gate, pumps the inbox through the assembler, and ends by
-disarming the gate first. Every trigger is durable before its bundle is. A lost camera degrades the
-results; a lost gate, or too few cameras, ends the session, which is started anew.
+A session arms the cameras, then the gate, pumps the inbox through the assembler, and ends by disarming
+the gate first. Every trigger is durable before its bundle is. A device that is lost is brought back
+meanwhile; without the gate or with too few cameras the session is held, and what falls is still counted.
 """
 
 import asyncio
@@ -11,17 +11,19 @@ import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
-from drivers.errors import CameraUnavailableError, DeviceError, GateUnavailableError
 from drivers.factory import Devices
 from drivers.inbox import EventInbox
-from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
+from drivers.interfaces import DeviceEvent, GateLost, PlaybackEnded
 from pipeline.frames import FrameBundle, Trigger
+from service.bundle_counters import BundlingCounters
 from service.bundling import BundleAssembler, BundlingParameters
-from service.control import AcquisitionState, AcquisitionTarget, next_state
-from service.rig_cameras import RigCameras, is_set_within
-from service.supervision import RestartPolicy, supervise
+from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, next_state
+from service.empty_rig import EmptyRigParameters, expose_empty_rig
+from service.keeper import Keeper
+from service.rig_cameras import RigCameras
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +31,8 @@ IDLE_S = 0.05
 """Longest wait for an event before deadlines are looked at."""
 LAST_FRAMES_S = 10.0
 """Longest wait for the frames of the last trigger once the gate is disarmed."""
+SUSPENDED_S = 60.0
+"""Without a stone for so long the crusher is starved or stands: nobody's fault here."""
 INBOX_TRIGGERS = 8
 """So many triggers' frames may wait for the loop: at 21 MB each a bound on memory, not a queue."""
 
@@ -54,7 +58,7 @@ class Acquisition:
         triggers: TriggerLog,
         bundling: BundlingParameters,
         min_cameras: int,
-        policy: RestartPolicy,
+        empty_rig: EmptyRigParameters = EmptyRigParameters(at_start=0, every_s=0),  # noqa: B008 - frozen
         on_bundle: Callable[[FrameBundle], None],
         on_progress: Callable[[], None],
     ) -> None:
@@ -63,13 +67,18 @@ class Acquisition:
         self._triggers = triggers
         self._bundling = bundling
         self._min_cameras = min(min_cameras, len(devices.cameras))
-        self._policy = policy
+        self._empty_rig = empty_rig
         self._on_bundle = on_bundle
         self._on_progress = on_progress
         self._arm_requested = asyncio.Event()
         self._leave = asyncio.Event()
-        self._armings = 0
-        self.cameras = RigCameras(devices.cameras)
+        self._n_named = 0
+        self._last_trigger_s = time.monotonic()
+        self.cameras = RigCameras(devices.cameras, is_live=devices.belt is None)
+        self.gate = Keeper("light gate", devices.gate)
+        self.counters = BundlingCounters()
+        """Since it was last armed."""
+        self._inbox: EventInbox | None = None
         self.state = AcquisitionState.DISARMED
         self.trouble: str | None = None
         """Why it is held."""
@@ -96,20 +105,44 @@ class Acquisition:
         self._leave.set()
         self._arm_requested.set()
 
-    async def run(self) -> None:
-        """Arm whenever it is requested.
+    @property
+    def last_trigger_age_s(self) -> float:
+        """Seconds since the last trigger, or since the start."""
+        return time.monotonic() - self._last_trigger_s
 
-        Raises
-        ------
-        DeviceError
-            The rig failed more often than the policy allows.
-        """
+    def status(self) -> AcquisitionStatus:
+        """Return where the rig stands."""
+        counters = self.counters
+        is_starved = self.last_trigger_age_s > SUSPENDED_S
+        is_armed = self.state is AcquisitionState.ARMED
+        return AcquisitionStatus(
+            state=self.state,
+            trouble=self.trouble,
+            activity=("suspended" if is_starved else "measuring") if is_armed else "idle",
+            cameras_armed=self.cameras.armed,
+            cameras=len(self.cameras.ids),
+            gate=self.gate.state,
+            gate_error=self.gate.last_error,
+            last_trigger_age_s=round(self.last_trigger_age_s, 3),
+            triggers=counters.triggers,
+            orphans=counters.orphans,
+            unseen=counters.unseen,
+            in_dead_time=counters.in_dead_time,
+            triggers_ignored=counters.triggers_ignored,
+            triggers_lost=counters.triggers_lost,
+            events_refused=0 if self._inbox is None else sum(self._inbox.refused.values()),
+        )
+
+    async def run(self) -> None:
+        """Arm whenever it is requested."""
         while True:
             await self._arm_requested.wait()
             if self.state is AcquisitionState.STOPPING:
                 return
             self._arm_requested.clear()
-            await supervise("acquisition", self._run_session, DeviceError, self._policy, pause=self._hold)
+            if not self._leave.is_set():
+                async with asyncio.TaskGroup() as tasks:
+                    await self._run_session(tasks)
             self._enter(AcquisitionState.DISARMED)
             self.settled.set()
 
@@ -117,65 +150,57 @@ class Acquisition:
         if self.state is not AcquisitionState.STOPPING:
             self.state = state
 
-    async def _hold(self, error: Exception, delay_s: float) -> None:
-        self.trouble = str(error)
-        self._enter(AcquisitionState.HELD)
-        self.settled.set()
-        await is_set_within(self._leave, delay_s)
-
-    async def _run_session(self) -> None:
-        if self._leave.is_set():
-            return
+    async def _run_session(self, tasks: asyncio.TaskGroup) -> None:
         self._enter(AcquisitionState.ARMING)
-        self._armings += 1
         self.is_at_work = True
-        gate = self._devices.gate
-        inbox = EventInbox(asyncio.get_running_loop(), INBOX_TRIGGERS * len(self.cameras.ids))
+        inbox = self._inbox = EventInbox(asyncio.get_running_loop(), INBOX_TRIGGERS * len(self.cameras.ids))
         assembler = BundleAssembler(self.cameras.ids, self._bundling)
+        self.counters = assembler.counters
         self.cameras.count(assembler.counters)
         async with AsyncExitStack() as ending:
-            ending.callback(self._end_session, inbox, assembler)
+            ending.push_async_callback(self._end_session, inbox, assembler)
             ending.push_async_callback(self.cameras.close)
-            await self.cameras.arm(inbox)
-            self._require_cameras()
-            retrying = self._retry_lost_cameras(inbox, ending)
-            ending.push_async_callback(asyncio.to_thread, gate.close)
-            await asyncio.to_thread(gate.open)
+            await self.cameras.arm(inbox, tasks)
             ending.push_async_callback(self._pump_last_frames, inbox, assembler)
-            ending.push_async_callback(asyncio.to_thread, gate.disarm)
-            await asyncio.to_thread(gate.arm, inbox)
+            ending.push_async_callback(self.gate.end)
+            self.gate.start(inbox, tasks)
+            await self.gate.settled.wait()
             ending.callback(self._enter, AcquisitionState.DISARMING)
-            self._enter(AcquisitionState.ARMED)
-            self.trouble = None
+            exposing = tasks.create_task(self._expose_empty_rig(assembler))
+            ending.callback(exposing.cancel)
+            self._judge()
             self.settled.set()
-            log.info("armed cameras=%d of=%d", self.cameras.armed, len(self.cameras.ids))
-            while not self._leave.is_set() and not retrying.done():
+            log.info("%s cameras=%d of=%d", self.state, self.cameras.armed, len(self.cameras.ids))
+            while not self._leave.is_set():
                 match await self._pump(inbox, assembler):
                     case GateLost(reason=reason):
-                        raise GateUnavailableError("light gate", reason)
-                    case CameraLost():
-                        self._require_cameras()
+                        self.gate.lose(reason)
                     case PlaybackEnded():
                         return
+                self._judge()
 
-    def _retry_lost_cameras(self, inbox: EventInbox, ending: AsyncExitStack) -> "asyncio.Task[None]":
-        leave = asyncio.Event()
-        retrying = asyncio.create_task(self.cameras.retry_lost(inbox, leave))
+    def _judge(self) -> None:
+        """Whether the next stone will be measured, and if not why."""
+        trouble = self.gate.last_error if self.gate.state == "lost" else None
+        trouble = trouble or self.cameras.trouble(self._min_cameras)
+        if trouble != self.trouble:
+            log.log(logging.ERROR if trouble else logging.INFO, "held: %s", trouble or "no longer")
+        self.trouble = trouble
+        self._enter(AcquisitionState.HELD if trouble else AcquisitionState.ARMED)
 
-        async def end() -> None:
-            leave.set()
-            await retrying
+    async def _expose_empty_rig(self, assembler: BundleAssembler) -> None:
+        async def fire() -> None:
+            if self.gate.state == "armed":
+                await self.gate.call(self._devices.gate.test_pulse)
 
-        ending.push_async_callback(end)
-        return retrying
-
-    def _require_cameras(self) -> None:
-        if self.cameras.armed < self._min_cameras:
-            lost = [status for status in self.cameras.statuses() if status.state == "lost"]
-            raise CameraUnavailableError(
-                ", ".join(status.id for status in lost),
-                f"{lost[0].last_error}; {self.cameras.armed} cameras are left of {self._min_cameras} needed",
+        def is_quiet() -> bool:
+            return (
+                self.state is AcquisitionState.ARMED
+                and assembler.next_deadline_ns is None
+                and self.last_trigger_age_s > self._bundling.quiet_s
             )
+
+        await expose_empty_rig(self._empty_rig, fire, is_quiet)
 
     async def _pump(self, inbox: EventInbox, assembler: BundleAssembler) -> DeviceEvent | None:
         """Handle and return the next event, or the deadlines that are due if none comes."""
@@ -184,12 +209,12 @@ class Acquisition:
         if event is None:
             bundles = assembler.advance(now_ns)
         else:
+            event = self.cameras.vet(event)
             if isinstance(event, Trigger):
                 event = await self._recorded(event)
             self.cameras.note(event)
             bundles = assembler.feed(event)
-        for bundle in bundles:
-            self._on_bundle(bundle)
+        await self._hand_over(bundles)
         self._on_progress()
         return event
 
@@ -201,19 +226,36 @@ class Acquisition:
             if event is None and assembler.next_deadline_ns is None:
                 return
 
-    def _end_session(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
+    async def _end_session(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
         self.is_at_work = False
-        for bundle in assembler.flush("disarmed"):
-            self._on_bundle(bundle)
+        await self._hand_over(assembler.flush("disarmed"))
         log.info("disarmed triggers=%d", assembler.counters.triggers)
         if inbox.refused:
             log.error("events lost, the loop was too slow: %s", inbox.refused)
 
+    async def _hand_over(self, bundles: list[FrameBundle]) -> None:
+        for bundle in bundles:
+            if not bundle.trigger.is_announced:
+                bundle = replace(bundle, trigger=await self._recorded(self._dated(bundle.trigger)))
+                log.warning(
+                    "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
+                )
+            self.cameras.look_into(bundle)
+            self._on_bundle(bundle)
+
+    def _dated(self, trigger: Trigger) -> Trigger:
+        age = timedelta(microseconds=(self._devices.clock() - trigger.received_ns) / 1e3)
+        return replace(
+            trigger, utc=(datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        )
+
     async def _recorded(self, trigger: Trigger) -> Trigger:
-        """Make the trigger durable; a live gate may count anew with every arming, names may not."""
+        """Make the trigger durable, under a name of its own: a gate may count anew at any time."""
+        self._last_trigger_s = time.monotonic()
         name = trigger.name
         if name is None:
-            name = f"{trigger.sequence:08d}" + (f"~{self._armings}" if self._armings > 1 else "")
+            self._n_named += 1
+            name = f"{self._n_named:08d}" if trigger.is_announced else f"{self._n_named:08d}-orphan"
             trigger = replace(trigger, name=name)
         await self._triggers.record_trigger(self._session, trigger, name)
         return trigger

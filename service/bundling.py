@@ -6,11 +6,15 @@ their width. Every trigger leaves as exactly one bundle, in order: complete, or 
 what is missing. Frame ids only count what was lost.
 
 Events may come in any order within one window's half width; a frame that comes before its trigger waits.
+When none comes and most cameras exposed, the frames are a stone that the gate failed to announce: an
+orphan, which gets a trigger of its own. A stone that only the gate's counter knows becomes a bundle
+without frames.
 """
 
+from bisect import insort
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from drivers.interfaces import (
@@ -23,7 +27,8 @@ from drivers.interfaces import (
     TriggersIgnored,
     TriggersLost,
 )
-from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.bundle_counters import BundlingCounters, CameraCounters
 from service.frame_checks import ExposureCheck, id_step
 
 NO_FRAME = "no_frame"
@@ -36,6 +41,10 @@ OTHER_EXPOSURE = "other_exposure"
 """By its camera's clock the frame was exposed for another trigger."""
 DEAD_TIME = "dead_time"
 """The trigger followed another within the gate's dead time; the frames belong to the first."""
+STONE_PASSED = "stone_passed"
+"""The empty rig was exposed while a stone fell."""
+UNSEEN = "unseen"
+"""The gate counted the trigger and did not announce it, and no camera exposed."""
 
 REMEMBERED_TRIGGERS = 16
 
@@ -58,34 +67,10 @@ class BundlingParameters:
                 f"dead_time_ms must exceed twice window_ms, {2 * self.window_ms:g}, not {self.dead_time_ms:g}"
             )
 
-
-@dataclass(slots=True, kw_only=True)
-class CameraCounters:
-    """What became of one camera's frames."""
-
-    used: int = 0
-    missing: int = 0  # bundles without a frame of this camera
-    lost: int = 0  # losses the driver told of
-    late: int = 0
-    duplicates: int = 0
-    extra: int = 0  # several different frames for one trigger
-    other_exposure: int = 0
-    strays: int = 0  # frames without a trigger
-    not_exposed: int = 0  # triggers its frame ids did not count
-    unannounced: int = 0  # exposures without a trigger, by its frame ids
-    id_restarts: int = 0
-
-
-@dataclass(slots=True, kw_only=True)
-class BundlingCounters:
-    """Totals since the assembler was made; `triggers = complete + incomplete` once nothing is open."""
-
-    triggers: int = 0
-    complete: int = 0
-    incomplete: int = 0
-    in_dead_time: int = 0  # of the incomplete
-    triggers_ignored: int = 0  # merged by the gate itself
-    cameras: dict[CameraId, CameraCounters] = field(default_factory=dict)
+    @property
+    def quiet_s(self) -> float:
+        """So long after a trigger nothing of it is in the air or on the way any more."""
+        return (self.expected_delay_ms + 2 * self.window_ms) / 1e3
 
 
 @dataclass(slots=True, kw_only=True)
@@ -96,12 +81,19 @@ class _Window:
     frames: dict[CameraId, Frame] = field(default_factory=dict)
     lost: dict[CameraId, str] = field(default_factory=dict)
     in_dead_time: bool = False
+    is_spoiled: bool = False  # a background with a stone in it
     refused: set[CameraId] = field(default_factory=set)
 
 
 class _Closed(NamedTuple):
     expected_ns: int
     frame_ids: dict[CameraId, int]
+
+
+class _Gap(NamedTuple):
+    due_ns: int  # when all frames of its triggers have come
+    received_ns: int
+    n_triggers: int
 
 
 class BundleAssembler:
@@ -120,7 +112,10 @@ class BundleAssembler:
         self._closed: deque[_Closed] = deque(maxlen=REMEMBERED_TRIGGERS)
         self._held: list[Frame | FrameLost] = []
         self._gone: set[CameraId] = set()
+        self._gaps: deque[_Gap] = deque()
         self._n_exposing = 0
+        self._n_orphans = 0  # since the gate's last gap
+        self._last_sequence = 0
         self._last_trigger_ns: int | None = None
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
         self._last_used: dict[CameraId, tuple[int, int]] = {}  # frame id, ordinal
@@ -135,14 +130,14 @@ class BundleAssembler:
         """Take one event; returns the bundles it finished, in the order of their triggers."""
         match event:
             case Trigger():
-                self._open_window(event)
+                self._announce(event)
             case Frame() | FrameLost():
                 if isinstance(event, Frame):
                     self._gone.discard(event.camera)
                 else:
                     self.counters.cameras[event.camera].lost += 1
                 if not self._place(event):
-                    self._held.append(event)
+                    insort(self._held, event, key=_received_ns)
             case CameraLost():
                 self._gone.add(event.camera)
                 for window in self._open:
@@ -150,21 +145,30 @@ class BundleAssembler:
                         window.lost.setdefault(event.camera, CAMERA_LOST)
             case TriggersIgnored():
                 self.counters.triggers_ignored += event.count
+            case TriggersLost():
+                self.counters.triggers_lost += event.count
+                due_ns = event.received_ns + self._delay_ns + 2 * self._window_ns
+                self._gaps.append(_Gap(due_ns, event.received_ns, event.count))
+            case PulseEnded():
+                for window in self._open:
+                    if window.trigger.sequence == event.sequence:
+                        window.trigger = replace(window.trigger, pulse_width_ns=event.width_ns)
             case PlaybackEnded():
                 return self.flush()
-            case GateLost() | PulseEnded() | TriggersLost():
+            case GateLost():
                 pass
         return self.advance(event.received_ns)
 
     def advance(self, now_ns: int) -> list[FrameBundle]:
         """Close what is complete or past its deadline."""
-        overdue = [event for event in self._held if now_ns - event.received_ns > self._window_ns]
-        if overdue:
-            self._held = [event for event in self._held if now_ns - event.received_ns <= self._window_ns]
-            self._count_unplaced(overdue)
+        while self._held and now_ns - self._held[0].received_ns > self._window_ns:
+            if not self._adopt_orphans():
+                self._count_unplaced([self._held.pop(0)])
         bundles = []
         while self._open and (self._is_complete(self._open[0]) or now_ns >= self._deadline_ns(self._open[0])):
             bundles.append(self._close(self._open.popleft()))
+        while self._gaps and now_ns >= self._gaps[0].due_ns:
+            bundles += self._unseen(self._gaps.popleft())
         return bundles
 
     def flush(self, reason: str = NO_FRAME) -> list[FrameBundle]:
@@ -173,24 +177,87 @@ class BundleAssembler:
         self._held = []
         bundles = [self._close(window, reason) for window in self._open]
         self._open.clear()
+        while self._gaps:
+            bundles += self._unseen(self._gaps.popleft())
         return bundles
 
-    def _open_window(self, trigger: Trigger) -> None:
+    def _announce(self, trigger: Trigger) -> None:
+        """Expect the frames of a trigger, unless another one's are on their way."""
+        self._last_sequence = trigger.sequence
+        last_ns = self._last_trigger_ns
+        if last_ns is None or trigger.received_ns - last_ns >= self._dead_time_ns:
+            self._last_trigger_ns = trigger.received_ns
+            self._open_window(trigger)
+            return
+        if self._open and self._open[-1].trigger.kind is BundleKind.BACKGROUND:
+            self._open[-1].is_spoiled = trigger.kind is not BundleKind.BACKGROUND
         self.counters.triggers += 1
+        self.counters.in_dead_time += 1
         window = _Window(
             trigger=trigger, ordinal=self._n_exposing, expected_ns=trigger.received_ns + self._delay_ns
         )
+        window.in_dead_time = True
+        window.lost = dict.fromkeys(self._camera_ids, DEAD_TIME)
         self._open.append(window)
-        last_ns = self._last_trigger_ns
-        if last_ns is not None and trigger.received_ns - last_ns < self._dead_time_ns:
-            self.counters.in_dead_time += 1
-            window.in_dead_time = True
-            window.lost = dict.fromkeys(self._camera_ids, DEAD_TIME)
-            return
-        self._last_trigger_ns = trigger.received_ns
-        self._n_exposing += 1
+
+    def _open_window(self, trigger: Trigger) -> None:
+        self.counters.triggers += 1
+        expected_ns = trigger.received_ns + self._delay_ns
+        later = [window for window in self._open if window.expected_ns > expected_ns]
+        for window in later:
+            window.ordinal += 1
+        window = _Window(trigger=trigger, ordinal=self._n_exposing - len(later), expected_ns=expected_ns)
         window.lost = dict.fromkeys(self._gone, CAMERA_LOST)
+        self._open.insert(len(self._open) - len(later), window)
+        self._n_exposing += 1
         self._held = [event for event in self._held if not self._place(event)]
+
+    def _adopt_orphans(self) -> bool:
+        """Make up the trigger of the oldest frames that nobody announced, if most cameras have one."""
+        expected_ns = self._held[0].received_ns
+        exposed = {
+            event.camera
+            for event in self._held
+            if isinstance(event, Frame)
+            and self._is_within(event, expected_ns)
+            and not self._exposures[event.camera].contradicts(event.device_ns, expected_ns - self._delay_ns)
+        }
+        announced = [
+            *(window.expected_ns for window in self._open),
+            *(past.expected_ns for past in self._closed),
+        ]
+        if 2 * len(exposed) <= len(self._camera_ids) or any(
+            abs(expected_ns - other_ns) < self._dead_time_ns for other_ns in announced
+        ):
+            return False
+        self.counters.orphans += 1
+        self._n_orphans += 1
+        trigger = self._unannounced(expected_ns - self._delay_ns)
+        later = next((window.trigger for window in self._open if window.expected_ns > expected_ns), None)
+        if later is not None:
+            trigger = replace(trigger, sequence=later.sequence - 1)
+        else:
+            self._last_sequence = trigger.sequence
+        self._open_window(trigger)
+        return True
+
+    def _unseen(self, gap: _Gap) -> list[FrameBundle]:
+        """Bundles without frames for what the gate counted beyond the orphans."""
+        count = max(0, gap.n_triggers - self._n_orphans)
+        self._n_orphans = 0
+        self.counters.triggers += count
+        self.counters.incomplete += count
+        self.counters.unseen += count
+        missing = dict.fromkeys(self._camera_ids, UNSEEN)
+        return [
+            FrameBundle(trigger=self._unannounced(gap.received_ns), frames={}, missing=missing)
+            for _ in range(count)
+        ]
+
+    def _unannounced(self, received_ns: int) -> Trigger:
+        return Trigger(
+            sequence=self._last_sequence + 1, received_ns=received_ns, device_ns=0, utc="", is_announced=False
+        )
 
     def _place(self, event: Frame | FrameLost) -> bool:
         """Give the event to the trigger in whose window it came; false when there is none yet."""
@@ -234,6 +301,9 @@ class BundleAssembler:
     def _close(self, window: _Window, reason: str = NO_FRAME) -> FrameBundle:
         missing = {}
         for camera in self._camera_ids:
+            if window.is_spoiled:
+                missing[camera] = STONE_PASSED
+                continue
             if camera in window.frames:
                 self._verify_id(camera, window.frames[camera].frame_id, window.ordinal)
                 self.counters.cameras[camera].used += 1
@@ -248,7 +318,11 @@ class BundleAssembler:
         if not window.in_dead_time:
             frame_ids = {camera: frame.frame_id for camera, frame in window.frames.items()}
             self._closed.append(_Closed(window.expected_ns, frame_ids))
-        frames = {camera: window.frames[camera] for camera in self._camera_ids if camera in window.frames}
+        frames = {
+            camera: window.frames[camera]
+            for camera in self._camera_ids
+            if camera in window.frames and camera not in missing
+        }
         return FrameBundle(trigger=window.trigger, frames=frames, missing=missing)
 
     def _verify_id(self, camera: CameraId, frame_id: int, ordinal: int) -> None:
@@ -298,3 +372,7 @@ class BundleAssembler:
     def _deadline_ns(self, window: _Window) -> int:
         # one half width past the window's end, for what arrived in time and is still on its way
         return window.expected_ns + 2 * self._window_ns
+
+
+def _received_ns(event: Frame | FrameLost) -> int:
+    return event.received_ns

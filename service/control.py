@@ -107,27 +107,67 @@ class Health:
     ready: bool  # the next stone will be measured
     reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
     checks: Mapping[str, Check] = field(default_factory=dict)
-    """By name: `camera:c01`, `gate`, `progress`, `queue`, `workers`, `background`, `calibration`, `store`, `disk`."""
+    """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
+    `calibration`, `clock`, `store`, `disk`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraStatus:
-    """One camera's state and counters since the daemon started."""
+    """One camera's state, and its counters since the daemon started."""
 
     id: CameraId
-    state: str  # closed, open, armed, lost
+    state: str  # closed, armed, lost
     last_error: str | None = None
+    recoveries: int = 0  # from a loss
+    serial: str | None = None
+    model: str | None = None
+    address: str | None = None
     frames: int = 0
+    fps: float = 0.0
     lost: int = 0  # reported as lost by the camera or its driver
     late: int = 0  # arrived after their bundle was closed
     duplicates: int = 0
+    missing: int = 0  # bundles without a frame of this camera
+    strays: int = 0  # frames without a trigger
+    not_exposed: int = 0  # triggers its frame ids did not count
+    unannounced: int = 0  # exposures without a trigger, by its frame ids
+    failed_frames: int = 0  # received in part, since it was opened
+    missing_packets: int = 0
+    resent_packets: int = 0
+    temperature_c: float | None = None
+    ptp_offset_ns: int | None = None
+    latency_ms: float | None = None  # mean, from the trigger to the frame's arrival
+    latency_min_ms: float | None = None
+    latency_max_ms: float | None = None
     last_frame_age_s: float | None = None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcquisitionStatus:
+    """The rig as a whole; counters are of the time since it was last armed."""
+
+    state: AcquisitionState
+    trouble: str | None = None  # why it is held
+    activity: str = "idle"  # idle (not armed), measuring, suspended (no stone for a while)
+    cameras_armed: int = 0
+    cameras: int = 0
+    gate: str = "closed"
+    gate_error: str | None = None
+    last_trigger_age_s: float = 0.0
+    triggers: int = 0
+    orphans: int = 0  # announced by the frames alone
+    unseen: int = 0  # counted by the gate, announced and photographed by nobody
+    in_dead_time: int = 0
+    triggers_ignored: int = 0  # bounces and doubles that the gate merged
+    triggers_lost: int = 0  # gaps in the gate's counter
+    events_refused: int = 0  # by the full inbox
 
 
 class Control(Protocol):
     """The running daemon as the REST interface sees it; every method is called on the event loop."""
 
-    def acquisition(self) -> AcquisitionState: ...
+    def acquisition(self) -> AcquisitionStatus: ...
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
         """Begin the transition and return the state it has reached; raises `ConflictError`."""

@@ -19,15 +19,16 @@ from pipeline.frames import CameraId
 from service.acquisition import Acquisition
 from service.api.app import create_app
 from service.api.server import server_config
-from service.control import AcquisitionState, AcquisitionTarget, CameraStatus, Health
+from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.health import Facts, assess
+from service.loop_watch import LoopWatch
 from service.processing import Processing, ProcessingContext
 from service.record import ALGORITHM_VERSION
 from service.rest_server import RestServer, listen
 from service.settings import Settings
 from service.spool import Spool
 from service.store import Store, open_store
-from service.supervision import Heartbeats, RestartPolicy
+from service.supervision import Heartbeats
 from service.systemd import ServiceManager, feed_watchdog
 from service.worker_job import WorkerContext, initialize
 from service.workers import WorkerPool
@@ -82,9 +83,10 @@ class Daemon:
     rig: Acquisition
     processing: Processing
     heartbeats: Heartbeats
+    loop_watch: LoopWatch
 
-    def acquisition(self) -> AcquisitionState:
-        return self.rig.state
+    def acquisition(self) -> AcquisitionStatus:
+        return self.rig.status()
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
         state = self.rig.request(target)
@@ -100,8 +102,8 @@ class Daemon:
     def health(self) -> Health:
         return assess(
             Facts(
-                acquisition=self.rig.state,
-                trouble=self.rig.trouble,
+                acquisition=self.rig.status(),
+                blind_triggers=self.rig.cameras.blind_triggers,
                 cameras=self.cameras(),
                 views=self.settings.views,
                 waiting=self.spool.held,
@@ -110,6 +112,8 @@ class Daemon:
                 workers=len(self.pool.pids),
                 slots=self.pool.size,
                 worker_restarts=self.pool.restarts,
+                loop_ms=self.loop_watch.worst_ms(),
+                clock_step_s=self.loop_watch.clock_step_s(),
                 late=self.late(),
                 has_background=self.processing.has_background,
                 calibration_id=self.calibration_id,
@@ -175,7 +179,6 @@ async def build(settings: Settings, store: Store) -> Daemon:
         triggers=store,
         bundling=settings.bundling,
         min_cameras=settings.views.min,
-        policy=RestartPolicy(),
         on_bundle=spool.offer,
         on_progress=lambda: heartbeats.beat("acquisition", time.monotonic()),
     )
@@ -205,6 +208,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         rig=rig,
         processing=processing,
         heartbeats=heartbeats,
+        loop_watch=LoopWatch(),
     )
 
 
@@ -238,6 +242,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         async with asyncio.TaskGroup() as tasks:
             serving = tasks.create_task(server.serve([listener]))
             tasks.create_task(daemon.spool.write())
+            watching_loop = tasks.create_task(daemon.loop_watch.run())
             processing = tasks.create_task(daemon.processing.run())
             acquiring = tasks.create_task(daemon.rig.run())
             watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
@@ -266,6 +271,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             daemon.pool.close()
             log.info("stopped %s", await store.accounting(daemon.session))
             watching.cancel()
+            watching_loop.cancel()
             store.release_waiters()
             server.should_exit = True
             await serving

@@ -42,6 +42,12 @@ class ExposureCheck:
             self._candidate = here
         return fits
 
+    def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
+        """Whether a trusted frame proves that this one was not exposed for a trigger at that time."""
+        if device_ns == 0 or self._reference is None:
+            return False
+        return 0 < self._misfit_ns(self._reference, (device_ns, trigger_ns)) <= LATEST_FRAME_NS
+
     def _misfit_ns(self, earlier: tuple[int, int], later: tuple[int, int]) -> float:
         """How far the two durations differ beyond what jitter and drift explain; 0 when they agree."""
         by_camera_ns, by_triggers_ns = later[0] - earlier[0], later[1] - earlier[1]

@@ -8,18 +8,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.particle import ViewsParameters
-from service.control import AcquisitionState, CameraStatus, Check, CheckStatus, Health, Ne107
+from service.control import (
+    AcquisitionState,
+    AcquisitionStatus,
+    CameraStatus,
+    Check,
+    CheckStatus,
+    Health,
+    Ne107,
+)
 
 LOW_DISK_BYTES = 1 << 30
 """Less free space on the store's file system is a warning, a tenth of it a failure."""
+BLIND_TRIGGERS = 3
+"""So many triggers in a row without any image: the cameras are well, the line between them and the gate is not."""
+LOOP_MS = 250.0
+"""A loop held up for longer matches frames late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
     """What the daemon knows about itself at one moment."""
 
-    acquisition: AcquisitionState
-    trouble: str | None  # why the acquisition is held
+    acquisition: AcquisitionStatus
+    blind_triggers: int  # in a row
     cameras: Sequence[CameraStatus]
     views: ViewsParameters  # how many cameras make which quality
     waiting: int  # bundles in the spool
@@ -28,6 +40,8 @@ class Facts:
     workers: int  # processes that are up
     slots: int
     worker_restarts: int
+    loop_ms: float  # longest hold-up of the event loop within a minute
+    clock_step_s: float | None  # by which the wall clock was set lately
     late: Sequence[str]  # parts without progress, see supervision.Heartbeats
     has_background: bool
     calibration_id: str
@@ -42,18 +56,23 @@ def assess(facts: Facts) -> Health:
     they still allow (domain 4.3): reduced is *maintenance required*, degraded *out of specification*.
     """
     checks = _checks(facts)
+    parent = checks["cameras"].status is CheckStatus.FAIL
     reasons = tuple(
-        f"{name}: {check.detail}" for name, check in checks.items() if check.status is not CheckStatus.PASS
+        f"{name}: {check.detail}"
+        for name, check in checks.items()
+        if check.status is not CheckStatus.PASS and not (parent and name.startswith("camera:"))
     )
     failed = {name for name, check in checks.items() if check.status is CheckStatus.FAIL}
     usable = sum(camera.state != "lost" for camera in facts.cameras)
     has_failed = any(not name.startswith("camera:") for name in failed)
-    is_armed = facts.acquisition is AcquisitionState.ARMED
-    if not is_armed:
-        reasons = (f"acquisition: {facts.acquisition}", *reasons)
+    state = facts.acquisition.state
+    if state is AcquisitionState.HELD:
+        has_failed = True
+    if state is not AcquisitionState.ARMED:
+        reasons = (f"acquisition: {state}", *reasons)
     return Health(
         ne107=_ne107(facts, usable, has_failed=has_failed, is_clean=not reasons),
-        ready=is_armed and not has_failed and usable >= facts.views.min,
+        ready=state is AcquisitionState.ARMED and not has_failed and usable >= facts.views.min,
         reasons=reasons,
         checks=checks,
     )
@@ -62,16 +81,47 @@ def assess(facts: Facts) -> Health:
 def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne107:
     if has_failed or usable < facts.views.min:
         return Ne107.FAILURE
-    if usable < facts.views.reduced:
+    if usable < facts.views.reduced or facts.clock_step_s is not None:
         return Ne107.OUT_OF_SPECIFICATION
-    if facts.acquisition is not AcquisitionState.ARMED:
+    if facts.acquisition.state is not AcquisitionState.ARMED:
         return Ne107.CHECK_FUNCTION
     return Ne107.GOOD if is_clean else Ne107.MAINTENANCE_REQUIRED
 
 
 def _checks(facts: Facts) -> Mapping[str, Check]:
     checks = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
-    checks["gate"] = _passes(facts.trouble is None, facts.trouble)
+    checks["cameras"] = _all_cameras(facts)
+    rig = facts.acquisition
+    checks["gate"] = Check(
+        status=_status(fail=rig.gate == "lost"),
+        value=rig.gate,
+        detail=_if(rig.gate == "lost", rig.gate_error),
+    )
+    is_blind = facts.blind_triggers >= BLIND_TRIGGERS
+    checks["trigger_line"] = Check(
+        status=_status(fail=is_blind),
+        value=facts.blind_triggers,
+        unit="triggers",
+        detail=_if(
+            is_blind,
+            f"{facts.blind_triggers} triggers in a row without any image: look at the line from gate to cameras",
+        ),
+    )
+    checks["loop"] = Check(
+        status=_status(warn=facts.loop_ms > LOOP_MS),
+        value=round(facts.loop_ms, 1),
+        unit="ms",
+        detail=_if(facts.loop_ms > LOOP_MS, f"held up for {facts.loop_ms:.0f} ms within the last minute"),
+    )
+    step_s = facts.clock_step_s
+    checks["clock"] = Check(
+        status=_status(warn=step_s is not None),
+        value=step_s,
+        unit="s",
+        detail=None
+        if step_s is None
+        else f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt",
+    )
     checks["progress"] = _passes(not facts.late, f"no progress of {', '.join(facts.late)}")
     checks["queue"] = _queue(facts)
     checks["workers"] = Check(
@@ -97,11 +147,23 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     return checks
 
 
+def _all_cameras(facts: Facts) -> Check:
+    n_lost = sum(camera.state == "lost" for camera in facts.cameras)
+    is_all = n_lost == len(facts.cameras) > 1
+    return Check(
+        status=_status(fail=is_all),
+        value=len(facts.cameras) - n_lost,
+        unit="cameras",
+        detail=_if(
+            is_all, f"all {n_lost} cameras are gone: look at the switch, its power and its uplink first"
+        ),
+    )
+
+
 def _camera(camera: CameraStatus) -> Check:
     is_lost = camera.state == "lost"
-    return Check(
-        status=_status(fail=is_lost), value=camera.state, detail=camera.last_error if is_lost else None
-    )
+    detail = camera.last_error if is_lost else "; ".join(camera.warnings) or None
+    return Check(status=_status(warn=bool(camera.warnings), fail=is_lost), value=camera.state, detail=detail)
 
 
 def _queue(facts: Facts) -> Check:
@@ -114,7 +176,11 @@ def _queue(facts: Facts) -> Check:
 
 
 def _passes(is_good: bool, problem: str | None) -> Check:
-    return Check(status=_status(fail=not is_good), detail=None if is_good else problem)
+    return Check(status=_status(fail=not is_good), detail=_if(not is_good, problem))
+
+
+def _if(is_so: bool, detail: str | None) -> str | None:
+    return detail if is_so else None
 
 
 def _status(*, warn: bool = False, fail: bool = False) -> CheckStatus:

@@ -1,58 +1,61 @@
-"""All cameras of the rig: opened and armed in threads, tried again when lost, remembered for operators."""
+"""All cameras of the rig: kept at work one by one, watched together, remembered for operators."""
 
 import asyncio
-import logging
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 
 import cv2
+import numpy as np
 
-from drivers.errors import DeviceError
-from drivers.interfaces import Camera, CameraLost, DeviceEvent, EventSink
-from pipeline.frames import CameraId, Frame, Image
-from service.bundling import BundlingCounters, CameraCounters
+from drivers.interfaces import Camera, CameraLost, DeviceEvent, EventSink, FrameLost
+from pipeline.frames import CameraId, Frame, FrameBundle, Image
+from service.bundle_counters import BundlingCounters, CameraCounters
+from service.bundling import NO_FRAME
 from service.control import CameraStatus
+from service.keeper import Keeper
 
-log = logging.getLogger(__name__)
-
-RETRY_S = 5.0
-"""How often a lost camera is asked again; a GigE camera refuses until its owner's heartbeat has run out."""
+FROZEN = "frozen"
+"""The image is the camera's previous one, bit for bit: no sensor does that twice."""
+MAX_MISSES = 3
+"""So many triggers in a row without an image, and the camera is opened anew although it answers."""
+FPS_OVER_S = 10.0
+RECENT = 64
 
 
 @dataclass(slots=True)
 class _Place:
     """One camera's place in the rig."""
 
-    camera: Camera
-    state: str = "closed"
-    last_error: str | None = None
+    keeper: Keeper
     frames: int = 0
     image: Image | None = None
-    image_at_s: float = 0.0
-    lost_at_s: float = 0.0
+    received_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    misses: int = 0  # triggers in a row
     counters: CameraCounters = field(default_factory=CameraCounters)  # of the latest session
     earlier: Counter[str] = field(default_factory=Counter)  # the same, of all sessions before
 
-    def lose(self, reason: str) -> None:
-        """Log the loss once, not every failed attempt to undo it."""
-        log.log(
-            logging.DEBUG if self.state == "lost" else logging.ERROR,
-            "camera lost: %s camera=%s",
-            reason,
-            self.camera.id,
-        )
-        if self.state != "lost":
-            self.lost_at_s = time.monotonic()
-        self.state, self.last_error = "lost", reason
-
 
 class RigCameras:
-    """Life cycle of a session: `count`, `arm`, `note` for every event, `close`; meanwhile `retry_lost` as a task."""
+    """Life of a session: `count`, `arm`; `vet` and `note` for every event, `look_into` every bundle; `close`.
 
-    def __init__(self, cameras: Mapping[CameraId, Camera]) -> None:
-        self._places = {camera: _Place(device) for camera, device in cameras.items()}
+    `is_live`: two images that are equal bit for bit come from a camera that is stuck, not from a recording.
+    """
+
+    def __init__(self, cameras: Mapping[CameraId, Camera], *, is_live: bool = False) -> None:
+        self._is_live = is_live
+        self._sink: EventSink | None = None
+        self._places = {
+            camera: _Place(
+                Keeper(camera, device, examine=device.examine, on_lost=partial(self._tell_lost, camera))
+            )
+            for camera, device in cameras.items()
+        }
+        self.blind_triggers = 0
+        """Triggers in a row for which no camera that answers had an image."""
 
     @property
     def ids(self) -> tuple[CameraId, ...]:
@@ -60,7 +63,7 @@ class RigCameras:
 
     @property
     def armed(self) -> int:
-        return sum(place.state == "armed" for place in self._places.values())
+        return sum(place.keeper.state == "armed" for place in self._places.values())
 
     def count(self, counters: BundlingCounters) -> None:
         """Look on while a new session's assembler counts; what those before it came to is kept."""
@@ -68,15 +71,35 @@ class RigCameras:
             place.earlier.update(asdict(place.counters))
             place.counters = counters.cameras[camera]
 
-    async def arm(self, sink: EventSink) -> None:
-        """Open and arm all cameras at once; one that does not answer is lost for now."""
-        await asyncio.gather(*(_open_and_arm(place, sink) for place in self._places.values()))
+    async def arm(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
+        """Keep all cameras armed from now on; returns when each has been tried."""
+        self._sink = sink
+        for place in self._places.values():
+            place.keeper.start(sink, tasks)
+        await asyncio.gather(*(place.keeper.settled.wait() for place in self._places.values()))
 
-    async def retry_lost(self, sink: EventSink, leave: asyncio.Event) -> None:
-        """Try lost cameras again and again until `leave` is set."""
-        while not await is_set_within(leave, RETRY_S):
-            lost = [place for place in self._places.values() if place.state == "lost"]
-            await asyncio.gather(*(_bring_back(place, sink) for place in lost))
+    async def close(self) -> None:
+        """Disarm and close all cameras."""
+        await asyncio.gather(*(place.keeper.end() for place in self._places.values()))
+
+    def trouble(self, min_cameras: int) -> str | None:
+        """Why there are too few cameras, None when there are enough."""
+        if self.armed >= min_cameras:
+            return None
+        lost = [place.keeper for place in self._places.values() if place.keeper.state == "lost"]
+        if len(lost) == len(self._places) > 1:
+            return f"all {len(lost)} cameras are gone: look at the switch, its power and its uplink first"
+        names = ", ".join(keeper.name for keeper in lost)
+        why = lost[0].last_error if lost else None
+        return f"{names}: {why}; {self.armed} cameras are left of {min_cameras} needed"
+
+    def vet(self, event: DeviceEvent) -> DeviceEvent:
+        """Refuse an image that the camera has sent before."""
+        if isinstance(event, Frame) and self._is_live:
+            before = self._places[event.camera].image
+            if before is not None and np.array_equal(before, event.image):
+                return FrameLost(camera=event.camera, received_ns=event.received_ns, reason=FROZEN)
+        return event
 
     def note(self, event: DeviceEvent) -> None:
         """Keep the books: the newest frame of each camera, and who is lost."""
@@ -84,69 +107,84 @@ class RigCameras:
             case Frame():
                 place = self._places[event.camera]
                 place.frames += 1
-                place.image, place.image_at_s = event.image, time.monotonic()
+                place.image = event.image
+                place.received_s.append(time.monotonic())
             case CameraLost():
-                self._places[event.camera].lose(event.reason)
+                self._places[event.camera].keeper.lose(event.reason)
 
-    async def close(self) -> None:
-        """Disarm and close all cameras."""
-        await asyncio.gather(*(_disarm_and_close(place) for place in self._places.values()))
+    def look_into(self, bundle: FrameBundle) -> None:
+        """Learn from a bundle who is in time and who misses; the latter are examined at once."""
+        silent = []
+        for camera, place in self._places.items():
+            frame = bundle.frames.get(camera)
+            if frame is not None:
+                place.misses = 0
+                place.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
+            elif bundle.missing[camera] in (NO_FRAME, FROZEN) and place.keeper.state == "armed":
+                silent.append((camera, place))
+        if silent and not bundle.frames:  # what all cameras miss is not for each of them to explain
+            self.blind_triggers += 1
+        else:
+            self.blind_triggers = 0
+        for camera, place in silent:
+            place.keeper.look()
+            if self.blind_triggers:
+                continue
+            place.misses += 1
+            if place.misses % MAX_MISSES == 0:
+                reason = f"answers, but had no image for {place.misses} triggers in a row"
+                self._tell_lost(camera, reason)
 
     def statuses(self) -> list[CameraStatus]:
         """State, and counters since the start, of all cameras in page order."""
         now_s = time.monotonic()
-        return [
-            CameraStatus(
-                id=camera,
-                state=place.state,
-                last_error=place.last_error,
-                frames=place.frames,
-                lost=place.earlier["lost"] + place.counters.lost,
-                late=place.earlier["late"] + place.counters.late,
-                duplicates=place.earlier["duplicates"] + place.counters.duplicates,
-                last_frame_age_s=None if place.image is None else round(now_s - place.image_at_s, 3),
-            )
-            for camera, place in self._places.items()
-        ]
+        return [_status(camera, place, now_s) for camera, place in self._places.items()]
 
     async def snapshot(self, camera: CameraId) -> bytes | None:
         """Return the latest frame as PNG, None while there is none."""
         image = self._places[camera].image
         return None if image is None else await asyncio.to_thread(_png, image)
 
-
-async def is_set_within(event: asyncio.Event, seconds: float) -> bool:
-    """Wait for the event, but not longer than `seconds`; whether it is set."""
-    try:
-        async with asyncio.timeout(seconds):
-            await event.wait()
-    except TimeoutError:
-        return False
-    return True
+    def _tell_lost(self, camera: CameraId, reason: str) -> None:
+        if self._sink is not None:
+            self._sink.deliver(CameraLost(camera=camera, received_ns=time.monotonic_ns(), reason=reason))
 
 
-async def _open_and_arm(place: _Place, sink: EventSink) -> None:
-    try:
-        await asyncio.to_thread(place.camera.open)
-        await asyncio.to_thread(place.camera.arm, sink)
-    except DeviceError as err:
-        place.lose(err.problem)
-    else:
-        place.state = "armed"
+def _status(camera: CameraId, place: _Place, now_s: float) -> CameraStatus:
+    keeper, vitals, latencies_ms = place.keeper, place.keeper.vitals, place.latencies_ms
+    n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in place.received_s)
 
+    def total(counter: str) -> int:
+        return int(place.earlier[counter] + getattr(place.counters, counter))
 
-async def _bring_back(place: _Place, sink: EventSink) -> None:
-    await asyncio.to_thread(place.camera.close)
-    await _open_and_arm(place, sink)
-    if place.state == "armed":
-        log.info("camera back camera=%s after_s=%.1f", place.camera.id, time.monotonic() - place.lost_at_s)
-
-
-async def _disarm_and_close(place: _Place) -> None:
-    if place.state == "armed":
-        await asyncio.to_thread(place.camera.disarm)
-        place.state = "closed"
-    await asyncio.to_thread(place.camera.close)
+    return CameraStatus(
+        id=camera,
+        state=keeper.state,
+        last_error=keeper.last_error,
+        recoveries=keeper.recoveries,
+        serial=vitals.serial,
+        model=vitals.model,
+        address=vitals.address,
+        frames=place.frames,
+        fps=round(n_recent / FPS_OVER_S, 2),
+        lost=total("lost"),
+        late=total("late"),
+        duplicates=total("duplicates"),
+        missing=total("missing"),
+        strays=total("strays"),
+        not_exposed=total("not_exposed"),
+        unannounced=total("unannounced"),
+        failed_frames=vitals.failed_frames,
+        missing_packets=vitals.missing_packets,
+        resent_packets=vitals.resent_packets,
+        temperature_c=vitals.temperature_c,
+        ptp_offset_ns=vitals.ptp_offset_ns,
+        latency_ms=None if not latencies_ms else round(sum(latencies_ms) / len(latencies_ms), 3),
+        latency_min_ms=None if not latencies_ms else round(min(latencies_ms), 3),
+        latency_max_ms=None if not latencies_ms else round(max(latencies_ms), 3),
+        last_frame_age_s=None if not place.received_s else round(now_s - place.received_s[-1], 3),
+        warnings=vitals.warnings,
+    )
 
 
 def _png(image: Image) -> bytes:

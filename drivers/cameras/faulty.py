@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from drivers.faults import Dice, FaultPlan
 from drivers.errors import CameraUnavailableError
+from drivers.faults import Dice, FaultPlan
 from drivers.interfaces import Camera, CameraLost, CameraVitals, DeviceEvent, EventSink
 from pipeline.frames import CameraId, Frame, Image
 

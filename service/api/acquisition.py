@@ -1,5 +1,6 @@
 """Arm and disarm."""
 
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Depends
@@ -18,7 +19,7 @@ router = APIRouter(prefix="/acquisition", tags=["acquisition"])
 )
 async def acquisition(context: Context) -> dict[str, Any]:
     """Whether stones are being measured."""
-    return {"state": context.control.acquisition()}
+    return asdict(context.control.acquisition())
 
 
 @router.put(
@@ -26,4 +27,5 @@ async def acquisition(context: Context) -> dict[str, Any]:
 )
 async def set_acquisition(context: Context, wanted: AcquisitionRequest) -> dict[str, Any]:
     """Arm or disarm; repeating a request changes nothing, 409 when the current state forbids it."""
-    return {"state": await context.control.set_acquisition(wanted.state)}
+    await context.control.set_acquisition(wanted.state)
+    return asdict(context.control.acquisition())

@@ -108,9 +108,25 @@ class AccountingDocument(BaseModel):
 
 
 class Acquisition(BaseModel):
-    """Where the rig stands."""
+    """Where the rig stands; counters are of the time since it was last armed."""
 
     state: AcquisitionState
+    trouble: str | None = Field(description="Why it is held; null when it is not")
+    activity: Literal["idle", "measuring", "suspended"] = Field(
+        description="Suspended: armed, and no stone for a minute"
+    )
+    cameras_armed: int
+    cameras: int
+    gate: str = Field(description="closed, armed or lost")
+    gate_error: str | None
+    last_trigger_age_s: float
+    triggers: int
+    orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
+    unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
+    in_dead_time: int = Field(description="Triggers too soon after another; lost")
+    triggers_ignored: int = Field(description="Bounces and doubles of one stone, merged by the gate")
+    triggers_lost: int = Field(description="Gaps in the gate's own counter; orphans and unseen ones")
+    events_refused: int = Field(description="Frames that the daemon was too slow for")
 
 
 class AcquisitionRequest(BaseModel):
@@ -122,16 +138,34 @@ class AcquisitionRequest(BaseModel):
 
 
 class Camera(BaseModel):
-    """State and counters of one camera since the daemon started."""
+    """State of one camera, and its counters since the daemon started."""
 
     id: str
-    state: str
+    state: str = Field(description="closed, armed or lost")
     last_error: str | None
+    recoveries: int = Field(description="How often it came back from a loss")
+    serial: str | None
+    model: str | None
+    address: str | None
     frames: int = Field(description="Frames that arrived whole")
+    fps: float = Field(description="Frames per second over the last ten seconds")
     lost: int = Field(description="Frames reported lost")
     late: int = Field(description="Frames that came after their bundle was closed")
     duplicates: int = Field(description="Frames that came twice")
+    missing: int = Field(description="Bundles without a frame of this camera")
+    strays: int = Field(description="Frames without a trigger")
+    not_exposed: int = Field(description="Triggers that its frame ids did not count")
+    unannounced: int = Field(description="Exposures without a trigger, by its frame ids")
+    failed_frames: int = Field(description="Frames received in part, since it was opened")
+    missing_packets: int = Field(description="Packets that never came, since it was opened")
+    resent_packets: int = Field(description="Packets that came at the second request, since it was opened")
+    temperature_c: float | None
+    ptp_offset_ns: int | None = Field(description="From the PTP master's clock; null without PTP")
+    latency_ms: float | None = Field(description="From trigger to arrival, mean of the latest 64 bundles")
+    latency_min_ms: float | None
+    latency_max_ms: float | None
     last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
+    warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 
 
 class Cameras(BaseModel):

@@ -14,6 +14,7 @@ from drivers.recording import write_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.control import (
     AcquisitionState,
+    AcquisitionStatus,
     AcquisitionTarget,
     CameraStatus,
     Check,
@@ -50,8 +51,8 @@ class FakeControl:
     condition: Health = GOOD_HEALTH
     snapshots: dict[str, bytes] = field(default_factory=dict)
 
-    def acquisition(self) -> AcquisitionState:
-        return self.state
+    def acquisition(self) -> AcquisitionStatus:
+        return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
         next_state(self.state, target)

@@ -11,14 +11,15 @@ from drivers.errors import GateUnavailableError
 from drivers.factory import ReplayBackend, build_devices
 from drivers.faults import Fault, FaultPlan
 from drivers.gates.faulty import FaultyGate
-from drivers.interfaces import EventSink, LightGate
+from drivers.interfaces import LightGate
 from drivers.recording import RecordingWriter
 from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
-from service import rig_cameras
+from service import keeper
 from service.acquisition import Acquisition
-from service.bundling import BundlingCounters, BundlingParameters, CameraCounters
+from service.bundle_counters import BundlingCounters, CameraCounters
+from service.bundling import BundlingParameters
 from service.control import AcquisitionState, AcquisitionTarget, ConflictError
-from service.supervision import RestartPolicy
+from service.rig_cameras import RigCameras
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 N_BUNDLES = 6
@@ -57,27 +58,26 @@ class Bench:
         recording: Path,
         *,
         faults: FaultPlan | None = None,
-        gate: LightGate | None = None,
         gate_faults: FaultPlan | None = None,
         min_cameras: int = 2,
-        policy: RestartPolicy = RestartPolicy(delays_s=(0.0,)),  # noqa: B008 - frozen
     ) -> None:
         self.devices = build_devices(ReplayBackend(recording=recording, pace="stepped", faults=faults))
-        if gate is not None:
-            self.devices = replace(self.devices, gate=gate)
         if gate_faults is not None:  # here and not above: a swallowed trigger shall keep its permit
             self.devices = replace(self.devices, gate=FaultyGate(self.devices.gate, gate_faults))
         self.told: list[tuple[str, str]] = []
         self.bundles: list[FrameBundle] = []
         self.states: list[AcquisitionState] = []
         self.changed = asyncio.Condition()
+        self.min_cameras = min_cameras
+        self.make_acquisition()
+
+    def make_acquisition(self) -> None:
         self.acquisition = Acquisition(
             self.devices,
             session=1,
             triggers=self,
             bundling=BundlingParameters(),
-            min_cameras=min_cameras,
-            policy=policy,
+            min_cameras=self.min_cameras,
             on_bundle=self.on_bundle,
             on_progress=self.on_progress,
         )
@@ -188,7 +188,7 @@ async def test_it_is_at_work_as_long_as_a_device_may_keep_it(recording: Path):
 
 
 def test_the_counters_of_all_sessions_add_up(recording: Path):
-    cameras = rig_cameras.RigCameras(Bench(recording).devices.cameras)
+    cameras = RigCameras(Bench(recording).devices.cameras)
     for n_lost in (1, 2, 3):
         counters = BundlingCounters(cameras={camera: CameraCounters() for camera in CAMERAS})
         cameras.count(counters)
@@ -207,7 +207,7 @@ async def test_a_stone_in_the_air_is_seen_through_when_stopping(recording: Path)
 
 
 async def test_a_lost_camera_degrades_and_comes_back(recording: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(rig_cameras, "RETRY_S", 0.2)
+    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.2,))
     faults = FaultPlan(cameras=frozenset({CAMERAS[1]}), disconnect=Fault(at=frozenset({1})))
     bench = Bench(recording, faults=faults)
     async with armed(bench) as acquisition:
@@ -221,57 +221,78 @@ async def test_a_lost_camera_degrades_and_comes_back(recording: Path, monkeypatc
     assert bench.bundles[2].frames.keys() == set(CAMERAS)
 
 
-async def test_too_few_cameras_hold_the_acquisition(recording: Path):
+async def test_too_few_cameras_hold_the_acquisition_until_they_are_back(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.5,))
     faults = FaultPlan(cameras=frozenset(CAMERAS[:2]), disconnect=Fault(at=frozenset({0})))
-    bench = Bench(recording, faults=faults, policy=RestartPolicy(delays_s=(60.0,)))
+    bench = Bench(recording, faults=faults)
     async with armed(bench) as acquisition:
         await bench.step(1)
         await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
-        assert acquisition.trouble is not None
-        assert "disconnected; " in acquisition.trouble
+        assert acquisition.trouble == "c01, c02: disconnected; 1 cameras are left of 2 needed"
+        await bench.step(1)  # counted all the same
+        await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
+        assert acquisition.trouble is None
+        await bench.step(1)
         assert acquisition.request(AcquisitionTarget.DISARMED) is AcquisitionState.DISARMING
         await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
-    assert [bundle.name for bundle in bench.bundles] == ["s1"]
+    assert [len(bundle.frames) for bundle in bench.bundles] == [1, 1, 3]
 
 
-async def test_a_lost_gate_restarts_the_session(recording: Path):
+async def test_a_lost_gate_holds_and_comes_back_while_the_cameras_stay_armed(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.2,))
     bench = Bench(recording, gate_faults=FaultPlan(disconnect_gate=Fault(at=frozenset({1}))))
     async with armed(bench) as acquisition:
         await bench.step(1)
         assert bench.devices.belt is not None
         bench.devices.belt.permit(1)  # swallowed by the gate's failure
-        await bench.until(lambda: bench.states[-1] is AcquisitionState.DISARMING)
+        await bench.until(lambda: bench.states[-1] is AcquisitionState.HELD)
+        assert (acquisition.status().gate, acquisition.status().gate_error) == ("lost", "disconnected")
+        assert {bench.state_of(camera) for camera in CAMERAS} == {"armed"}
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
         await bench.step(1)
         assert acquisition.trouble is None
-    assert [bundle.name for bundle in bench.bundles] == ["s1", "s3"]
+    assert [bundle.name for bundle in bench.bundles if bundle.trigger.is_announced] == ["s1", "s3"]
 
 
 class DeadGate:
-    """Does not answer."""
+    """Does not answer, at first."""
 
-    def __init__(self) -> None:
-        self.attempts = 0
+    def __init__(self, gate: LightGate, n_attempts: int) -> None:
+        self.gate = gate
+        self.n_attempts = n_attempts
+        self.arm, self.test_pulse, self.disarm, self.close = (
+            gate.arm,
+            gate.test_pulse,
+            gate.disarm,
+            gate.close,
+        )
 
     def open(self) -> None:
-        self.attempts += 1
-        raise GateUnavailableError("ttyUSB0", "no such device")
-
-    def arm(self, sink: EventSink) -> None: ...
-
-    def disarm(self) -> None: ...
-
-    def close(self) -> None: ...
+        self.n_attempts -= 1
+        if self.n_attempts >= 0:
+            raise GateUnavailableError("ttyUSB0", "no such device")
+        self.gate.open()
 
 
-async def test_a_gate_that_never_answers_is_fatal(recording: Path):
-    gate = DeadGate()
-    bench = Bench(recording, gate=gate, policy=RestartPolicy(delays_s=(0.0,), budget=2))
-    bench.acquisition.request(AcquisitionTarget.ARMED)
-    with pytest.raises(GateUnavailableError, match="ttyUSB0: no such device"):
-        await bench.acquisition.run()
-    assert gate.attempts == 3
-    assert {status.state for status in bench.acquisition.cameras.statuses()} == {"closed"}
+async def test_a_gate_that_does_not_answer_holds_until_it_does(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.05,))
+    bench = Bench(recording)
+    bench.devices = replace(bench.devices, gate=(gate := DeadGate(bench.devices.gate, 3)))
+    bench.make_acquisition()
+    async with armed(bench) as acquisition:
+        assert acquisition.state is AcquisitionState.HELD
+        assert acquisition.trouble == "no such device"
+        await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
+        await bench.step(1)
+    assert gate.n_attempts == -1
+    errors = [record.message for record in caplog.records if record.levelname == "ERROR"]
+    assert errors == ["device lost: no such device device=light gate", "held: no such device"]
 
 
 async def test_the_snapshot_is_the_latest_frame(recording: Path):

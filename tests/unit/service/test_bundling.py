@@ -6,9 +6,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.interfaces import CameraLost, DeviceEvent, FrameLost, GateLost, PlaybackEnded, TriggersIgnored
+from drivers.interfaces import (
+    CameraLost,
+    DeviceEvent,
+    FrameLost,
+    GateLost,
+    PlaybackEnded,
+    PulseEnded,
+    TriggersIgnored,
+    TriggersLost,
+)
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.bundling import BundleAssembler, BundlingParameters, CameraCounters
+from service.bundle_counters import CameraCounters
+from service.bundling import BundleAssembler, BundlingParameters
 
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 4))
 A, B, C = CAMERAS
@@ -109,6 +119,75 @@ def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:
     feed_all(assembler, [frame(A, 1, 500 * MS)])
     assembler.advance(600 * MS)
     assert assembler.counters.cameras[A].strays == 1
+
+
+def test_a_stone_that_the_gate_did_not_announce_is_an_orphan_with_a_bundle_of_its_own() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    bundles = feed_all(
+        assembler,
+        [
+            trigger(7, 0),
+            *(frame(camera, 0, DELAY_NS) for camera in CAMERAS),
+            *(frame(camera, 1, period_ns + DELAY_NS) for camera in (A, B)),  # 8 was garbled
+            trigger(9, 2 * period_ns),
+            TriggersLost(received_ns=2 * period_ns, count=1, reason="gap"),
+            *(frame(camera, 2, 2 * period_ns + DELAY_NS) for camera in CAMERAS),
+        ],
+    )
+    bundles += assembler.advance(10 * period_ns)
+    assert [(bundle.trigger.sequence, bundle.trigger.is_announced) for bundle in bundles] == [
+        (7, True),
+        (8, False),
+        (9, True),
+    ]
+    orphan = bundles[1]
+    assert orphan.trigger.received_ns == period_ns
+    assert (tags(orphan), dict(orphan.missing)) == ({1}, {C: "no_frame"})
+    counters = assembler.counters
+    assert (counters.triggers, counters.orphans, counters.unseen, counters.triggers_lost) == (3, 1, 0, 1)
+    assert all(each.not_exposed == each.unannounced == 0 for each in counters.cameras.values())
+
+
+def test_what_only_the_counter_of_the_gate_knows_is_a_bundle_without_frames() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    gap = TriggersLost(received_ns=1000 * MS, count=2, reason="gap")
+    assert feed_all(assembler, [trigger(3, 1000 * MS), gap]) == []
+    bundles = feed_all(assembler, [frame(camera, 3, 1000 * MS + DELAY_NS) for camera in CAMERAS])
+    bundles += assembler.advance(1000 * MS + DELAY_NS + 2 * WINDOW_NS)
+    assert [len(bundle.frames) for bundle in bundles] == [3, 0, 0]
+    assert set(bundles[1].missing.values()) == {"unseen"}
+    assert assembler.counters.triggers == 4 == assembler.counters.complete + assembler.counters.incomplete
+
+
+def test_a_flood_of_late_frames_makes_no_stone_of_its_own() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS, device_ns=1) for camera in CAMERAS)])
+    feed_all(assembler, [trigger(1, 250 * MS)])
+    assembler.advance(1000 * MS)
+    late = [frame(camera, 1, 1500 * MS, device_ns=250 * MS) for camera in CAMERAS]
+    assert feed_all(assembler, late) + assembler.advance(5000 * MS) == []
+    assert [assembler.counters.cameras[camera].late for camera in CAMERAS] == [1, 1, 1]
+    assert assembler.counters.orphans == 0
+
+
+def test_a_background_with_a_stone_in_it_shows_nothing() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    empty = trigger(0, 0, BundleKind.BACKGROUND)
+    background, stone = feed_all(
+        assembler, [empty, trigger(1, 100 * MS), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)]
+    )
+    assert (background.kind, background.frames) == (BundleKind.BACKGROUND, {})
+    assert set(background.missing.values()) == {"stone_passed"}
+    assert set(stone.missing.values()) == {"dead_time"}
+
+
+def test_the_width_of_the_pulse_is_known_before_the_bundle_is() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    pulse = PulseEnded(sequence=0, received_ns=70 * MS, width_ns=70 * MS)
+    (bundle,) = feed_all(assembler, [trigger(0, 0), pulse, *(frame(c, 0, DELAY_NS) for c in CAMERAS)])
+    assert bundle.trigger.pulse_width_ns == 70 * MS
 
 
 def test_two_different_frames_for_one_trigger_are_both_refused() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from pipeline.frames import CameraId
 from pipeline.particle import ViewsParameters
-from service.control import AcquisitionState, CameraStatus, CheckStatus, Ne107
+from service.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 from service.health import LOW_DISK_BYTES, Facts, assess
 
 
@@ -19,9 +19,15 @@ def cameras(lost: int = 0) -> list[CameraStatus]:
     ]
 
 
+def rig(state: AcquisitionState, gate: str = "armed", gate_error: str | None = None) -> AcquisitionStatus:
+    return AcquisitionStatus(state=state, gate=gate, gate_error=gate_error)
+
+
 HEALTHY = Facts(
-    acquisition=AcquisitionState.ARMED,
-    trouble=None,
+    acquisition=rig(AcquisitionState.ARMED),
+    blind_triggers=0,
+    loop_ms=3.0,
+    clock_step_s=None,
     cameras=cameras(),
     views=ViewsParameters(),
     waiting=0,
@@ -41,7 +47,20 @@ HEALTHY = Facts(
 def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
     health = assess(HEALTHY)
     assert (health.ne107, health.ready, health.reasons) == (Ne107.GOOD, True, ())
-    parts = {"gate", "progress", "queue", "workers", "background", "calibration", "store", "disk"}
+    parts = {
+        "cameras",
+        "trigger_line",
+        "loop",
+        "clock",
+        "gate",
+        "progress",
+        "queue",
+        "workers",
+        "background",
+        "calibration",
+        "store",
+        "disk",
+    }
     assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
 
@@ -66,12 +85,35 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
 @pytest.mark.parametrize(
     ("change", "state", "is_ready", "reason"),
     [
-        ({"acquisition": AcquisitionState.DISARMED}, Ne107.CHECK_FUNCTION, False, "acquisition: disarmed"),
         (
-            {"acquisition": AcquisitionState.HELD, "trouble": "light gate: unplugged"},
+            {"acquisition": rig(AcquisitionState.DISARMED)},
+            Ne107.CHECK_FUNCTION,
+            False,
+            "acquisition: disarmed",
+        ),
+        (
+            {"acquisition": rig(AcquisitionState.HELD, gate="lost", gate_error="unplugged")},
             Ne107.FAILURE,
             False,
-            "gate: light gate: unplugged",
+            "gate: unplugged",
+        ),
+        (
+            {"blind_triggers": 3},
+            Ne107.FAILURE,
+            False,
+            "trigger_line: 3 triggers in a row without any image: look at the line from gate to cameras",
+        ),
+        (
+            {"loop_ms": 300.0},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "loop: held up for 300 ms within the last minute",
+        ),
+        (
+            {"clock_step_s": -3600.0},
+            Ne107.OUT_OF_SPECIFICATION,
+            True,
+            "clock: the wall clock was set by -3600.0 s: times of results are in doubt",
         ),
         ({"waiting": 9}, Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting, 0 lost"),
         ({"waiting": 16, "overflows": 3}, Ne107.FAILURE, False, "queue: 16 of 16 waiting, 3 lost"),
@@ -97,3 +139,18 @@ def test_whatever_is_wrong_is_named(change, state: Ne107, is_ready: bool, reason
     health = assess(replace(HEALTHY, **change))
     assert (health.ne107, health.ready) == (state, is_ready)
     assert reason in health.reasons
+
+
+def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():
+    health = assess(replace(HEALTHY, cameras=cameras(16)))
+    assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
+    (reason,) = health.reasons
+    assert reason.startswith("cameras: all 16 cameras are gone: look at the switch")
+    assert health.checks["camera:c07"].detail == "unplugged"
+
+
+def test_what_a_camera_warns_of_is_maintenance():
+    warned = [replace(camera, warnings=("receive buffer is small",)) for camera in cameras()[:1]]
+    health = assess(replace(HEALTHY, cameras=[*warned, *cameras()[1:]]))
+    assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
+    assert health.reasons == ("camera:c01: receive buffer is small",)

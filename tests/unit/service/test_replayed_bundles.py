@@ -86,6 +86,20 @@ async def test_faults_cost_views_and_never_mix_stones(tmp_path: Path, seed: int,
     )
     counters = assembler.counters
     assert len(bundles) == counters.triggers == counters.complete + counters.incomplete
+    orphans = [bundle for bundle in bundles if not bundle.trigger.is_announced]
+    assert len(orphans) == counters.orphans > 0
+    announced = {int(bundle.name.split("-")[0]) for bundle in bundles if bundle.trigger.is_announced}
+    for orphan in orphans:
+        shown = [
+            number
+            for number in set(range(n_bundles)) - announced
+            if all(
+                np.array_equal(each.image, tagged_image(number, each.camera))
+                for each in orphan.frames.values()
+            )
+        ]
+        assert len(shown) == 1
+    bundles = [bundle for bundle in bundles if bundle.trigger.is_announced]
     originals = [bundle for bundle in bundles if not bundle.name.endswith("-double")]
     assert len(bundles) - len(originals) == counters.in_dead_time
     assert len({bundle.name for bundle in bundles}) == len(bundles)

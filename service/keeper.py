@@ -1,0 +1,140 @@
+"""One device kept at work: opened and armed, examined, and brought back whenever it is lost.
+
+Device calls block for seconds (a GigE control call takes 2.5 s to fail), so each device has a thread of
+its own: a dead one makes nobody wait but itself.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from drivers.errors import DeviceError
+from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
+
+log = logging.getLogger(__name__)
+
+BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 5.0)
+"""From one attempt to bring a device back to the next; the last one for ever."""
+EXAMINE_S = 5.0
+"""How often a healthy camera is asked how it is."""
+
+Answer = TypeVar("Answer")
+
+
+class Keeper:
+    """From `start` to `end` the device is kept; `settled` once the first attempt has succeeded or failed.
+
+    `on_lost` is told of a loss that the device did not report itself.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        device: Camera | LightGate,
+        *,
+        examine: Callable[[], CameraVitals] | None = None,
+        on_lost: Callable[[str], None] = lambda reason: None,
+    ) -> None:
+        self.name = name
+        self.device = device
+        self.state = "closed"
+        """closed, armed or lost"""
+        self.last_error: str | None = None
+        self.recoveries = 0
+        self.vitals = CameraVitals()
+        self.settled = asyncio.Event()
+        self._examine = examine
+        self._on_lost = on_lost
+        self._lost_at_s = 0.0
+        self._wake = asyncio.Event()
+        self._is_ending = False
+        self._task: asyncio.Task[None] | None = None
+        self._thread: ThreadPoolExecutor | None = None
+
+    def start(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
+        """Keep the device armed until `end`; it may be started again after that."""
+        self._is_ending = False
+        self._task = tasks.create_task(self._keep(sink))
+
+    async def end(self) -> None:
+        """Disarm and close; returns when that is done."""
+        self._is_ending = True
+        self._wake.set()
+        if self._task is not None:
+            await asyncio.wait([self._task])
+
+    async def _keep(self, sink: EventSink) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"{self.name} control")
+        failures = 0
+        try:
+            while not self._is_ending:
+                try:
+                    await self.call(self.device.open)
+                    await self.call(self.device.arm, sink)
+                except DeviceError as err:
+                    failures += 1
+                    self.lose(err.problem)
+                else:
+                    failures = 0
+                    self._admit()
+                    await self._look_after()
+                self.settled.set()
+                if self.state == "lost":
+                    await self.call(self.device.close)
+                    await self._sleep(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
+            if self.state == "armed":
+                await self.call(self.device.disarm)
+            await self.call(self.device.close)
+            self.state = "closed"
+        finally:
+            self._thread.shutdown(wait=False)
+            self.settled.clear()
+
+    async def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
+        """Call the device on its thread; only while it is kept."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, function, *arguments)
+
+    def lose(self, reason: str) -> None:
+        """Note that the device is lost; the loss is logged once, not every failed attempt to undo it."""
+        if self.state != "lost":
+            log.error("device lost: %s device=%s", reason, self.name)
+            self._lost_at_s = time.monotonic()
+        elif reason != self.last_error:
+            log.warning("device still lost: %s device=%s", reason, self.name)
+        self.state, self.last_error = "lost", reason
+        self._wake.set()
+
+    def look(self) -> None:
+        """Examine the device now: something about it is odd."""
+        self._wake.set()
+
+    def _admit(self) -> None:
+        if self.state == "lost":
+            self.recoveries += 1
+            log.info("device back device=%s after_s=%.1f", self.name, time.monotonic() - self._lost_at_s)
+        self.state = "armed"
+        self.settled.set()
+
+    async def _look_after(self) -> None:
+        """Return when the device is lost or no longer wanted."""
+        while self.state == "armed" and not self._is_ending:
+            if self._examine is not None:
+                try:
+                    self.vitals = await self.call(self._examine)
+                except DeviceError as err:
+                    self._on_lost(err.problem)
+                    self.lose(err.problem)
+                    return
+            await self._sleep(EXAMINE_S)
+
+    async def _sleep(self, seconds: float) -> None:
+        """Wait, but not longer than until something happens."""
+        try:
+            async with asyncio.timeout(seconds):
+                await self._wake.wait()
+        except TimeoutError:
+            pass
+        self._wake.clear()
