@@ -1,0 +1,70 @@
+"""Triggers the cameras from this machine, for rigs without a wire from the light gate.
+
+The camera's own trigger delay still does the timing; what the host adds is its jitter, some milliseconds
+at worst, and each is 2.4 mm of fall.
+"""
+
+import itertools
+import socket
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from drivers.gvcp import GVCP_PORT, action_command, local_addresses
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionKeys:
+    """Whom a GigE Vision action command is for."""
+
+    device_key: int = 1
+    group_key: int = 1
+    group_mask: int = 1
+    targets: tuple[str, ...] = ("255.255.255.255",)  # or addresses of cameras: unicast
+
+    def __post_init__(self) -> None:
+        for name in ("device_key", "group_key", "group_mask"):
+            if not 0 <= getattr(self, name) <= 0xFFFF_FFFF:
+                raise ValueError(f"{name} must have 32 bits, not {getattr(self, name)}")
+        if self.group_mask == 0 or not self.targets:
+            raise ValueError("group_mask must not be 0, nor targets empty")
+
+
+class ActionTrigger:
+    """One datagram for all cameras, or one for each: no answer is waited for.
+
+    Raises `OSError` when called while the network is down.
+    """
+
+    def __init__(self, keys: ActionKeys, interfaces: Sequence[str] = ()) -> None:
+        self._keys = keys
+        self._interfaces = tuple(interfaces)
+        self._request_ids = itertools.cycle(range(1, 0x1_0000))
+
+    def __call__(self) -> None:
+        keys = self._keys
+        datagram = action_command(
+            device_key=keys.device_key,
+            group_key=keys.group_key,
+            group_mask=keys.group_mask,
+            request_id=next(self._request_ids),
+        )
+        for interface in self._interfaces or local_addresses():
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+                sender.bind((interface, 0))
+                for target in keys.targets:
+                    sender.sendto(datagram, (target, GVCP_PORT))
+
+
+class SoftwareTrigger:
+    """`TriggerSoftware` of every camera at once, each on a thread of its own: a dead one delays nobody."""
+
+    def __init__(self, fire: Sequence[Callable[[], None]]) -> None:
+        self._fire = tuple(fire)
+        self._threads = ThreadPoolExecutor(max_workers=len(self._fire), thread_name_prefix="software trigger")
+
+    def __call__(self) -> None:
+        for fire in self._fire:
+            # what goes wrong is seen where it matters: the camera's frame is missing
+            self._threads.submit(fire)
