@@ -18,6 +18,8 @@ COMMANDS = {
     "export": "service.commands.export_images",
     "measure": "service.commands.measure",
     "shape": "service.commands.shape",
+    "simulate": "service.commands.simulate",
+    "cameras": "service.commands.cameras",
 }
 """Each module has one function `command`, whose docstring is its help."""
 

@@ -141,18 +141,17 @@ class Daemon:
 
 async def build(settings: Settings, store: Store) -> Daemon:
     """Put the parts together; nothing runs yet, but what a killed predecessor left behind is settled."""
-    devices = await asyncio.to_thread(build_devices, settings.rig.backend_settings)
-    calibration_path = settings.rig.calibration_path
-    calibration = await asyncio.to_thread(read_rig, calibration_path)
+    calibration = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
     calibration_id = calibration.calibration_id
-    is_simulated = devices.belt is not None and devices.belt.recording.is_simulated
+    devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(calibration))
+    is_simulated = devices.is_simulated
     camera_ids = tuple(devices.cameras)
     session = await store.begin_session(
         {
             "calibration_id": calibration_id,
             "algorithm_version": ALGORITHM_VERSION,
-            "recording": str(settings.rig.recording),
             "is_simulated": is_simulated,
+            **settings.rig.describe(),
         }
     )
     if lost := await store.lose_open("crash", "the daemon ended before this bundle was measured"):
@@ -179,6 +178,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         triggers=store,
         bundling=settings.bundling,
         min_cameras=settings.views.min,
+        empty_rig=settings.empty_rig,
         on_bundle=spool.offer,
         on_progress=lambda: heartbeats.beat("acquisition", time.monotonic()),
     )

@@ -5,62 +5,26 @@ paths are relative to the file's folder. The calibration is not configuration bu
 a file of its own.
 """
 
-import os
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, ValidationInfo
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from drivers.errors import RecordingError
-from drivers.factory import ReplayBackend
-from drivers.recording import open_recording, require_rig_of
-from drivers.rig_file import read_rig
 from pipeline.carving import CarvingParameters
 from pipeline.consistency import ConsistencyParameters
 from pipeline.particle import MeasuringParameters, PipelineParameters, ViewsParameters
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.api.settings import ApiSettings
 from service.bundling import BundlingParameters
+from service.empty_rig import EmptyRigParameters
 from service.errors import SettingsError
+from service.paths import ConfiguredPath
+from service.recordings import RecordingsSettings
+from service.rig_settings import BACKENDS, RigSettings
 from service.store import KEEP_RAW
-
-
-def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
-    folder: Path = (info.context or {})["folder"]
-    return Path(os.path.normpath(folder / path))
-
-
-ConfiguredPath = Annotated[Path, AfterValidator(_beside_the_file)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigSettings:
-    """Where stones come from."""
-
-    recording: ConfiguredPath
-    backend: Literal["replay"] = "replay"
-    pace: Literal["recorded", "fast"] = "recorded"
-    speed: float = 1.0  # factor on the recorded pace
-    loop: bool = False
-    calibration: ConfiguredPath | None = None  # rig file; default: the recording's own
-
-    def __post_init__(self) -> None:
-        if not 0.01 <= self.speed <= 100:
-            raise ValueError(f"speed must be in 0.01..100, not {self.speed:g}")
-        if self.pace == "fast" and self.speed != 1.0:
-            raise ValueError('speed scales the recorded pace and means nothing with pace = "fast"')
-
-    @property
-    def backend_settings(self) -> ReplayBackend:
-        return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
-
-    @property
-    def calibration_path(self) -> Path:
-        return self.calibration or self.recording / "rig.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,12 +75,14 @@ class Settings(BaseModel):
     spool: SpoolSettings
     store: StoreSettings
     bundling: BundlingParameters = BundlingParameters()
+    empty_rig: EmptyRigParameters = EmptyRigParameters()
     segmentation: SegmentationParameters = SegmentationParameters()
     views: ViewsParameters = ViewsParameters()
     consistency: ConsistencyParameters = ConsistencyParameters()
     carving: CarvingParameters = CarvingParameters()
     measuring: MeasuringParameters = MeasuringParameters()
     workers: WorkersSettings = WorkersSettings()
+    recordings: RecordingsSettings = RecordingsSettings()
     api: ApiSettings = ApiSettings()
 
     @property
@@ -144,7 +110,7 @@ def load_settings(path: Path) -> Settings:
         return Settings.model_validate(document, context={"folder": path.resolve().parent})
     except ValidationError as err:
         wrong = "; ".join(
-            f"{'.'.join(map(str, error['loc']))}: {error['msg'].removeprefix('Value error, ')}"
+            f"{_name_of(error['loc'])}: {error['msg'].removeprefix('Value error, ')}"
             for error in err.errors()
         )
         raise SettingsError(f"{path}: {wrong}") from None
@@ -158,19 +124,17 @@ def problems(settings: Settings) -> Iterator[str]:
             f"views.min: must be at least {n_disagreeing + 2}, two more than"
             f" carving.max_disagreeing_views, not {settings.views.min}"
         )
-    try:
-        recording = open_recording(settings.rig.recording)
-    except RecordingError as err:
-        yield f"rig.recording: {err}"
-    else:
-        path = settings.rig.calibration_path
-        try:
-            require_rig_of(recording, read_rig(path), path)
-        except RecordingError as err:
-            yield f"rig.calibration: {err}"
+    yield from settings.rig.problems(settings.bundling)
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _cannot_hold_files(folder):
             yield f"{name}: {problem}"
+
+
+def _name_of(loc: tuple[int | str, ...]) -> str:
+    """Return the field as it is written; behind `rig` pydantic also names the backend."""
+    if loc[0] == "rig" and len(loc) > 1 and loc[1] in BACKENDS:
+        loc = (loc[0], *loc[2:])
+    return ".".join(map(str, loc))
 
 
 def _cannot_hold_files(folder: Path) -> str | None:

@@ -40,5 +40,14 @@ def _as_toml(document: dict[str, dict[str, Any]]) -> Iterator[str]:
     for section, values in document.items():
         yield f"[{section}]"
         for name, value in values.items():
-            yield f"# {name} is not set" if value is None else f"{name} = {json.dumps(value)}"
+            yield f"# {name} is not set" if value is None else f"{name} = {_toml(value)}"
         yield ""
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        pairs = (f"{name} = {_toml(each)}" for name, each in value.items() if each is not None)
+        return f"{{ {', '.join(pairs)} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value)

@@ -7,6 +7,7 @@ import pytest
 from support.recordings import small_rig
 from typer.testing import CliRunner
 
+from drivers.gates.serial_gate import SerialGateSettings
 from drivers.recording import RecordingWriter
 from drivers.rig_file import write_rig
 from pipeline.frames import Frame, FrameBundle, Trigger
@@ -14,6 +15,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig_design import nominal_rig
 from service.cli import build_app
 from service.errors import SettingsError
+from service.rig_settings import AravisRigSettings
 from service.settings import Settings, load_settings, problems
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
@@ -26,6 +28,23 @@ dir = "spool"
 [store]
 dir = "/var/lib/somewhere"
 """
+
+LIVE = (
+    """
+[rig]
+backend = "aravis"
+calibration = "rig.json"
+[rig.gate.serial]
+port = "gate"
+"""
+    + "".join(f'[[rig.cameras]]\nid = "c{i:02d}"\nserial = "SIM{i:04d}"\n' for i in range(1, 17))
+    + """
+[spool]
+dir = "spool"
+[store]
+dir = "store"
+"""
+)
 
 
 def settings_of(folder: Path, text: str) -> Settings:
@@ -71,7 +90,19 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (MINIMAL.replace('dir = "spool"', ""), ["spool.dir: "]),
         (MINIMAL.replace("[rig]", "[rig]\nspeed = 0.0"), ["rig: speed must be in"]),
         (MINIMAL.replace("[rig]", '[rig]\npace = "fast"\nspeed = 2.0'), ["rig: speed scales"]),
-        (MINIMAL.replace("[rig]", '[rig]\nbackend = "aravis"'), ["rig.backend: "]),
+        (MINIMAL.replace("[rig]", '[rig]\nbackend = "lidar"'), ["rig: ", "'replay', 'aravis'"]),
+        (MINIMAL.replace("[rig]", '[rig]\nbackend = "aravis"'), ["rig.calibration: ", "rig.cameras: "]),
+        (LIVE.replace("[rig]", "[rig]\nfall_height_mm = 0"), ["rig: fall_height_mm must be in"]),
+        (LIVE.replace("[rig]", "[rig]\ndelay_correction_ms = -250"), ["rig: delay_correction_ms leaves a"]),
+        (LIVE.replace("[rig]", '[rig]\ntrigger = "radio"'), ["rig: trigger must be an input"]),
+        (LIVE.replace("[rig]", "[rig]\nflash_us = 30"), ["rig: flash_us must be in 0.1..exposure_us"]),
+        (LIVE.replace("[rig]", "[rig]\npacket_size_bytes = 12000"), ["camera c01: packet_size_bytes"]),
+        (LIVE.replace('id = "c02"', 'id = "c01"'), ["rig: cameras: c01 is there twice"]),
+        (LIVE.replace('serial = "SIM0002"', ""), ["rig: cameras: camera c02: serial, address or user_name"]),
+        (LIVE.replace("SIM0003", "1").replace('serial = "1"', "serial = 1"), ["rig.cameras.2.serial: "]),
+        (LIVE + '[rig.gate.gpio]\nchip = "/dev/gpiochip0"\nline = 4\n', ["rig.gate: exactly one of"]),
+        (LIVE.replace('port = "gate"', 'port = ""'), ["rig.gate.serial: port must be named"]),
+        (LIVE + "[empty_rig]\nat_start = -1", ["empty_rig: at_start must be in"]),
         (MINIMAL + "[api]\nkeys = [{name = 'mes', sha256 = 'secret'}]", ["api.keys.0: key 'mes'"]),
         ("[rig\n", ["line 1"]),
     ],
@@ -163,12 +194,87 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
     assert wrong.startswith("store.dir: cannot write to /proc: ")
 
 
-@pytest.mark.parametrize("name", ["stonefall.toml", "demo.toml"])
+def live_problems(folder: Path, *changes: tuple[str, str], text: str = LIVE) -> list[str]:
+    write_rig(folder / "rig.json", nominal_rig())
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return list(problems(settings_of(folder, text)))
+
+
+def test_a_live_rig_is_described_to_its_devices(tmp_path: Path):
+    assert live_problems(tmp_path) == []
+    settings = settings_of(
+        tmp_path, LIVE.replace("[rig]", '[rig]\nstrobe_line = "Line2"\nfeatures = [["A", 1]]')
+    )
+    assert isinstance(settings.rig, AravisRigSettings)
+    backend = settings.rig.backend_for(nominal_rig())
+    camera = backend.cameras[2]
+    assert (camera.id, camera.serial, camera.image_size_px) == ("c03", "SIM0003", (1280, 1024))
+    features = dict(camera.features)
+    assert features["TriggerDelay"] == pytest.approx(247_350, abs=10)  # 0.3 m of free fall
+    assert (features["TriggerSource"], features["ExposureTime"], features["A"]) == ("Line1", 20.0, 1)
+    names = [name for name, _ in camera.features]
+    assert names.index("LineSelector") < names.index("LineSource")
+    assert backend.gate == SerialGateSettings(port="gate")
+    assert backend.fired_by is None
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (
+            ("[rig]", "[rig]\nexposure_us = 100"),
+            "rig.exposure_us: 101 us of light and skew blur a stone of 2.43 m/s by",
+        ),
+        (("[rig]", "[rig]\nexposure_us = 100\nflash_us = 10"), None),
+        (("[rig]", "[rig]\ntrigger_skew_us = 60"), "rig.exposure_us: 80 us of light and skew"),
+        (
+            ("[rig]", "[rig]\nfall_height_mm = 600"),
+            "bundling.dead_time_ms: must be at least 320: cameras ignore an edge for 349.8 ms",
+        ),
+        (
+            ("[rig]", "[rig]\nuplink_bytes_s = 125e6"),
+            "rig.throughput_limit_bytes_s: 16 cameras send 2000 MB/s at once",
+        ),
+        (
+            ("[rig]", "[rig]\nuplink_bytes_s = 125e6\nthroughput_limit_bytes_s = 7_800_000"),
+            "a frame takes 168 ms",
+        ),
+        (("[rig]", "[rig]\nuplink_bytes_s = 125e6\npacket_delay_ns = 1_000_000"), "a frame takes 170 ms"),
+        (('id = "c07"', 'id = "c17"'), "rig.cameras: c01, c02"),
+        (('"rig.json"', '"none.json"'), "rig.calibration: "),
+    ],
+)
+def test_what_physics_does_not_allow_is_named(tmp_path: Path, change: tuple[str, str], problem: str | None):
+    found = live_problems(tmp_path, change)
+    assert any(problem in each for each in found) if problem else found == []
+
+
+def test_a_shared_gigabit_uplink_needs_throttled_cameras_and_a_wide_window(tmp_path: Path):
+    rig = "[rig]\nuplink_bytes_s = 125e6\nthroughput_limit_bytes_s = 7_800_000"
+    slow = "[bundling]\nwindow_ms = 170\ndead_time_ms = 400\n[spool]"
+    assert live_problems(tmp_path, ("[rig]", rig), ("[spool]", slow)) == []
+
+
+def test_another_camera_than_the_calibrated_one_is_found_before_it_measures(tmp_path: Path):
+    rig = nominal_rig()
+    calibrated = replace(
+        rig, cameras=tuple(replace(camera, serial=f"SIM{i:04d}") for i, camera in enumerate(rig.cameras))
+    )
+    write_rig(tmp_path / "rig.json", calibrated)
+    found = list(problems(settings_of(tmp_path, LIVE)))
+    assert len(found) == 16
+    assert found[0].startswith("rig.cameras: c01 is camera SIM0001, but ")
+    assert "was made with camera SIM0000" in found[0]
+
+
+@pytest.mark.parametrize("name", ["stonefall.toml", "demo.toml", "simulated.toml"])
 def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, tmp_path: Path):
     text = (DEPLOY / name).read_text()
     settings = settings_of(tmp_path, text)
     told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
-    examples = ("calibration", "density_g_cm3", "[[api.keys]]", "name", "sha256", "scopes")
+    examples = ("density_g_cm3", "[[api.keys]]", "name", "sha256", "scopes")
     spelled_out = "\n".join(line for line in told if not line.startswith(examples))
     assert settings_of(tmp_path, spelled_out) == settings
 

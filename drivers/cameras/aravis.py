@@ -1,0 +1,299 @@
+"""A GigE Vision camera through Aravis.
+
+Control calls to a camera that is gone take 2.5 s to fail and closing it 5 s, so a datagram of our own asks
+first whether it is there; what may block all the same holds this camera's lock and no other.
+"""
+
+import math
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import gvcp
+from drivers.cameras.aravis_library import explained, load_aravis
+from drivers.cameras.feature_access import Applied, FeatureAccess
+from drivers.cameras.finding import find_camera
+from drivers.cameras.frame_reader import FrameReader
+from drivers.cameras.genicam import GigeCameraSettings, all_features
+from drivers.cameras.stream_socket import widen_receive_buffer
+from drivers.errors import CameraUnavailableError
+from drivers.interfaces import CameraVitals, EventSink
+from pipeline.frames import CameraId
+
+PROBE_S = 0.2
+"""How long a camera may take to say that it is there."""
+FULL_LINK_MBIT_S = 1000
+
+_LINK_SPEED, _HEARTBEAT_MS, _CONTROL_PRIVILEGE, _STREAM_PORT = 0x670, 0x938, 0xA00, 0xD00
+"""Bootstrap registers, the same in every camera: in Mbit/s; in ms; 0 when nobody has control; 0 for no stream."""
+
+
+class AravisCamera:
+    """One GigE camera: found by serial number, address or user name, set and read back, watched by `examine`."""
+
+    def __init__(self, settings: GigeCameraSettings) -> None:
+        self._settings = settings
+        self._control = threading.RLock()
+        self._device: gvcp.Device | None = None  # as it was found the last time
+        self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see _forgetful
+        self._stream: Any = None
+        self._reader: FrameReader | None = None
+        self._memory: dict[int, NDArray[np.uint8]] = {}
+        self._control_lost = threading.Event()
+        self._control_lost_signal = 0
+        self._applied: list[Applied] = []
+        self._polled: dict[str, str] = {}
+        self._receive_buffer_bytes = 0
+        self._warnings: tuple[str, ...] = ()
+        self._is_acquiring = False
+
+    @property
+    def id(self) -> CameraId:
+        return self._settings.id
+
+    def open(self) -> None:
+        """Find the camera, take control, write all settings and read them back, prepare the stream.
+
+        Raises `CameraUnavailableError` when it is not there, another one, in use, or unable to do what is configured.
+        """
+        with self._control:
+            self.close()
+            try:
+                with _forgetful():
+                    self._device = find_camera(self._settings, self._device)
+                    self._connect(self._device.address)
+                    self._configure()
+                    self._prepare_stream()
+            except CameraUnavailableError:
+                self.close()
+                raise
+
+    def arm(self, sink: EventSink) -> None:
+        with self._control:
+            self.disarm()
+            if self._reader is None:
+                raise CameraUnavailableError(self.id, "is not open")
+            self._reader.start(sink)
+            self._is_acquiring = True
+            try:
+                with _forgetful(), explained(self.id, "start the acquisition"):
+                    self._camera.start_acquisition()
+            except CameraUnavailableError:
+                self.disarm()
+                raise
+
+    def examine(self) -> CameraVitals:
+        """Ask within 0.3 s, unless the camera dies right between the questions."""
+        device = self._device
+        if self._camera is None or device is None:
+            raise CameraUnavailableError(self.id, "is not open")
+        seen = gvcp.probe(device.address, PROBE_S)
+        if seen is None:
+            raise CameraUnavailableError(self.id, f"does not answer at {device.address}")
+        if seen.serial != device.serial:
+            problem = f"another camera, serial {seen.serial}, has the address {device.address}"
+            raise CameraUnavailableError(self.id, problem)
+        with self._control, _forgetful():
+            self._require_control()
+            self._features().verify(self._applied)
+            return self._vitals(device)
+
+    def software_trigger(self) -> None:
+        """Expose now, if `TriggerSource` is `Software`."""
+        with self._control, _forgetful():
+            if self._camera is None:
+                raise CameraUnavailableError(self.id, "is not open")
+            with explained(self.id, "trigger by software"):
+                self._camera.software_trigger()
+
+    def disarm(self) -> None:
+        with self._control:
+            if self._reader is not None:
+                self._reader.stop()
+            if self._is_acquiring:
+                self._is_acquiring = False
+                if self._is_there():
+                    with suppress(CameraUnavailableError), explained(self.id, "stop the acquisition"):
+                        self._camera.stop_acquisition()
+
+    def close(self) -> None:
+        """Leave the camera to others; when it is gone this takes 5 s, in Aravis."""
+        with self._control:
+            self.disarm()
+            if self._camera is not None:
+                if self._is_there():
+                    with suppress(CameraUnavailableError), explained(self.id, "give up control"):
+                        self._camera.get_device().leave_control()
+                self._camera.get_device().disconnect(self._control_lost_signal)
+            self._reader = self._stream = None  # first: this ends the thread that receives into the memory
+            self._camera = None
+            self._memory = {}
+            self._applied = []
+
+    # --- opening ---
+
+    def _connect(self, address: str) -> None:
+        aravis = load_aravis(self.id)
+        with explained(self.id, f"open {address}"):
+            self._camera = aravis.Camera.new(address)
+        self._control_lost = control_lost = threading.Event()
+        # the event, not self: a callback that leads back to the camera keeps it for ever. Comes from Aravis' heartbeat.
+        self._control_lost_signal = self._camera.get_device().connect(
+            "control-lost", lambda *_: control_lost.set()
+        )
+        if not self._camera.get_device().is_controller():
+            heartbeat_s = self._register(_HEARTBEAT_MS) / 1e3
+            raise CameraUnavailableError(
+                self.id,
+                f"is in use by another application at {address}; if it was a predecessor of this one, "
+                f"killed, its heartbeat ends within {heartbeat_s:g} s",
+            )
+
+    def _configure(self) -> None:
+        """Set a camera that stands still: whoever had it before may have left it running."""
+        settings, features = self._settings, self._features()
+        with explained(self.id, "stop the acquisition"):
+            self._camera.stop_acquisition()
+        with explained(self.id, "switch the triggers off"):
+            self._camera.clear_triggers()  # AcquisitionStart or FrameBurstStart, left on, waits for ever
+        ticks_per_s = self._camera.get_device().get_timestamp_tick_frequency()
+        delay_ticks = math.ceil(settings.packet_delay_ns * ticks_per_s / 1e9)
+        packets = [("GevSCPD", delay_ticks)]
+        if settings.packet_size_bytes is not None:
+            packets.append(("GevSCPSPacketSize", settings.packet_size_bytes))
+        self._applied = features.apply([*all_features(settings), *packets])
+        features.verify(self._applied)  # a later setting may have changed an earlier one
+        names = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
+        self._polled = {name: own for name in names if (own := features.own_name(name))}
+
+    def _prepare_stream(self) -> None:
+        settings, aravis = self._settings, load_aravis(self.id)
+        adjustment = aravis.GvPacketSizeAdjustment
+        self._camera.gv_set_packet_size_adjustment(
+            adjustment.ALWAYS if settings.packet_size_bytes is None else adjustment.ON_FAILURE
+        )
+        self._camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        with explained(self.id, "create the stream"):
+            self._stream = self._camera.create_stream(None, None)
+            packet_bytes = self._camera.gv_get_packet_size()
+            payload_bytes = self._camera.get_payload()
+        wanted = settings.packet_size_bytes or packet_bytes
+        if packet_bytes != wanted:
+            raise CameraUnavailableError(
+                self.id,
+                f"packets of {wanted} bytes do not get through, {packet_bytes} do: set the MTU of the network "
+                f"port and of the switch to {wanted} or more, or packet_size_bytes to {packet_bytes}",
+            )
+        if settings.packet_size_bytes is None:
+            self._applied.append(Applied(name="GevSCPSPacketSize", value=packet_bytes))
+        self._stream.set_property("packet-resend", aravis.GvStreamPacketResend.ALWAYS)
+        # fixed, and not set by Aravis, which would do so only when the first packet is in
+        self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
+        self._stream.set_property("socket-buffer-size", 0)
+        host = self._camera.get_device().get_interface_address().get_address().to_string()
+        self._receive_buffer_bytes = widen_receive_buffer(
+            (host, self._stream.get_port()), settings.receive_buffer_bytes
+        )
+        self._warnings = tuple(self._opening_warnings())
+        for _ in range(settings.n_buffers):
+            pixels = np.zeros(payload_bytes, np.uint8)
+            buffer = aravis.Buffer.new(pixels.nbytes, pixels.ctypes.data)
+            self._memory[hash(buffer)] = pixels
+            self._stream.push_buffer(buffer)
+        self._reader = FrameReader(
+            self.id,
+            self._stream,
+            memory=self._memory,
+            image_size_px=settings.image_size_px,
+            control_lost=self._control_lost,
+        )
+
+    def _opening_warnings(self) -> Iterator[str]:
+        wanted = self._settings.receive_buffer_bytes
+        if self._receive_buffer_bytes < wanted:
+            yield (
+                f"the kernel granted {self._receive_buffer_bytes} of {wanted} bytes to receive into: "
+                f"sysctl -w net.core.rmem_max={wanted}"
+            )
+        with suppress(CameraUnavailableError):  # cameras from before GigE Vision 1.1 do not say
+            if 0 < (mbit_s := self._register(_LINK_SPEED)) < FULL_LINK_MBIT_S:
+                yield f"its link runs at {mbit_s} Mbit/s: check the cable and the port of the switch"
+
+    # --- watching ---
+
+    def _require_control(self) -> None:
+        """Raise when the camera forgot us: another application has it, or it was switched off and on."""
+        is_ours = not self._control_lost.is_set() and self._register(_CONTROL_PRIVILEGE) != 0
+        if not is_ours or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
+            raise CameraUnavailableError(
+                self.id, "control was lost: switched off and on, or taken by another application"
+            )
+
+    def _vitals(self, device: gvcp.Device) -> CameraVitals:
+        features, warnings, offset_ns = self._features(), list(self._warnings), None
+
+        def poll(name: str) -> Any:
+            return features.read(self._polled[name]) if name in self._polled else None
+
+        if poll("PtpEnable"):
+            if "PtpDataSetLatch" in self._polled:
+                features.execute(self._polled["PtpDataSetLatch"])
+            offset_ns = poll("PtpOffsetFromMaster")
+            if (status := poll("PtpStatus")) not in (None, "Slave"):
+                warnings.append(f"its clock follows no PTP master (status {status}): is one running?")
+        return CameraVitals(
+            serial=device.serial,
+            model=device.model,
+            address=device.address,
+            temperature_c=poll("DeviceTemperature"),
+            ptp_offset_ns=offset_ns,
+            receive_buffer_bytes=self._receive_buffer_bytes,
+            frames=self._counter("n_completed_buffers"),
+            failed_frames=self._counter("n_failures"),
+            missing_packets=self._counter("n_missing_packets"),
+            resent_packets=self._counter("n_resent_packets"),
+            warnings=tuple(warnings),
+        )
+
+    def _is_there(self) -> bool:
+        device = self._device
+        return device is not None and gvcp.probe(device.address, PROBE_S) is not None
+
+    def _register(self, address: int) -> int:
+        with explained(self.id, f"read register 0x{address:x}"):
+            return int(self._camera.get_device().read_register(address))
+
+    def _counter(self, name: str) -> int:
+        return int(self._stream.get_info_uint64_by_name(name))
+
+    def _features(self) -> FeatureAccess:
+        return FeatureAccess(load_aravis(self.id), self.id, self._camera.get_device())
+
+
+@contextmanager
+def _forgetful() -> Iterator[None]:
+    """Clear the local variables an error's traceback keeps: it would keep the camera, and our control of it."""
+    try:
+        yield
+    except CameraUnavailableError as err:
+        traceback.clear_frames(err.__traceback__)
+        raise
+
+
+def genicam_xml(address: str) -> str:
+    """Return the description of its features that the camera at this address carries.
+
+    Raises `CameraUnavailableError` when nobody answers there or what answers has none.
+    """
+    name = f"camera at {address}"
+    if gvcp.probe(address) is None:
+        raise CameraUnavailableError(name, "does not answer")
+    aravis = load_aravis(name)
+    with explained(name, "read its GenICam XML"):
+        xml, _ = aravis.Camera.new(address).get_device().get_genicam_xml()
+    return str(xml)

@@ -1,0 +1,63 @@
+"""Which of the cameras on the network belongs in a place of the rig."""
+
+from collections.abc import Iterable
+
+from drivers import gvcp
+from drivers.cameras.genicam import GigeCameraSettings
+from drivers.errors import CameraUnavailableError
+
+
+def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -> gvcp.Device:
+    """Find the one camera the settings name: at its address, where it was `last`, or by broadcast.
+
+    Raises `CameraUnavailableError` when there is none, or two, or the one at the address is another one.
+    """
+    if settings.address:
+        there = gvcp.probe(settings.address)
+        if there is None:
+            raise CameraUnavailableError(
+                settings.id,
+                f"does not answer at {settings.address}: check its power, its cable and its IP address",
+            )
+        if not _agrees(there, settings):
+            raise CameraUnavailableError(
+                settings.id, f"should be {_wanted(settings)}, but the camera there is {_named(there)}"
+            )
+        return there
+    if last is not None and (there := gvcp.probe(last.address)) and _agrees(there, settings):
+        return there
+    seen = gvcp.discover(settings.interfaces or None)
+    matching = [device for device in seen if _agrees(device, settings)]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        raise CameraUnavailableError(
+            settings.id, f"is ambiguous: {_wanted(settings)} are {_list(matching)}; give the serial number"
+        )
+    raise CameraUnavailableError(
+        settings.id,
+        f"{_wanted(settings)} does not answer; found {_list(seen) or 'no camera at all'}: check its power, its cable, "
+        "and that it has an address in the network of this machine's port",
+    )
+
+
+def _agrees(device: gvcp.Device, settings: GigeCameraSettings) -> bool:
+    return settings.serial in (None, device.serial) and settings.user_name in (None, device.user_name)
+
+
+def _wanted(settings: GigeCameraSettings) -> str:
+    parts = (
+        ("serial", settings.serial),
+        ("user name", settings.user_name),
+        ("address", settings.address),
+    )
+    return ", ".join(f"{what} {value}" for what, value in parts if value)
+
+
+def _named(device: gvcp.Device) -> str:
+    user_name = f" ({device.user_name})" if device.user_name else ""
+    return f"serial {device.serial}{user_name} at {device.address}"
+
+
+def _list(devices: Iterable[gvcp.Device]) -> str:
+    return ", ".join(map(_named, devices))

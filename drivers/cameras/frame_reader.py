@@ -1,0 +1,107 @@
+"""The thread that takes a camera's frames from Aravis and delivers them.
+
+Pulled, never pushed: a callback or signal would run in Aravis' receive thread and cost packets. A
+buffer goes back at once, after one copy; every other status than success means there is no image.
+"""
+
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import CameraLost, EventSink, FrameLost
+from pipeline.frames import CameraId, Frame, Image
+
+POP_US = 100_000
+"""How long one wait for a frame lasts, and so how long `stop` may take."""
+OLDEST_NS = 1_000_000_000
+"""A frame is not older than this: else the wall clock was set between its leader and now."""
+
+
+class FrameReader:
+    """Reads one stream from `start` to `stop`; after `stop` returned nothing more is delivered."""
+
+    def __init__(
+        self,
+        camera: CameraId,
+        stream: Any,
+        *,
+        memory: Mapping[int, NDArray[np.uint8]],
+        image_size_px: tuple[int, int],
+        control_lost: threading.Event,
+    ) -> None:
+        self._camera = camera
+        self._stream = stream
+        self._memory = memory  # of each buffer, by the buffer's hash, which is its address in Aravis
+        self._size_px = image_size_px
+        self._control_lost = control_lost
+        self._is_stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, sink: EventSink) -> None:
+        """Forget what is left from before, then deliver."""
+        while (stale := self._stream.try_pop_buffer()) is not None:
+            self._stream.push_buffer(stale)
+        self._is_stopping.clear()
+        self._thread = threading.Thread(
+            target=self._run, args=(sink,), name=f"frames of {self._camera}", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._is_stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _run(self, sink: EventSink) -> None:
+        is_told = False
+        while not self._is_stopping.is_set():
+            buffer = self._stream.timeout_pop_buffer(POP_US)
+            if buffer is not None:
+                event = self._event(buffer)
+                self._stream.push_buffer(buffer)
+                if not self._is_stopping.is_set():
+                    sink.deliver(event)
+            elif self._control_lost.is_set() and not is_told:
+                is_told = True
+                reason = "control was lost"
+                sink.deliver(CameraLost(camera=self._camera, received_ns=time.monotonic_ns(), reason=reason))
+
+    def _event(self, buffer: Any) -> Frame | FrameLost:
+        status = buffer.get_status().value_nick
+        if status != "success":
+            return self._lost(status)
+        image = self._image(buffer)
+        if isinstance(image, str):
+            return self._lost(image)
+        return Frame(
+            camera=self._camera,
+            image=image,
+            frame_id=buffer.get_frame_id(),
+            device_ns=buffer.get_timestamp(),
+            received_ns=_monotonic_ns(buffer.get_system_timestamp()),
+        )
+
+    def _image(self, buffer: Any) -> Image | str:
+        """A copy of the pixels, without the chunks behind them; or what is wrong with the picture."""
+        width_px, height_px = self._size_px
+        if buffer.get_n_parts() != 1:
+            return f"{buffer.get_n_parts()} images in a frame"
+        got_px = (buffer.get_image_width(), buffer.get_image_height())
+        if got_px != self._size_px:
+            return f"wrong size: {got_px[0]} x {got_px[1]}, not {width_px} x {height_px}"
+        pixels = self._memory[hash(buffer)][: height_px * width_px]
+        return pixels.reshape(height_px, width_px).copy()
+
+    def _lost(self, reason: str) -> FrameLost:
+        return FrameLost(camera=self._camera, received_ns=time.monotonic_ns(), reason=reason)
+
+
+def _monotonic_ns(wall_ns: int) -> int:
+    """When it was on the monotonic clock, at the wall clock's recent time `wall_ns`."""
+    now_ns = time.monotonic_ns()
+    return now_ns - min(max(time.time_ns() - wall_ns, 0), OLDEST_NS)

@@ -1,0 +1,78 @@
+"""One stone, one trigger: merges the bounces of a beam that closes and opens. No clock; times are arguments.
+
+The stone is announced at its first edge, at once. An edge that follows the last one of the same kind of
+disturbance within the debounce time belongs to the same stone; how long the beam was closed is known only
+when it has been open for that long. Two stones in quick succession stay two: what becomes of the second is
+not for the gate to decide.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Began:
+    """A stone closed the beam."""
+
+    at_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The beam is open again."""
+
+    width_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Bounced:
+    """The beam closed once more, by the same stone."""
+
+    at_ns: int
+
+
+Pulse = Began | Ended | Bounced
+
+
+class EdgeFilter:
+    """Feed it every edge in order, and the time when `settles_at_ns` is due; begins with an open beam."""
+
+    def __init__(self, debounce_ns: int) -> None:
+        if debounce_ns < 0:
+            raise ValueError(f"debounce_ns must not be negative, not {debounce_ns}")
+        self._debounce_ns = debounce_ns
+        self._state: Literal["idle", "closed", "opened"] = "idle"
+        self._began_ns = self._last_ns = 0  # first and last edge of the pulse, unless idle
+
+    def reset(self) -> None:
+        """Forget the pulse that is going on."""
+        self._state = "idle"
+
+    @property
+    def settles_at_ns(self) -> int | None:
+        """When the pulse that ended last can no longer go on; nothing when none is pending."""
+        return self._last_ns + self._debounce_ns if self._state == "opened" else None
+
+    def settle(self, now_ns: int) -> list[Pulse]:
+        """Return the end of the pulse once it is certain."""
+        if self._state != "opened" or now_ns - self._last_ns < self._debounce_ns:
+            return []
+        self._state = "idle"
+        return [Ended(self._last_ns - self._began_ns)]
+
+    def edge(self, *, is_closed: bool, at_ns: int) -> list[Pulse]:
+        """Take an edge; an opening without a closing before it is ignored."""
+        pulses = self.settle(at_ns)
+        if is_closed:
+            pulses.append(self._close(at_ns))
+        elif self._state != "idle":
+            self._state, self._last_ns = "opened", at_ns
+        return pulses
+
+    def _close(self, at_ns: int) -> Pulse:
+        is_bounce = self._state != "idle" and at_ns - self._last_ns < self._debounce_ns
+        self._state, self._last_ns = "closed", at_ns
+        if is_bounce:
+            return Bounced(at_ns)
+        self._began_ns = at_ns  # also when the opening before it was missed: that width stays unknown
+        return Began(at_ns)

@@ -1,0 +1,175 @@
+"""What the lines of a serial gate mean: bytes in, events out. No port, no thread; every loss is an event."""
+
+import logging
+from dataclasses import dataclass, replace
+
+from drivers.gates.edge_counter import EdgeCounter, Step
+from drivers.gates.edge_filter import Began, Bounced, EdgeFilter, Ended, Pulse
+from drivers.gates.gate_clock import GateClock
+from drivers.gates.gate_protocol import (
+    SEQUENCES,
+    Edge,
+    Identity,
+    LineSplitter,
+    Record,
+    Status,
+    TestPulse,
+    Width,
+    decode,
+)
+from drivers.gates.gate_thread import trigger_at
+from drivers.interfaces import DeviceEvent, PulseEnded, TriggersIgnored, TriggersLost
+from pipeline.frames import BundleKind
+
+log = logging.getLogger(__name__)
+
+BITS_A_BYTE = 10
+"""8N1: with start and stop bit."""
+
+
+@dataclass(slots=True, kw_only=True)
+class GateCounters:
+    """What was heard since the gate was made, armed or not."""
+
+    lines: int = 0  # valid
+    garbage: int = 0  # damaged lines, and what was between lines
+    edges: int = 0  # announced by the gate, repetitions apart
+    test_pulses: int = 0
+    bounces: int = 0  # of the edges, merged by the host
+    ignored: int = 0  # edges merged by the gate
+    repeated: int = 0
+    missed: int = 0  # counted by the gate, never announced
+    restarts: int = 0
+
+
+class GateListener:
+    """Feed it what was read, in order; it keeps what it knows of the gate when the port is opened again."""
+
+    def __init__(self, *, baud: int, debounce_ns: int) -> None:
+        self._byte_ns = BITS_A_BYTE * 1_000_000_000 // baud
+        self._lines = LineSplitter()
+        self._counter = EdgeCounter()
+        self._clock = GateClock()
+        self._filter = EdgeFilter(debounce_ns)
+        self._sequence = 0  # of the pulse in the filter
+        self._edge: Edge | None = None
+        self._ignored: int | None = None
+        self._blocked_since_ns: int | None = None
+        self._counters = GateCounters()
+        self.identity: Identity | None = None
+        self.n_statuses = 0
+
+    @property
+    def counters(self) -> GateCounters:
+        """A copy."""
+        return replace(self._counters, garbage=self._counters.garbage + self._lines.n_discarded)
+
+    def reopen(self) -> None:
+        """Forget what does not outlive a closed port: half a line, half a pulse, how late lines are."""
+        self._lines.discard()
+        self._clock.restart()
+        self._filter.reset()
+        self._blocked_since_ns = None
+
+    def blocked_s(self, now_ns: int) -> float:
+        """For how long the beam has been closed, by the statuses."""
+        return 0.0 if self._blocked_since_ns is None else (now_ns - self._blocked_since_ns) / 1e9
+
+    def hear(self, data: bytes, read_ns: int) -> list[DeviceEvent]:
+        """Take what was read at `read_ns`; whatever it is, it does no more than count as garbage."""
+        events: list[DeviceEvent] = []
+        for line in self._lines.feed(data):
+            try:
+                record = decode(line.text)
+            except ValueError as err:
+                self._counters.garbage += 1
+                log.debug("light gate: garbage: %s", err)
+                continue
+            self._counters.lines += 1
+            # bytes follow one another: the first of the line was sent no later than this
+            events += self._take(record, read_ns - line.age_bytes * self._byte_ns)
+        return events + self.settle(read_ns)
+
+    def settle(self, now_ns: int) -> list[DeviceEvent]:
+        """Return the end of the last pulse once it is certain."""
+        device_ns = self._clock.device_ns(now_ns)
+        pulses = [] if device_ns is None else self._filter.settle(device_ns)
+        return [self._event(pulse, now_ns, self._sequence) for pulse in pulses]
+
+    def _take(self, record: Record, latest_ns: int) -> list[DeviceEvent]:
+        match record:
+            case Edge() | TestPulse():
+                return self._take_edge(record, latest_ns)
+            case Width(sequence=sequence, width_us=width_us):
+                if self._edge is None or self._edge.sequence != sequence:
+                    return []  # the line of its edge was lost
+                opened_ns = (self._edge.device_us + width_us) * 1000
+                return self._filtered(is_closed=False, device_ns=opened_ns, received_ns=latest_ns)
+            case Status():
+                return self._take_status(record, latest_ns)
+            case Identity():
+                self.identity = record
+                return []
+
+    def _take_edge(self, record: Edge | TestPulse, latest_ns: int) -> list[DeviceEvent]:
+        step = self._counter.edge(record.sequence, record.device_us)
+        if step.is_repeated:
+            self._counters.repeated += 1
+            return [TriggersIgnored(received_ns=latest_ns, count=1, reason="repeated")]
+        events = self._account(step, latest_ns)
+        device_ns = record.device_us * 1000
+        received_ns = self._clock.host_ns(device_ns, latest_ns)
+        if isinstance(record, TestPulse):
+            self._counters.test_pulses += 1
+            kind = BundleKind.BACKGROUND
+            return [*events, trigger_at(received_ns, step.sequence, device_ns=device_ns, kind=kind)]
+        self._edge = record
+        self._counters.edges += 1
+        return events + self._filtered(
+            is_closed=True, device_ns=device_ns, received_ns=received_ns, sequence=step.sequence
+        )
+
+    def _take_status(self, status: Status, latest_ns: int) -> list[DeviceEvent]:
+        events = self._account(self._counter.status(status.last_sequence, status.device_us), latest_ns)
+        self._clock.host_ns(status.device_us * 1000, latest_ns)
+        if self._ignored is not None and (count := (status.ignored - self._ignored) % SEQUENCES):
+            self._counters.ignored += count
+            events.append(TriggersIgnored(received_ns=latest_ns, count=count, reason="bounce"))
+        self._ignored = status.ignored
+        if not status.is_blocked:
+            self._blocked_since_ns = None
+        elif self._blocked_since_ns is None:
+            self._blocked_since_ns = latest_ns
+        self.n_statuses += 1
+        return events
+
+    def _account(self, step: Step, latest_ns: int) -> list[DeviceEvent]:
+        if step.has_restarted:
+            self._counters.restarts += 1
+            self._clock.restart()
+            self._filter.reset()
+            self._edge = None
+            self._ignored = 0
+            log.warning("light gate restarted, missed=%d since: check its power supply", step.missed)
+        if not step.missed:
+            return []
+        self._counters.missed += step.missed
+        reason = "the gate restarted" if step.has_restarted else "counted by the gate, not announced"
+        return [TriggersLost(received_ns=latest_ns, count=step.missed, reason=reason)]
+
+    def _filtered(
+        self, *, is_closed: bool, device_ns: int, received_ns: int, sequence: int = 0
+    ) -> list[DeviceEvent]:
+        pulses = self._filter.edge(is_closed=is_closed, at_ns=device_ns)
+        return [self._event(pulse, received_ns, sequence) for pulse in pulses]
+
+    def _event(self, pulse: Pulse, received_ns: int, sequence: int) -> DeviceEvent:
+        match pulse:
+            case Began(at_ns=device_ns):
+                self._sequence = sequence
+                return trigger_at(received_ns, sequence, device_ns=device_ns)
+            case Ended(width_ns=width_ns):
+                return PulseEnded(sequence=self._sequence, received_ns=received_ns, width_ns=width_ns)
+            case Bounced():
+                self._counters.bounces += 1
+                return TriggersIgnored(received_ns=received_ns, count=1, reason="bounce")

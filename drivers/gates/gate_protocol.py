@@ -1,0 +1,202 @@
+r"""What a microcontroller light gate says on its serial line, for the driver and for whoever writes the firmware.
+
+A record is one line of ASCII, ``$<type>,<fields...>*<crc>\r\n``: `crc` is the CRC-16/CCITT-FALSE (polynomial
+1021, start FFFF; of "123456789" it is 29B1) of all characters between ``$`` and ``*``, as four upper-case hex
+digits. Numbers are decimal without sign or leading zeros. Names are 1 to 32 of ``A-Z a-z 0-9 . _ + -``.
+
+====================================  ========================================================================
+from the gate
+``$E,<seq>,<us>``                     a stone closed the beam; sent at once, before anything else
+``$T,<seq>,<us>``                     the cameras were triggered on command: no stone, the same counter
+``$W,<seq>,<width_us>``               the beam of `seq` is open again, after `width_us`
+``$S,<us>,<last>,<ignored>,<0|1>``    every second: last sequence number sent, edges merged, beam blocked now
+``$I,<name>,<serial>,<version>``      who I am
+to the gate, without checksum
+``?\n``                               identify: `I` and at once an `S`
+``T\n``                               pulse the cameras' trigger line once
+====================================  ========================================================================
+
+- `seq` counts what triggered the cameras, edges and test pulses alike: the first after power-on is 1,
+  4294967295 is followed by 0. Never repeat, never skip a number: a jump tells the host what it lost.
+- `us` is the gate's own microseconds since power-on, 64 bits, of the edge itself (of the status: of its
+  sending); from a crystal (200 ppm), as the host finds the latency of every line by comparing clocks.
+- Lines leave in the order of what they tell: a status counts no edge whose line comes after it.
+- Debounce in the gate: an edge that follows the opening of the beam within the debounce time belongs to the
+  same stone. It triggers no camera, gets no number, and raises `ignored` (32 bits, from 0, wraps).
+- A host may open the port at any moment: a board that restarts then (DTR) forgets what it counted meanwhile.
+
+The trigger line of the cameras is wired to the gate; nothing here is in that path. 115200 baud, 8N1, no flow
+control; a board with native USB has no baud rate, tell the host 4000000.
+"""
+
+import re
+from binascii import crc_hqx
+from dataclasses import astuple, dataclass
+from typing import Any, Final, NamedTuple
+
+IDENTIFY: Final = b"?\n"
+TEST_PULSE: Final = b"T\n"
+
+SEQUENCES: Final = 1 << 32
+"""Numbers of `seq` and `ignored` before they start again at 0."""
+MAX_LINE_BYTES: Final = 128
+"""No record is longer: what comes without a line end is garbage."""
+
+_LINE = re.compile(rb"\$([^$*]*)\*([0-9A-F]{4})")
+_NUMBER = re.compile(r"0|[1-9][0-9]{0,19}", re.ASCII)
+_NAME = re.compile(r"[A-Za-z0-9._+-]{1,32}", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A stone closed the beam."""
+
+    sequence: int
+    device_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class TestPulse:
+    """The gate triggered the cameras on command."""
+
+    __test__ = False  # not a test of pytest's
+
+    sequence: int
+    device_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Width:
+    """The beam that closed with `sequence` is open again."""
+
+    sequence: int
+    width_us: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status:
+    """Sent every second."""
+
+    device_us: int
+    last_sequence: int  # 0 before the first
+    ignored: int  # edges merged since power-on
+    is_blocked: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """Who the gate is."""
+
+    name: str
+    serial: str
+    version: str
+
+
+Record = Edge | TestPulse | Width | Status | Identity
+
+
+def encode(record: Record) -> bytes:
+    """Return the line of a record, with its line end; `ValueError` for a value that has no place in it."""
+    fields = [str(int(value) if isinstance(value, bool) else value) for value in astuple(record)]
+    body = ",".join([_LETTERS[type(record)], *fields]).encode("ascii", "replace")
+    line = b"$%b*%04X\r\n" % (body, checksum(body))
+    if decode(line) != record:
+        raise ValueError(f"{record} cannot be sent")
+    return line
+
+
+def decode(line: bytes) -> Record:
+    """Return the record of one line, with or without its line end.
+
+    Raises
+    ------
+    ValueError
+        The line is damaged or no record; says what is wrong with it.
+    """
+    found = _LINE.fullmatch(line.removesuffix(b"\n").removesuffix(b"\r"))
+    if found is None:
+        raise ValueError(f"not of the form $...*CRC: {line[:MAX_LINE_BYTES]!r}")
+    body, crc = found.groups()
+    if b"%04X" % checksum(body) != crc:
+        raise ValueError(f"checksum is {crc.decode()}, should be {checksum(body):04X}: {line!r}")
+    letter, *fields = body.decode("ascii", "replace").split(",")
+    match letter, fields:
+        case "E", [sequence, us]:
+            return Edge(_count(sequence), _microseconds(us))
+        case "T", [sequence, us]:
+            return TestPulse(_count(sequence), _microseconds(us))
+        case "W", [sequence, width]:
+            return Width(_count(sequence), _microseconds(width))
+        case "S", [us, last, ignored, ("0" | "1") as blocked]:
+            return Status(
+                device_us=_microseconds(us),
+                last_sequence=_count(last),
+                ignored=_count(ignored),
+                is_blocked=blocked == "1",
+            )
+        case "I", [name, serial, version]:
+            return Identity(name=_name(name), serial=_name(serial), version=_name(version))
+    raise ValueError(f"unknown record: {line!r}")
+
+
+def checksum(body: bytes) -> int:
+    """CRC-16/CCITT-FALSE."""
+    return crc_hqx(body, 0xFFFF)
+
+
+class Line(NamedTuple):
+    """A line without its line end."""
+
+    text: bytes
+    age_bytes: int  # that came from its first byte on, itself included
+
+
+class LineSplitter:
+    """Cuts a stream of bytes into lines; a line begins at its last ``$``, so that half a line costs no other."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.n_discarded = 0
+        """Pieces of garbage thrown away: half lines, and what had no line end."""
+
+    def discard(self) -> None:
+        """Forget the line that is not complete."""
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[Line]:
+        """Return the lines that are complete now."""
+        *texts, self._rest = (self._rest + data).split(b"\n")
+        age_bytes = len(self._rest)
+        lines = []
+        for text in reversed(texts):
+            start = max(text.rfind(b"$"), 0)
+            self.n_discarded += start > 0
+            lines.append(Line(text[start:], age_bytes + len(text) + 1 - start))
+            age_bytes += len(text) + 1
+        if len(self._rest) > MAX_LINE_BYTES:
+            self._rest = b""
+            self.n_discarded += 1
+        return lines[::-1]
+
+
+_LETTERS: dict[type[Any], str] = {Edge: "E", TestPulse: "T", Width: "W", Status: "S", Identity: "I"}
+
+
+def _count(field: str) -> int:
+    return _number(field, SEQUENCES)
+
+
+def _microseconds(field: str) -> int:
+    return _number(field, 1 << 64)
+
+
+def _number(field: str, limit: int) -> int:
+    if not _NUMBER.fullmatch(field) or int(field) >= limit:
+        raise ValueError(f"not a number below {limit}: {field!r}")
+    return int(field)
+
+
+def _name(field: str) -> str:
+    if not _NAME.fullmatch(field):
+        raise ValueError(f"not a name: {field!r}")
+    return field

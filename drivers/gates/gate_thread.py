@@ -1,0 +1,90 @@
+"""What all live gates have in common: a thread that reads the device, and one sink it delivers to."""
+
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+from drivers.errors import GateUnavailableError
+from drivers.interfaces import DeviceEvent, EventSink, GateLost
+from drivers.replay_belt import Outlet
+from pipeline.frames import BundleKind, Trigger
+
+
+def trigger_at(
+    received_ns: int, sequence: int, *, device_ns: int = 0, kind: BundleKind = BundleKind.PARTICLE
+) -> Trigger:
+    """Return the trigger of an edge at `received_ns` of the host's clock; a gate without clock has `device_ns` 0."""
+    age = timedelta(microseconds=(time.monotonic_ns() - received_ns) / 1000)
+    utc = (datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
+
+
+class GateThread:
+    """Takes turns at reading until it is stopped or the device fails; a failure is told once, as `GateLost`.
+
+    `port` names the gate in errors. A turn blocks for a tenth of a second at most; `OSError` and
+    `GateUnavailableError` end the thread.
+    """
+
+    def __init__(self, port: str) -> None:
+        self._port = port
+        self._outlet = Outlet()
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self.failure: str | None = None
+        """Why the gate was lost; nothing while it is well."""
+
+    @property
+    def is_running(self) -> bool:
+        """Between `start` and `stop`, also when the gate was lost."""
+        return self._thread is not None
+
+    def start(self, turn: Callable[[], None]) -> None:
+        self._stopping.clear()
+        self.failure = None
+        self._thread = threading.Thread(
+            target=self._run, args=(turn,), name=f"gate {self._port}", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Disarm and end the thread; idempotent."""
+        self._outlet.unplug()
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def arm(self, sink: EventSink) -> None:
+        """Deliver to `sink` from now on; raises `GateUnavailableError` unless the gate is open and well."""
+        if self._thread is None:
+            raise self.error("is not open")
+        self._outlet.plug(sink)
+        if self.failure is not None:  # looked at last: a failure after this line is delivered
+            self._outlet.unplug()
+            raise self.error(self.failure)
+
+    def disarm(self) -> None:
+        """Deliver nothing more once this returns."""
+        self._outlet.unplug()
+
+    @property
+    def is_armed(self) -> bool:
+        return self._outlet.is_plugged
+
+    def deliver(self, event: DeviceEvent) -> None:
+        """Hand over to whoever armed the gate, if anyone."""
+        self._outlet.deliver(event)
+
+    def error(self, problem: str) -> GateUnavailableError:
+        return GateUnavailableError(f"light gate {self._port}", problem)
+
+    def _run(self, turn: Callable[[], None]) -> None:
+        while not self._stopping.is_set():
+            try:
+                turn()
+            except (OSError, GateUnavailableError) as err:
+                self.failure = err.problem if isinstance(err, GateUnavailableError) else f"is gone: {err}"
+                self.deliver(GateLost(received_ns=time.monotonic_ns(), reason=f"{self._port} {self.failure}"))
+                return

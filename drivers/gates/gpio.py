@@ -1,0 +1,186 @@
+"""A light gate on a GPIO line: the kernel dates every edge (to microseconds) and numbers it, so loss shows.
+
+A second line, an output in parallel with the sensor on the cameras' trigger line, makes test pulses.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import NamedTuple, Protocol
+
+from drivers.errors import GateUnavailableError
+from drivers.gates.gate_thread import GateThread
+from drivers.gates.line_pulses import LinePulses
+from drivers.interfaces import EventSink
+
+WAIT_S = 0.02
+EVENT_BUFFER = 1024
+"""Edges the kernel keeps for us; when more come it drops the oldest, and their numbers are missing."""
+ECHO_NS = 1_000_000
+"""So long after a test pulse its edges are taken for its own, should the input see them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GpioGateSettings:
+    """Which line of which chip says that the beam is closed."""
+
+    chip: str  # such as /dev/gpiochip0
+    line: int | str  # offset or name
+    active_low: bool = False  # the line is low while the beam is closed
+    debounce_us: int = 10_000  # what follows the last edge within this is the same stone
+    glitch_us: int = 0  # shorter disturbances the kernel swallows; dates its edges that much later
+    test_line: int | str | None = None
+    test_pulse_us: int = 1_000
+
+    def __post_init__(self) -> None:
+        if not self.chip:
+            raise ValueError("chip must be named, such as /dev/gpiochip0")
+        if self.test_line == self.line:
+            raise ValueError(f"test_line must be another line than {self.line}")
+        if self.debounce_us < 0 or self.glitch_us < 0:
+            raise ValueError("debounce_us and glitch_us must not be negative")
+        if not 1 <= self.test_pulse_us <= 100_000:
+            raise ValueError(f"test_pulse_us must be in 1..100000, not {self.test_pulse_us}")
+
+
+class LineEdge(NamedTuple):
+    """One edge, as the kernel saw it."""
+
+    is_closed: bool
+    at_ns: int  # CLOCK_MONOTONIC, the clock of `time.monotonic_ns`
+    number: int  # of all edges of this line, from 1; a gap is a loss
+
+
+class GpioLines(Protocol):
+    """The gate's line and its test line; `OSError` when the chip is gone."""
+
+    def wait(self, timeout_s: float) -> Sequence[LineEdge]:
+        """Edges in order; none when none came in time."""
+        ...
+
+    def drive(self, line: int | str, *, is_active: bool) -> None:
+        """Switch the test line."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class GpiodLines:
+    """The lines of a real chip."""
+
+    def __init__(self, settings: GpioGateSettings) -> None:
+        try:
+            import gpiod
+        except ImportError as err:
+            raise GateUnavailableError(
+                f"light gate {settings.chip}", "the Python package gpiod (2.x) is missing: install it"
+            ) from err
+        self._values = gpiod.line.Value
+        self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
+        lines: dict[Iterable[int | str] | int | str, gpiod.LineSettings | None] = {
+            settings.line: gpiod.LineSettings(
+                direction=gpiod.line.Direction.INPUT,
+                edge_detection=gpiod.line.Edge.BOTH,
+                active_low=settings.active_low,
+                debounce_period=timedelta(microseconds=settings.glitch_us),
+                event_clock=gpiod.line.Clock.MONOTONIC,
+            )
+        }
+        if settings.test_line is not None:
+            lines[settings.test_line] = gpiod.LineSettings(direction=gpiod.line.Direction.OUTPUT)
+        self._request = gpiod.request_lines(
+            settings.chip, config=lines, consumer="stonefall", event_buffer_size=EVENT_BUFFER
+        )
+
+    def wait(self, timeout_s: float) -> list[LineEdge]:
+        if not self._request.wait_edge_events(timeout_s):
+            return []
+        return [
+            LineEdge(event.event_type is self._rising, event.timestamp_ns, event.line_seqno)
+            for event in self._request.read_edge_events()
+        ]
+
+    def drive(self, line: int | str, *, is_active: bool) -> None:
+        self._request.set_value(line, self._values.ACTIVE if is_active else self._values.INACTIVE)
+
+    def close(self) -> None:
+        self._request.release()
+
+
+class GpioGate:
+    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored`, `TriggersLost` and, once, `GateLost`.
+
+    Numbers start at 0 with the object. `received_ns` is the kernel's time of the edge.
+    """
+
+    def __init__(
+        self, settings: GpioGateSettings, open_lines: Callable[[GpioGateSettings], GpioLines] = GpiodLines
+    ) -> None:
+        self._settings = settings
+        self._open_lines = open_lines
+        self._thread = GateThread(f"{settings.chip} {settings.line}")
+        self._pulses = LinePulses(settings.debounce_us, self._thread.deliver)
+        self._lines: GpioLines | None = None
+        self._last: LineEdge | None = None
+        self._echo_ns = 0, 0  # from, to: edges then are a test pulse's own
+
+    def open(self) -> None:
+        if self._thread.is_running and self._thread.failure is None:
+            return
+        self.close()
+        try:
+            lines = self._lines = self._open_lines(self._settings)
+        except (OSError, ValueError) as err:
+            raise self._thread.error(
+                f"cannot be had: {err}; the chip must be there, the line free, "
+                "and the service's user in the group gpio"
+            ) from err
+        self._pulses.reset()
+        self._last = None
+        self._thread.start(lambda: self._turn(lines))
+
+    def arm(self, sink: EventSink) -> None:
+        self._thread.arm(sink)
+
+    def test_pulse(self) -> None:
+        """Pulse the test line."""
+        test_line = self._settings.test_line
+        if test_line is None:
+            raise self._thread.error("has no test line to trigger the cameras with")
+        if self._lines is None or not self._thread.is_armed:
+            raise self._thread.error("is not armed")
+        at_ns = time.monotonic_ns()
+        self._echo_ns = at_ns, at_ns + self._settings.test_pulse_us * 1000 + ECHO_NS
+        try:
+            self._lines.drive(test_line, is_active=True)
+            time.sleep(self._settings.test_pulse_us / 1e6)
+            self._lines.drive(test_line, is_active=False)
+        except OSError as err:
+            raise self._thread.error(f"cannot set test line {test_line}: {err}") from err
+        self._pulses.test_pulse(at_ns)
+
+    def disarm(self) -> None:
+        self._thread.disarm()
+
+    def close(self) -> None:
+        self._thread.stop()
+        if self._lines is not None:
+            self._lines.close()
+            self._lines = None
+
+    def _turn(self, lines: GpioLines) -> None:
+        for edge in lines.wait(WAIT_S):
+            self._take(edge)
+        self._pulses.settle(time.monotonic_ns())
+
+    def _take(self, edge: LineEdge) -> None:
+        last, self._last = self._last, edge
+        if last is not None and (n_missed := edge.number - last.number - 1) > 0:
+            # they alternate, so every second one closed the beam
+            n_closed = (n_missed + (not last.is_closed)) // 2
+            self._pulses.lose(n_closed, f"{n_missed} edges dropped by the kernel")
+        at_ns = edge.at_ns - self._settings.glitch_us * 1000
+        begin_ns, end_ns = self._echo_ns
+        if not begin_ns <= at_ns <= end_ns:
+            self._pulses.edge(is_closed=edge.is_closed, at_ns=at_ns)

@@ -1,0 +1,208 @@
+"""The light gate of a microcontroller on a serial line; `gate_protocol` says what it speaks."""
+
+import errno
+import termios
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import serial
+
+from drivers.gates.gate_listener import GateCounters, GateListener
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, Identity
+from drivers.gates.gate_thread import GateThread
+from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
+from pipeline.frames import BundleKind, Trigger
+
+READ_S = 0.02
+"""Of silence on the line, then it is looked whether a pulse has ended, or the gate is lost."""
+ASK_AGAIN_S = 0.5
+WRITE_S = 0.5
+TEST_PULSE_S = 0.5
+"""From the command to the gate's answer at most."""
+
+REMEDIES = {
+    errno.ENOENT: "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/",
+    errno.EACCES: "permission denied: the service's user must be in the group dialout",
+    errno.EAGAIN: "is in use by another program",
+    errno.EBUSY: "is in use by another program",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerialGateSettings:
+    """Where the gate is, and when it is taken for lost."""
+
+    port: str  # a name that outlives replugging: /dev/serial/by-id/...
+    baud: int = 115_200  # a board with native USB has none: 4000000
+    debounce_us: int = (
+        10_000  # what follows the last edge within this is the same stone, if the gate let it pass
+    )
+    answer_timeout_s: float = 3.0  # for its first status; a board that restarts when opened needs 2
+    silence_s: float = 3.0  # without a valid line; it sends a status every second
+    blocked_s: float = 2.0  # no stone closes the beam for that long
+
+    def __post_init__(self) -> None:
+        if not self.port:
+            raise ValueError("port must be named, as under /dev/serial/by-id/")
+        if self.baud < 300:
+            raise ValueError(f"baud must be at least 300, not {self.baud}")
+        if self.debounce_us < 0:
+            raise ValueError(f"debounce_us must not be negative, not {self.debounce_us}")
+        if self.answer_timeout_s <= 0 or self.blocked_s <= 0:
+            raise ValueError("answer_timeout_s and blocked_s must be positive")
+        if self.silence_s <= 1:
+            raise ValueError(f"silence_s must exceed the second between two statuses, not {self.silence_s:g}")
+
+
+class SerialGate:
+    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored`, `TriggersLost` and, once, `GateLost`.
+
+    `received_ns` is when the beam closed: when its line was read, less its transmission and less the
+    latency that the gate's own clock reveals. Numbers are the gate's, continued when it restarts.
+
+    What the gate counted and did not announce is `TriggersLost`; when an armed gate was lost, also what it
+    counted until it was armed again. What passes a gate that was disarmed on purpose is nobody's loss.
+    """
+
+    def __init__(self, settings: SerialGateSettings) -> None:
+        self._settings = settings
+        self._thread = GateThread(settings.port)
+        self._port: serial.Serial | None = None
+        self._listener = GateListener(baud=settings.baud, debounce_ns=settings.debounce_us * 1000)
+        self._heard = threading.Condition()  # guards the listener and all below
+        self._heard_ns = 0
+        self._is_owed = False  # who armed the gate has not disarmed it while it was well
+        self._n_owed = 0
+
+    @property
+    def counters(self) -> GateCounters:
+        with self._heard:
+            return self._listener.counters
+
+    @property
+    def identity(self) -> Identity | None:
+        """Who the gate says it is."""
+        return self._listener.identity
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What works but should be looked at, with the remedy."""
+        with self._heard:
+            blocked_s = self._listener.blocked_s(time.monotonic_ns())
+        if blocked_s < self._settings.blocked_s:
+            return ()
+        return (
+            f"light gate {self._settings.port}: the beam has been closed for {blocked_s:.0f} s: "
+            "remove what lies in it, clean and align it",
+        )
+
+    def open(self) -> None:
+        """Open the port for us alone and wait for the gate's first status."""
+        if self._thread.is_running and self._thread.failure is None:
+            return
+        self.close()
+        port = self._port = self._connect()
+        with self._heard:
+            self._listener.reopen()
+            self._heard_ns = time.monotonic_ns()
+        self._thread.start(lambda: self._turn(port))
+        deadline_s = time.monotonic() + self._settings.answer_timeout_s
+        try:
+            while not self._answers(IDENTIFY, lambda: self._listener.n_statuses, ASK_AGAIN_S):
+                if self._thread.failure is not None:
+                    raise self._thread.error(self._thread.failure)
+                if time.monotonic() > deadline_s:
+                    raise self._thread.error(
+                        f"sends no status within {self._settings.answer_timeout_s:g} s, but "
+                        f"{self.counters.garbage} damaged lines: check port, baud rate and firmware"
+                    )
+        except BaseException:
+            self.close()
+            raise
+
+    def arm(self, sink: EventSink) -> None:
+        """Deliver to `sink` from now on; first, how many edges passed since an armed gate was lost."""
+        with self._heard:
+            self._thread.arm(sink)
+            if self._n_owed:
+                reason = "counted by the gate while it was lost"
+                self._thread.deliver(
+                    TriggersLost(received_ns=time.monotonic_ns(), count=self._n_owed, reason=reason)
+                )
+            self._is_owed, self._n_owed = True, 0
+
+    def test_pulse(self) -> None:
+        """Let the gate trigger the cameras; returns when it said so."""
+        if not self._thread.is_armed:
+            raise self._thread.error("is not armed")
+        if not self._answers(TEST_PULSE, lambda: self._listener.counters.test_pulses, TEST_PULSE_S):
+            raise self._thread.error(
+                f"does not answer the command for a test pulse within {TEST_PULSE_S:g} s"
+            )
+
+    def disarm(self) -> None:
+        with self._heard:
+            self._thread.disarm()
+            if self._thread.failure is None:
+                self._is_owed, self._n_owed = False, 0
+
+    def close(self) -> None:
+        self.disarm()
+        self._thread.stop()
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _connect(self) -> serial.Serial:
+        try:
+            return serial.Serial(
+                self._settings.port,
+                self._settings.baud,
+                timeout=READ_S,
+                write_timeout=WRITE_S,
+                exclusive=True,
+            )
+        except (OSError, ValueError, termios.error) as err:  # SerialException is an OSError
+            number = err.errno if isinstance(err, OSError) else None
+            raise self._thread.error(REMEDIES.get(number or 0, str(err))) from err
+
+    def _answers(self, command: bytes, count: Callable[[], int], timeout_s: float) -> bool:
+        """Send a command and wait for what it must raise."""
+        if self._port is None:
+            raise self._thread.error("is not open")
+        with self._heard:
+            before = count()
+        try:
+            self._port.write(command)
+        except OSError as err:
+            raise self._thread.error(f"takes no command: {err}") from err
+        with self._heard:
+            return self._heard.wait_for(lambda: count() > before, timeout_s)
+
+    def _turn(self, port: serial.Serial) -> None:
+        data = port.read(1)
+        data += port.read(port.in_waiting)
+        now_ns = time.monotonic_ns()
+        with self._heard:
+            n_lines = self._listener.counters.lines
+            for event in self._listener.hear(data, now_ns):
+                self._hand_over(event)
+            if self._listener.counters.lines > n_lines:
+                self._heard_ns = now_ns
+            self._heard.notify_all()
+        if now_ns - self._heard_ns > self._settings.silence_s * 1e9:
+            raise self._thread.error(
+                f"has said nothing for {self._settings.silence_s:g} s: check its cable and its power supply"
+            )
+
+    def _hand_over(self, event: DeviceEvent) -> None:
+        if self._thread.is_armed:
+            self._thread.deliver(event)
+        elif self._is_owed:
+            match event:
+                case TriggersLost(count=count):
+                    self._n_owed += count
+                case Trigger(kind=BundleKind.PARTICLE):
+                    self._n_owed += 1

@@ -1,0 +1,1 @@
+"""GigE Vision cameras and their rig in software: real packets on loopback, no hardware."""

@@ -1,0 +1,358 @@
+"""A GigE Vision camera in pure Python: real packets from an address of its own, no root, no hardware.
+
+Two threads a camera: one answers the control channel, the sensor's exposes and sends. Any address of
+127/8 works without being configured; broadcast discovery finds all cameras of a machine.
+"""
+
+import os
+import random
+import select
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from drivers.errors import CameraUnavailableError
+from drivers.gige_simulator.clock import CameraClock
+from drivers.gige_simulator.counters import Counters
+from drivers.gige_simulator.design import CameraDesign
+from drivers.gige_simulator.device import CameraDevice, make_registers
+from drivers.gige_simulator.faults import Faults
+from drivers.gige_simulator.gvcp import ControlChannel, Peer, pending_ack
+from drivers.gige_simulator.registers import Value
+from drivers.gige_simulator.sensor import Exposure, ImageSource, Sensor, Strobe
+from drivers.gige_simulator.stream import StreamChannel
+from drivers.gige_simulator.uplink import Uplink
+from drivers.gvcp import DISCOVERY, GVCP_PORT, HEADER
+from pipeline.frames import CameraId
+
+__all__ = ["CameraDesign", "Exposure", "ImageSource", "LogEntry", "SimulatedCamera", "Strobe"]
+
+BOOT_S = 1.0
+"""How long a `DeviceReset` takes."""
+
+_PENDING_FROM_MS = 100.0
+_N_LOGGED = 1000
+_FOREVER_NS = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """Something that happened to the camera: who has control, power, cable."""
+
+    at_ns: int  # host's monotonic clock
+    event: str
+
+
+class SimulatedCamera:
+    """`start`, then anything from any thread, then `stop`; may be started again, settings forgotten."""
+
+    def __init__(
+        self,
+        design: CameraDesign,
+        source: ImageSource,
+        *,
+        on_strobe: Callable[[Strobe], None] | None = None,
+        uplink: Uplink | None = None,
+    ) -> None:
+        self.faults = Faults()
+        self._design = design
+        self._lock = threading.RLock()
+        self._log: deque[LogEntry] = deque(maxlen=_N_LOGGED)
+        self._random = random.Random(f"{design.seed}/control")  # noqa: S311 - repeatable, nothing secret
+        self._clock = CameraClock(
+            offset_ns=design.clock_offset_ns, drift_ppm=design.clock_drift_ppm, seed=design.seed
+        )
+        self._registers = make_registers(design)
+        self._stream = StreamChannel(
+            self.faults, seed=design.seed, is_connected=self._is_connected, uplink=uplink
+        )
+        self._sensor = Sensor(
+            design.id,
+            registers=self._registers,
+            clock=self._clock,
+            stream=self._stream,
+            faults=self.faults,
+            source=source,
+            link_bytes_s=design.link_bytes_s,
+            note=self._note,
+            on_strobe=on_strobe,
+        )
+        self._device = CameraDevice(
+            registers=self._registers,
+            sensor=self._sensor,
+            stream=self._stream,
+            clock=self._clock,
+            faults=self.faults,
+            note=self._note,
+            restart=lambda: self._power_off(BOOT_S),
+        )
+        self._channel = ControlChannel(self._registers, self._device)
+        self._stream_port = 0
+        self._unplugged_until_ns = 0
+        self._off_until_ns: int | None = None
+        self._sockets: list[socket.socket] = []
+        self._wake = -1
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    # --- what it is and does ---
+
+    @property
+    def id(self) -> CameraId:
+        return self._design.id
+
+    @property
+    def design(self) -> CameraDesign:
+        """What it is now: address and serial number may have changed."""
+        return self._design
+
+    @property
+    def is_acquiring(self) -> bool:
+        return self._registers.is_acquiring
+
+    @property
+    def controller(self) -> Peer | None:
+        """Who has control: address and port."""
+        return self._channel.controller
+
+    @property
+    def log(self) -> tuple[LogEntry, ...]:
+        return tuple(self._log)
+
+    @property
+    def counters(self) -> Counters:
+        sensor, wire = self._sensor.tallied(), self._stream.tallied()
+        return Counters(
+            edges=sensor.edges,
+            triggers=sensor.triggers,
+            missed=sensor.missed,
+            debounced=sensor.debounced,
+            unseen=sensor.unseen,
+            exposures=sensor.exposures,
+            unexposed=sensor.unexposed,
+            swallowed=sensor.swallowed,
+            aborted=sensor.aborted,
+            frames=wire.frames,
+            torn=wire.torn,
+            packets=wire.packets,
+            dropped=wire.dropped,
+            resent=wire.resent,
+            unavailable=wire.unavailable,
+            heartbeats=self._channel.n_heartbeats,
+            actions=self._channel.n_actions,
+        )
+
+    def feature(self, name: str, bank: int = 0) -> Value:
+        """Value of a feature, by its SFNC name in either dialect; enumerations as their number."""
+        return self._registers.get(name, bank)
+
+    # --- life ---
+
+    def start(self) -> None:
+        """Switch on; raises `CameraUnavailableError` when the address is taken or not this machine's."""
+        self._stopping.clear()
+        self._open_sockets()
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK)
+        self._power_on()
+        self._sensor.start()
+        self._thread = threading.Thread(target=self._serve, name=f"{self.id} control", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Vanish, as a killed process does: no goodbye, and the host says nobody listens there."""
+        if self._thread is None:
+            return
+        self._stopping.set()
+        os.eventfd_write(self._wake, 1)
+        self._thread.join()
+        self._thread = None
+        self._sensor.stop()
+        self._close_sockets()
+        os.close(self._wake)
+        self._channel.reset()
+
+    # --- signals ---
+
+    def line(self, name: str = "Line1", at_ns: int | None = None, *, rising: bool = True) -> None:
+        """Apply an electrical edge to an input line, at a moment of `time.monotonic_ns`."""
+        self._sensor.line(name, time.monotonic_ns() if at_ns is None else at_ns, rising=rising)
+
+    # --- faults that take time ---
+
+    def unplug(self, seconds: float | None = None) -> None:
+        """Pull the network cable, for so long or until `replug`; the camera keeps its power and its settings."""
+        with self._lock:
+            ns = _FOREVER_NS if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
+            self._unplugged_until_ns = ns
+            self._note("cable pulled")
+
+    def replug(self) -> None:
+        with self._lock:
+            self._unplugged_until_ns = 0
+            self._note("cable plugged in")
+
+    def power_cycle(
+        self, off_s: float = 2.0, *, address: str | None = None, serial: str | None = None
+    ) -> None:
+        """Cut the power for `off_s`: silence, then a camera without its settings and without a controller.
+
+        It comes back under another address (a new DHCP lease), or another device is in its place.
+        """
+        design = self._design
+        with self._lock:
+            self._design = replace(design, address=address or design.address, serial=serial or design.serial)
+            self._power_off(off_s)
+        os.eventfd_write(self._wake, 1)
+
+    def steal_control(self, seconds: float = 5.0, peer: Peer = ("192.0.2.66", 49152)) -> None:
+        """Let a foreign application have control for so long; then its heartbeat ends."""
+        with self._lock:
+            timeout_ns = self._registers.number("GevHeartbeatTimeout") * 1_000_000
+            self._channel.seize(peer, heard_ns=time.monotonic_ns() + round(seconds * 1e9) - timeout_ns)
+        os.eventfd_write(self._wake, 1)
+
+    def tamper(self, name: str, value: Value, bank: int = 0) -> None:
+        """Change a feature behind the controller's back; SFNC name, enumerations by number or entry.
+
+        Raises `ValueError` for a feature there is not.
+        """
+        feature = self._registers.features.get(name)
+        if feature is None or not 0 <= bank < self._registers.n_banks(feature):
+            raise ValueError(f"camera {self.id} has no feature {name!r}, bank {bank}")
+        if feature.kind == "enumeration" and isinstance(value, str):
+            if value not in feature.entries:
+                raise ValueError(f"camera {self.id}: {name} has no entry {value!r}")
+            value = feature.entries[value]
+        if isinstance(value, str) != (feature.kind == "string"):
+            raise ValueError(f"camera {self.id}: {name} is no {type(value).__name__}")
+        with self._lock:
+            self._registers.put(name, value, bank)
+            self._device.written((name, bank))
+            self._note(f"{name} changed to {value} by a foreign hand")
+
+    def jump_clock(self, by_ns: int) -> None:
+        with self._lock:
+            self._clock.jump(by_ns)
+            self._note(f"clock jumped by {by_ns} ns")
+
+    def send_malformed(self, kind: Literal["short", "foreign", "abort"] = "foreign") -> None:
+        """Send a datagram that is no packet to the receiver of the stream, uncounted.
+
+        `short`: a torn header; `foreign`: a header of unknown content; `abort`: the extended trailer
+        that makes Aravis 0.8.26 ask for 38 GB and end its process.
+        """
+        datagrams = {
+            "short": b"\0\0\0",
+            "foreign": struct.pack(">HHI", 0, 0x7777, 0x7F000005) + b"\xa5" * 32,
+            "abort": struct.pack(">HHIQI", 0, 0, 0x82000000, 0x7777, 0x90000000) + bytes(16),
+        }
+        self._stream.send_raw(datagrams[kind])
+
+    # --- the thread ---
+
+    def _serve(self) -> None:
+        while not self._stopping.is_set():
+            poll = select.poll()
+            by_fd = {each.fileno(): each for each in self._sockets}
+            for fd in (*by_fd, self._wake):
+                poll.register(fd, select.POLLIN)
+            ready = poll.poll(self._timeout_ms())
+            for fd, _ in ready:
+                if fd == self._wake:
+                    os.eventfd_read(fd)
+                else:
+                    self._receive(by_fd[fd])
+            if not ready:  # what was heard in time counts, even when read late
+                with self._lock:
+                    self._channel.check_heartbeat(time.monotonic_ns())
+            self._return_power()
+
+    def _timeout_ms(self) -> int | None:
+        with self._lock:
+            due_ns = [at for at in (self._channel.heartbeat_due_ns(), self._off_until_ns) if at is not None]
+        if not due_ns:
+            return None
+        return max(0, (min(due_ns) - time.monotonic_ns()) // 1_000_000 + 1)
+
+    def _receive(self, from_socket: socket.socket) -> None:
+        try:
+            datagram, peer = from_socket.recvfrom(2048)
+        except OSError:  # what came back for an answer nobody waits for any more
+            return
+        if not self._is_connected() or self._loses():
+            return
+        is_discovery = datagram[2:4] == struct.pack(">H", DISCOVERY)
+        if self.faults.ack_delay_ms > 0 and not is_discovery and len(datagram) >= HEADER.size:
+            if self.faults.ack_delay_ms >= _PENDING_FROM_MS:
+                self._send(pending_ack(datagram, round(self.faults.ack_delay_ms * 2)), peer)
+            self._stopping.wait(self.faults.ack_delay_ms / 1000)
+        with self._lock:
+            answer = self._channel.answer(datagram, peer, time.monotonic_ns())
+        if answer is not None and not self._loses():
+            self._send(answer, peer)
+
+    def _send(self, answer: bytes, peer: Peer) -> None:
+        if self._is_connected() or self._off_until_ns is not None:  # a reset is acknowledged first
+            with suppress(OSError):
+                self._sockets[0].sendto(answer, peer)  # from its own address, whatever was asked
+
+    def _loses(self) -> bool:
+        return self.faults.control_loss > 0 and self._random.random() < self.faults.control_loss
+
+    def _is_connected(self) -> bool:
+        return self._off_until_ns is None and time.monotonic_ns() >= self._unplugged_until_ns
+
+    # --- power ---
+
+    def _power_off(self, off_s: float) -> None:
+        self._off_until_ns = time.monotonic_ns() + round(off_s * 1e9)
+        self._sensor.end_acquisition()
+        self._stream.disconnect()
+        self._channel.reset()
+        self._note(f"power off for {off_s:g} s")
+
+    def _return_power(self) -> None:
+        with self._lock:
+            if self._off_until_ns is None or time.monotonic_ns() < self._off_until_ns:
+                return
+            if self._sockets[0].getsockname()[0] != self._design.address:
+                self._close_sockets()
+                self._open_sockets()
+            self._power_on()
+
+    def _power_on(self) -> None:
+        self._device.power_on(self._design, stream_port=self._stream_port)
+        self._off_until_ns = None
+        self._note("power on")
+
+    def _open_sockets(self) -> None:
+        address = self._design.address
+        control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        broadcast = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets = [control, broadcast]
+        try:
+            control.bind((address, GVCP_PORT))
+            broadcast.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            broadcast.bind(("255.255.255.255", GVCP_PORT))
+            self._stream_port = self._stream.open(address)
+        except OSError as err:
+            self._close_sockets()
+            raise CameraUnavailableError(
+                self.id,
+                f"cannot be simulated at {address}:{GVCP_PORT} ({err.strerror}): "
+                "end the simulator that is there, or choose another address of 127/8",
+            ) from err
+
+    def _close_sockets(self) -> None:
+        for each in self._sockets:
+            each.close()
+        self._stream.close()
+
+    def _note(self, event: str) -> None:
+        self._log.append(LogEntry(time.monotonic_ns(), event))

@@ -1,0 +1,270 @@
+"""The camera behind its registers: what reading and writing each of them does."""
+
+import math
+import struct
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from ipaddress import IPv4Address
+
+from drivers.gige_simulator.clock import CameraClock
+from drivers.gige_simulator.design import CameraDesign
+from drivers.gige_simulator.faults import Faults
+from drivers.gige_simulator.features import PTP_STATES, legacy_features, sfnc_features
+from drivers.gige_simulator.genicam_xml import genicam_xml, zipped
+from drivers.gige_simulator.gvsp import IP_UDP_BYTES, chunk_bytes
+from drivers.gige_simulator.registers import (
+    STREAM_ADDRESS,
+    STREAM_PORT,
+    STREAM_SOURCE_PORT,
+    TIMESTAMP_CONTROL,
+    XML_ADDRESS,
+    Key,
+    RefusedError,
+    Registers,
+    Status,
+    Value,
+)
+from drivers.gige_simulator.sensor import Sensor
+from drivers.gige_simulator.stream import StreamChannel
+
+VENDOR = "Stonefall"
+VERSION = "simulated 1"
+
+_RESEND = 1 << 2
+_CAPABILITIES = 1 << 31 | 1 << 30 | 1 << 28 | 1 << 19 | 1 << 17 | 1 << 6 | 1 << 5 | 1 << 1 | 1
+"""User name, serial, link speed, PTP, scheduled action, action, pending ack, write memory, concatenation."""
+
+_USER_SETS = ("Default", "UserSet1")
+
+
+def make_registers(design: CameraDesign) -> Registers:
+    """Return registers and XML of a camera of this dialect; legacy cameras clamp what others refuse."""
+    make = legacy_features if design.dialect == "legacy" else sfnc_features
+    features = make(design.image_size_px, throughput_bytes_s=design.link_bytes_s)
+    registers = Registers(features, clamps=design.dialect == "legacy")
+    xml = genicam_xml(registers, vendor=VENDOR, model=design.model)
+    registers.xml = zipped(xml, f"{design.model}.xml") if design.has_zipped_xml else xml
+    return registers
+
+
+class CameraDevice:
+    """Gives registers their effects and live values; called under the camera's lock."""
+
+    def __init__(
+        self,
+        *,
+        registers: Registers,
+        sensor: Sensor,
+        stream: StreamChannel,
+        clock: CameraClock,
+        faults: Faults,
+        note: Callable[[str], None],
+        restart: Callable[[], None],
+    ) -> None:
+        self.noted = note
+        self._registers = registers
+        self._sensor = sensor
+        self._stream = stream
+        self._clock = clock
+        self._faults = faults
+        self._restart = restart
+        self._on_since_s = time.monotonic()
+        self._counter_bases = [0, 0]
+        self._user_name = ""
+        self._user_sets: dict[str, Mapping[Key, Value]] = {}
+        self._startup_set = "Default"
+        self._latched_offset_ns = 0
+        self._mtu_bytes = 0
+        self._effects: dict[str, Callable[[int], None]] = {
+            "AcquisitionStart": self._start_acquisition,
+            "AcquisitionStop": lambda _: sensor.end_acquisition(),
+            "TriggerMode": lambda _: sensor.trigger_mode_changed(),
+            "TriggerSoftware": lambda _: sensor.edge("Software", time.monotonic_ns()),
+            "DeviceReset": lambda _: restart(),
+            "TimestampLatch": lambda _: self._latch_timestamp(),
+            "UserSetLoad": self._load_user_set,
+            "UserSetSave": self._save_user_set,
+            "UserSetDefault": self._choose_startup_set,
+            "DeviceUserID": self._name,
+            "CounterReset": self._reset_counter,
+            "CounterEventSource": self._reset_counter,
+            "PtpEnable": lambda _: clock.set_ptp(is_enabled=bool(registers.number("PtpEnable"))),
+            "PtpDataSetLatch": self._latch_ptp,
+            "GevSCPSFireTestPacket": self._fire_test_packet,
+        }
+        registers.live.update(
+            DeviceTemperature=lambda _: self._temperature_c(),
+            AcquisitionStatus=lambda _: int(registers.is_acquiring),
+            LineStatus=lambda bank: int(sensor.level(bank)),
+            CounterValue=lambda bank: self._events(bank) - self._counter_bases[bank],
+            PayloadSize=lambda _: self._payload_bytes(),
+            PtpStatus=lambda _: PTP_STATES.index(clock.ptp_state()),
+            PtpOffsetFromMaster=lambda _: self._latched_offset_ns,
+        )
+
+    def power_on(self, design: CameraDesign, *, stream_port: int) -> None:
+        """Forget everything but what is in non-volatile memory."""
+        registers = self._registers
+        registers.reset()
+        for address, word in _bootstrap(design, stream_port, len(registers.xml)).items():
+            registers.put_word(address, word)
+        suffix = "zip" if design.has_zipped_xml else "xml"
+        registers.put_text(0x200, f"Local:{design.model}.{suffix};{XML_ADDRESS:x};{len(registers.xml):x}")
+        for key, text in (
+            ("DeviceVendorName", VENDOR),
+            ("DeviceModelName", design.model),
+            ("DeviceVersion", VERSION),
+            ("DeviceManufacturerInfo", f"{design.dialect} dialect"),
+            ("DeviceSerialNumber", design.serial),
+            ("DeviceUserID", self._user_name or design.user_name),
+        ):
+            registers.put(key, text)
+        registers.put("UserSetDefault", _USER_SETS.index(self._startup_set))
+        registers.restore(self._user_sets.get(self._startup_set, {}))
+        self._clock.restart()
+        self._sensor.power_on()
+        self._counter_bases = [self._events(bank) for bank in range(len(self._counter_bases))]
+        self._mtu_bytes = design.mtu_bytes
+        self._on_since_s = time.monotonic()
+
+    # --- what the control channel sets in motion ---
+
+    def written(self, key: Key) -> None:
+        name, bank = key
+        registers = self._registers
+        is_command = registers.features[name].kind == "command" or name == "GevSCPSFireTestPacket"
+        if is_command and not registers.number(name, bank):
+            return
+        try:
+            if effect := self._effects.get(name):
+                effect(bank)
+        finally:
+            if is_command:
+                registers.put(name, 0, bank)
+
+    def word_written(self, address: int, value: int) -> None:
+        if address == TIMESTAMP_CONTROL:
+            if value & 1:
+                self._clock.restart()
+            if value & 2:
+                self._latch_timestamp()
+
+    def released(self) -> None:
+        self._sensor.end_acquisition()
+        self._stream.disconnect()
+        self._registers.put_word(STREAM_PORT, 0)
+        self._registers.put("TLParamsLocked", 0)
+
+    def acted(self, *, at_device_ns: int | None) -> Status:
+        at_ns = time.monotonic_ns()
+        if at_device_ns is not None:
+            if self._clock.ptp_state() != "Slave":
+                return Status.NO_REFERENCE_TIME
+            at_ns = self._clock.host_ns(at_device_ns)
+            if at_ns < time.monotonic_ns():
+                return Status.ACTION_LATE
+        self._sensor.edge("Action1", at_ns)
+        return Status.SUCCESS
+
+    def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
+        self._stream.resend(block_id, first, last, has_extended_ids=has_extended_ids)
+
+    # --- effects ---
+
+    def _destination(self) -> tuple[str, int]:
+        address = IPv4Address(self._registers.word(STREAM_ADDRESS))
+        return str(address), self._registers.word(STREAM_PORT) & 0xFFFF
+
+    def _start_acquisition(self, _: int) -> None:
+        address, port = self._destination()
+        if port:
+            self._stream.connect(address, port)
+        self._sensor.begin_acquisition()
+
+    def _fire_test_packet(self, _: int) -> None:
+        size = self._registers.number("GevSCPSPacketSize")
+        destination = self._destination()
+        if destination[1] and size <= self._mtu_bytes:
+            self._stream.send_raw(bytes(size - IP_UDP_BYTES), destination)
+
+    def _latch_timestamp(self) -> None:
+        self._registers.put("TimestampLatchValue", self._clock.device_ns(time.monotonic_ns()))
+
+    def _latch_ptp(self, _: int) -> None:
+        self._latched_offset_ns = self._clock.ptp_offset_ns()
+
+    def _chosen_set(self) -> str:
+        return self._registers.choice("UserSetSelector")
+
+    def _load_user_set(self, _: int) -> None:
+        registers = self._registers
+        chosen = self._user_sets.get(self._chosen_set())
+        registers.restore(registers.defaults() if chosen is None else chosen)
+        self._clock.set_ptp(is_enabled=bool(registers.number("PtpEnable")))
+
+    def _save_user_set(self, _: int) -> None:
+        if self._chosen_set() == "Default":
+            raise RefusedError(Status.WRITE_PROTECT)
+        self._user_sets[self._chosen_set()] = self._registers.saved()
+
+    def _choose_startup_set(self, _: int) -> None:
+        self._startup_set = self._registers.choice("UserSetDefault")
+
+    def _name(self, _: int) -> None:
+        self._user_name = str(self._registers.get("DeviceUserID"))
+
+    def _reset_counter(self, bank: int) -> None:
+        self._counter_bases[bank] = self._events(bank)
+
+    # --- live values ---
+
+    def _temperature_c(self) -> float:
+        """Warms up by 9 K within minutes and then wavers by a few tenths."""
+        if self._faults.temperature_c is not None:
+            return self._faults.temperature_c
+        on_s = time.monotonic() - self._on_since_s
+        return 36.0 + 9.0 * (1 - math.exp(-on_s / 300)) + 0.3 * math.sin(on_s / 20)
+
+    def _events(self, bank: int) -> int:
+        tally = self._sensor.tally
+        return {
+            "Off": 0,
+            "FrameTrigger": tally.heard,
+            "FrameTriggerMissed": tally.heard - tally.triggers,
+            "ExposureStart": tally.exposures,
+        }[self._registers.choice("CounterEventSource", bank)]
+
+    def _payload_bytes(self) -> int:
+        registers = self._registers
+        n_image = registers.number("Width") * registers.number("Height")
+        if not registers.number("ChunkModeActive"):
+            return n_image
+        n_banks = registers.n_banks(registers.features["ChunkEnable"])
+        return chunk_bytes(n_image, sum(registers.number("ChunkEnable", bank) for bank in range(n_banks)))
+
+
+def mac_address(serial: str) -> bytes:
+    """Six bytes, locally administered, that stay with the device wherever it is plugged in."""
+    return b"\x02\x5f" + struct.pack(">I", zlib.crc32(serial.encode()))
+
+
+def _bootstrap(design: CameraDesign, stream_port: int, xml_bytes: int) -> Mapping[int, int]:
+    mac = mac_address(design.serial)
+    return {
+        0x000: 0x00020000,  # the standard's version
+        0x004: 0x80000001,  # big endian, UTF-8
+        0x008: int.from_bytes(mac[:2], "big"),
+        0x00C: int.from_bytes(mac[2:], "big"),
+        0x010: 0x7,  # link-local, DHCP, persistent
+        0x014: 0x6,
+        0x024: int(IPv4Address(design.address)),
+        0x034: 0xFF000000,
+        0x600: 1,  # network interfaces
+        0x670: 1000,  # link speed in Mbit/s
+        0x904: 1,  # stream channels
+        0x908: 1,  # action signals
+        0x934: _CAPABILITIES | (_RESEND if design.can_resend else 0),
+        0x940: 1_000_000_000,  # ticks a second
+        STREAM_SOURCE_PORT: stream_port,
+    }

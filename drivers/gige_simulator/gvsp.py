@@ -1,0 +1,100 @@
+"""The stream protocol: an image laid out as the packets of one block.
+
+Byte layouts are those that Aravis accepts and Wireshark dissects.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.gige_simulator.features import CHUNKS, MONO8
+
+IP_UDP_BYTES = 28  # counted by the packet size
+STANDARD_HEADER = struct.Struct(">HHI")
+EXTENDED_HEADER = struct.Struct(">HHIQI")
+
+_LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
+_EXTENDED_IDS = 0x80
+_IMAGE, _WITH_CHUNKS = 0x0001, 0x4000
+_IMAGE_CHUNK = 0x100
+
+Packet = bytes | memoryview
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """One frame to be sent."""
+
+    block_id: int
+    has_extended_ids: bool
+    packet_bytes: int  # with the headers of IP and UDP
+    device_ns: int
+    image: NDArray[np.uint8]  # (H, W)
+    offset_px: tuple[int, int]
+    chunks: tuple[tuple[str, int | float], ...] | None  # None: chunk mode is off
+
+
+def packets(block: Block) -> Sequence[Packet]:
+    """Return leader, payload and trailer; the index is the packet id. The image is copied."""
+    height, width = block.image.shape
+    payload = np.ascontiguousarray(block.image).reshape(-1)
+    payload_type = _IMAGE
+    if block.chunks is not None:
+        payload_type |= _WITH_CHUNKS
+        tail = _chunk_tail(width * height, block.chunks)
+        payload = np.concatenate([payload, np.frombuffer(tail, np.uint8)])
+    bodies = _payload_packets(block, payload)
+    leader = _header(block, _LEADER, 0) + struct.pack(
+        ">HHQIIIIIHH", 0, payload_type, block.device_ns, MONO8, width, height, *block.offset_px, 0, 0
+    )
+    trailer = _header(block, _TRAILER, len(bodies) + 1) + struct.pack(">HHI", 0, payload_type, height)
+    if block.chunks is not None:
+        trailer += struct.pack(">II", payload.size, 0)  # length of the chunk data, layout id
+    return [leader, *bodies, trailer]
+
+
+def unavailable(block_id: int, packet_id: int, status: int, *, has_extended_ids: bool) -> bytes:
+    """Answer to a request for a packet that is gone."""
+    if has_extended_ids:
+        return EXTENDED_HEADER.pack(status, 0, (_PAYLOAD | _EXTENDED_IDS) << 24, block_id, packet_id)
+    return STANDARD_HEADER.pack(status, block_id, _PAYLOAD << 24 | packet_id)
+
+
+def chunk_bytes(n_image: int, n_chunks: int) -> int:
+    """Size of a payload with chunks: the image and each chunk carry an id and a length."""
+    return n_image + 8 + n_chunks * 16
+
+
+def _header(block: Block, content: int, packet_id: int) -> bytes:
+    if block.has_extended_ids:
+        return EXTENDED_HEADER.pack(0, 0, (content | _EXTENDED_IDS) << 24, block.block_id, packet_id)
+    return STANDARD_HEADER.pack(0, block.block_id, content << 24 | packet_id)
+
+
+def _payload_packets(block: Block, payload: NDArray[np.uint8]) -> list[memoryview]:
+    """Lay the payload out in rows of header and data, then cut; the last one is as short as it may be."""
+    n_header = (EXTENDED_HEADER if block.has_extended_ids else STANDARD_HEADER).size
+    n_data = block.packet_bytes - IP_UDP_BYTES - n_header
+    n_packets = -(-payload.size // n_data)
+    n_full = payload.size // n_data
+    n_rest = payload.size - n_full * n_data
+    rows = np.empty((n_packets, n_header + n_data), np.uint8)
+    rows[:, :n_header] = np.frombuffer(_header(block, _PAYLOAD, 0), np.uint8)
+    packet_ids = np.arange(1, n_packets + 1, dtype=">u4").view(np.uint8).reshape(-1, 4)
+    rows[:, n_header - 3 : n_header] = packet_ids[:, 1:]  # 24 bit are enough with either kind of ids
+    rows[:n_full, n_header:] = payload[: n_full * n_data].reshape(n_full, n_data)
+    rows[n_full:, n_header : n_header + n_rest] = payload[n_full * n_data :]
+    view, stride = rows.reshape(-1).data, rows.shape[1]
+    ends = [stride] * n_full + [n_header + n_rest] * (n_packets - n_full)
+    return [view[row * stride : row * stride + end] for row, end in enumerate(ends)]
+
+
+def _chunk_tail(n_image: int, chunks: tuple[tuple[str, int | float], ...]) -> bytes:
+    tail = struct.pack(">II", _IMAGE_CHUNK, n_image)
+    for name, value in chunks:
+        data = struct.pack(">d", value) if isinstance(value, float) else struct.pack(">Q", value)
+        tail += data + struct.pack(">II", CHUNKS[name], len(data))
+    return tail

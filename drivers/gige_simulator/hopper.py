@@ -1,0 +1,109 @@
+"""The stones of a recording in the order in which they fall, read ahead: unpacking one takes 0.1 s."""
+
+import queue
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from drivers.errors import RecordingError
+from drivers.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
+from pipeline.frames import BundleKind, CameraId, Image, Trigger
+
+READ_AHEAD = 3
+"""Bundles; one is 21 MB in memory."""
+KEPT_BYTES = 512 << 20
+"""A recording that needs no more is unpacked only once when it is played in a loop."""
+PULSE_WIDTH_NS = 64_000_000
+"""Where none was recorded: a stone of 20 mm, the middle of the product, that begins to fall at the beam."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fall:
+    """One stone, or, of a recorded exposure of the empty rig, nothing on purpose."""
+
+    is_empty: bool
+    pulse_width_ns: int
+    images: Mapping[CameraId, Image]  # what each camera sees; one without an image sends none
+
+
+class Hopper:
+    """Hands out the stones one by one; its thread runs from `start` to `close`.
+
+    A bundle that cannot be read is a stone that no camera sees; those without a readable header fall once,
+    after the first round.
+    """
+
+    def __init__(self, recording: Recording, *, is_looping: bool = False) -> None:
+        self._recording = recording
+        self._headers = playback_order(recording)
+        self._is_looping = is_looping
+        width_px, height_px = recording.image_size_px
+        n_bytes = len(self._headers) * len(recording.camera_ids) * width_px * height_px
+        self._kept: dict[int, Fall] | None = {} if is_looping and n_bytes <= KEPT_BYTES else None
+        self._falls: queue.Queue[Fall | None] = queue.Queue(READ_AHEAD)
+        self._is_closing = threading.Event()
+        self._thread = threading.Thread(target=self._read_ahead, name="hopper", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def take(self) -> Fall | None:
+        """Wait for the next stone; nothing after the last one and when the hopper is closed."""
+        return self._falls.get()
+
+    def close(self) -> None:
+        self._is_closing.set()
+        while self._thread.is_alive():
+            self._drain()  # the reader may be waiting for room
+            self._thread.join(0.02)
+        self._drain()
+        self._falls.put(None)
+
+    def _drain(self) -> None:
+        while not self._falls.empty():
+            self._falls.get_nowait()
+
+    def _read_ahead(self) -> None:
+        for fall in self._all():
+            if self._is_closing.is_set():
+                return
+            self._falls.put(fall)
+        self._falls.put(None)
+
+    def _all(self) -> Iterator[Fall]:
+        yield from self._one_round()
+        for trigger, _ in unreadable_triggers(self._recording):
+            yield _unseen(trigger)
+        while self._is_looping:
+            yield from self._one_round()
+
+    def _one_round(self) -> Iterator[Fall]:
+        for index, header in enumerate(self._headers):
+            if self._kept is not None and index in self._kept:
+                yield self._kept[index]
+                continue
+            fall = read_fall(header, self._recording)
+            if self._kept is not None:
+                self._kept[index] = fall
+            yield fall
+
+
+def read_fall(header: BundleHeader, recording: Recording) -> Fall:
+    """What fell when a bundle was recorded."""
+    try:
+        bundle = read_bundle(header.path, recording.camera_ids)
+    except RecordingError:
+        return _unseen(header.trigger)
+    return _fall(bundle.trigger, {camera: frame.image for camera, frame in bundle.frames.items()})
+
+
+def _unseen(trigger: Trigger) -> Fall:
+    return _fall(trigger, {})
+
+
+def _fall(trigger: Trigger, images: Mapping[CameraId, Image]) -> Fall:
+    return Fall(
+        is_empty=trigger.kind is BundleKind.BACKGROUND,
+        pulse_width_ns=trigger.pulse_width_ns or PULSE_WIDTH_NS,
+        images=images,
+    )

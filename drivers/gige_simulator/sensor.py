@@ -1,0 +1,369 @@
+"""The sensor of a simulated camera: edges in, exposures at their time, frames out to the stream channel."""
+
+import heapq
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.gige_simulator.clock import CameraClock
+from drivers.gige_simulator.faults import DOUBLE_AFTER_MS, Faults
+from drivers.gige_simulator.features import CHUNKS
+from drivers.gige_simulator.gvsp import Block, packets
+from drivers.gige_simulator.registers import Registers
+from drivers.gige_simulator.stream import StreamChannel
+from drivers.gige_simulator.triggering import LINE_TIME_NS, Plan, TriggerInput
+from pipeline.frames import CameraId
+
+TARGET_GREY = 128.0
+"""Mean grey level automatic exposure and gain aim at."""
+
+N_WAITING = 8
+"""Exposures that may wait for the link before triggers are ignored."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposure:
+    """What an image source is asked for: what this camera saw."""
+
+    camera: CameraId
+    n: int  # exposures since power-on, from 1
+    trigger_ns: int  # host's monotonic time of the edge that caused it
+    exposed_ns: int  # of its start
+    exposure_us: float
+    gain_db: float
+
+
+ImageSource = Callable[[Exposure], "NDArray[np.uint8] | None"]
+"""Returns the whole sensor's image (H, W), not changed any more; nothing is sent for `None`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strobe:
+    """The `ExposureActive` output of a camera."""
+
+    camera: CameraId
+    line: str
+    exposed_ns: int  # host's monotonic time
+    exposure_us: float
+
+
+@dataclass(slots=True)
+class SensorTally:
+    """Counts since the camera was made; read and written under the sensor's lock."""
+
+    edges: int = 0
+    heard: int = 0  # of them, by a trigger that is on
+    triggers: int = 0
+    missed: int = 0
+    debounced: int = 0
+    unseen: int = 0
+    exposures: int = 0
+    unexposed: int = 0
+    swallowed: int = 0
+    aborted: int = 0
+
+
+class Sensor:
+    """Exposes and sends from one thread of its own."""
+
+    def __init__(
+        self,
+        camera: CameraId,
+        *,
+        registers: Registers,
+        clock: CameraClock,
+        stream: StreamChannel,
+        faults: Faults,
+        source: ImageSource,
+        link_bytes_s: float,
+        note: Callable[[str], None],
+        on_strobe: Callable[[Strobe], None] | None,
+    ) -> None:
+        self.tally = SensorTally()
+        self._camera = camera
+        self._registers = registers
+        self._clock = clock
+        self._stream = stream
+        self._faults = faults
+        self._source = source
+        self._link_bytes_s = link_bytes_s
+        self._note = note
+        self._on_strobe = on_strobe
+        self._trigger = TriggerInput(registers)
+        self._changed = threading.Condition()
+        self._plans: list[tuple[int, int, Plan]] = []
+        self._order = count()
+        self._run = 0  # of the acquisition; 0 before the first
+        self._n_exposures = 0
+        self._block_id = 0
+        self._high: set[int] = set()
+        self._frozen: NDArray[np.uint8] | None = None
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    # --- life ---
+
+    def start(self) -> None:
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._work, name=f"{self._camera} sensor", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self.end_acquisition()
+        self._stopping.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def power_on(self) -> None:
+        self._n_exposures = 0
+
+    def begin_acquisition(self) -> None:
+        with self._changed:
+            if self._registers.is_acquiring:
+                return
+            self._registers.is_acquiring = True
+            self._run += 1
+            self._block_id = 0
+            self._trigger.reset()
+            self._run_freely()
+
+    def end_acquisition(self) -> None:
+        with self._changed:
+            self._registers.is_acquiring = False
+            self._plans.clear()
+
+    def trigger_mode_changed(self) -> None:
+        with self._changed:
+            if not self._plans:
+                self._run_freely()
+
+    def tallied(self) -> SensorTally:
+        with self._changed:
+            return replace(self.tally)
+
+    # --- signals ---
+
+    def level(self, bank: int) -> bool:
+        """What `LineStatus` of the line in this bank says: high or low."""
+        return bank in self._high
+
+    def line(self, name: str, at_ns: int, *, rising: bool) -> None:
+        """Take an electrical edge; an output does not listen."""
+        bank = self._registers.features["LineSelector"].entries[name]
+        if self._registers.choice("LineMode", bank) == "Output":
+            return
+        rising ^= bool(self._registers.number("LineInverter", bank))
+        (self._high.add if rising else self._high.discard)(bank)
+        self.edge(name, at_ns, rising=rising)
+
+    def edge(self, source: str, at_ns: int, *, rising: bool | None = None) -> None:
+        """Take a trigger signal; `rising` only for an electrical edge."""
+        with self._changed:
+            banks = self._trigger.banks(source, rising=rising)
+            bounces = rising is not None and self._trigger.bounces(source, at_ns)
+            if rising is False and not banks:
+                return
+            self.tally.edges += 1
+            if bounces:
+                self.tally.debounced += 1
+            elif self._faults.missed_triggers > 0:
+                self._faults.missed_triggers -= 1
+                self.tally.unseen += 1
+            else:
+                self._take(banks, at_ns)
+
+    def _take(self, banks: list[int], at_ns: int) -> None:
+        self.tally.heard += bool(banks)
+        is_ready = self._registers.is_acquiring and bool(banks) and len(self._plans) < N_WAITING
+        if is_ready and self._trigger.starts_burst(banks):
+            self.tally.triggers += 1
+            return
+        plan = self._trigger.accept(banks, at_ns) if is_ready else None
+        if plan is None:
+            self.tally.missed += 1
+            return
+        self.tally.triggers += 1
+        self._push(plan)
+        if self._faults.doubled_triggers > 0:
+            self._faults.doubled_triggers -= 1
+            self._push(replace(plan, exposed_ns=plan.exposed_ns + round(DOUBLE_AFTER_MS * 1e6)))
+
+    def _push(self, plan: Plan) -> None:
+        heapq.heappush(self._plans, (plan.exposed_ns, next(self._order), plan))
+        self._changed.notify_all()
+
+    def _run_freely(self, after: Plan | None = None) -> None:
+        """Plan the next exposure of an untriggered acquisition."""
+        registers = self._registers
+        if not registers.is_acquiring or self._trigger.is_triggered():
+            return
+        at_ns = time.monotonic_ns()
+        if after is not None:
+            period_ns = round(after.exposure_us * 1000) + registers.number("Height") * LINE_TIME_NS
+            if registers.number("AcquisitionFrameRateEnable"):
+                period_ns = max(period_ns, round(1e9 / registers.quantity("AcquisitionFrameRate")))
+            at_ns = max(at_ns, after.exposed_ns + period_ns)
+        if plan := self._trigger.plan(at_ns, at_ns):
+            self._push(plan)
+
+    # --- the thread ---
+
+    def _work(self) -> None:
+        while due := self._wait_for_due():
+            plan, run = due
+            self._expose(plan, run)
+            with self._changed:
+                if self._is_current(run) and not self._plans:
+                    self._run_freely(after=plan)
+
+    def _wait_for_due(self) -> tuple[Plan, int] | None:
+        with self._changed:
+            while not self._stopping.is_set():
+                wait_s = None
+                if self._plans:
+                    wait_s = (self._plans[0][0] - time.monotonic_ns()) / 1e9
+                    if wait_s <= 0:
+                        _, _, plan = heapq.heappop(self._plans)
+                        self.tally.exposures += 1
+                        return plan, self._run
+                self._changed.wait(wait_s)
+            return None
+
+    def _is_current(self, run: int) -> bool:
+        return self._registers.is_acquiring and run == self._run and not self._stopping.is_set()
+
+    def _expose(self, plan: Plan, run: int) -> None:
+        """Expose, read out, send: as long as all of that takes."""
+        registers, faults = self._registers, self._faults
+        self._n_exposures += 1
+        self._strobe(plan)
+        end_s = plan.exposed_ns / 1e9 + (plan.exposure_us + faults.late_ms * 1000) / 1e6
+        self._stopping.wait(max(0.0, end_s - time.monotonic()))
+        device_ns = self._clock.device_ns(plan.exposed_ns)
+        n_triggers = self.tally.heard
+        image = self._image(plan)
+        if not self._is_current(run):
+            self.tally.aborted += 1
+            return
+        has_extended_ids = registers.choice("GevGVSPExtendedIDMode") == "On"
+        self._block_id = self._block_id + 1 if has_extended_ids else self._block_id % 0xFFFF + 1
+        if image is None:
+            self.tally.unexposed += 1
+            return
+        if faults.swallowed_frames > 0:
+            faults.swallowed_frames -= 1
+            self.tally.swallowed += 1
+            return
+        block = Block(
+            block_id=self._block_id,
+            has_extended_ids=has_extended_ids,
+            packet_bytes=registers.number("GevSCPSPacketSize"),
+            device_ns=device_ns,
+            image=image,
+            offset_px=(registers.number("OffsetX"), registers.number("OffsetY")),
+            chunks=self._chunks(device_ns, plan, n_triggers),
+        )
+        self._stream.send(
+            block.block_id,
+            packets(block),
+            rate_bytes_s=min(self._link_bytes_s, registers.number("DeviceLinkThroughputLimit")),
+            gap_ns=registers.number("GevSCPD"),
+            is_wanted=lambda: self._is_current(run),
+        )
+        if registers.choice("AcquisitionMode") == "SingleFrame":
+            self.end_acquisition()
+
+    def _strobe(self, plan: Plan) -> None:
+        registers = self._registers
+        if self._on_strobe is None:
+            return
+        for line, bank in registers.features["LineSelector"].entries.items():
+            is_output = registers.choice("LineMode", bank) == "Output"
+            if is_output and registers.choice("LineSource", bank) == "ExposureActive":
+                self._on_strobe(
+                    Strobe(
+                        camera=self._camera,
+                        line=line,
+                        exposed_ns=plan.exposed_ns,
+                        exposure_us=plan.exposure_us,
+                    )
+                )
+
+    # --- the image ---
+
+    def _image(self, plan: Plan) -> NDArray[np.uint8] | None:
+        """Return what goes out: the region of interest, with the faults of the image."""
+        registers, faults = self._registers, self._faults
+        image = self._source(
+            Exposure(
+                camera=self._camera,
+                n=self._n_exposures,
+                trigger_ns=plan.trigger_ns,
+                exposed_ns=plan.exposed_ns,
+                exposure_us=plan.exposure_us,
+                gain_db=registers.quantity("Gain"),
+            )
+        )
+        if image is None:
+            return None
+        shape = (registers.number("SensorHeight"), registers.number("SensorWidth"))
+        if image.shape != shape or image.dtype != np.uint8:
+            self._note(f"image source gave {image.dtype} {image.shape}, not uint8 {shape}: nothing sent")
+            return None
+        self._adapt(float(image[::8, ::8].mean()), plan)
+        top, left = registers.number("OffsetY"), registers.number("OffsetX")
+        image = image[top : top + registers.number("Height"), left : left + registers.number("Width")]
+        if faults.frozen:
+            if self._frozen is None or self._frozen.shape != image.shape:
+                self._frozen = image
+            image = self._frozen
+        else:
+            self._frozen = None
+        if faults.corrupted:
+            image = image.copy()
+            image[::2] = 255 - image[::2]
+        return image[: image.shape[0] // 2] if faults.wrong_size else image
+
+    def _adapt(self, mean_grey: float, plan: Plan) -> None:
+        """Move exposure, then gain, towards the target; `Once` is done as soon as it is near."""
+        registers = self._registers
+        factor = min(max(TARGET_GREY / max(mean_grey, 1.0), 0.5), 2.0)
+        if registers.choice("ExposureAuto") != "Off":
+            exposure = registers.features["ExposureTime"]
+            wanted_us = plan.exposure_us * factor
+            registers.put("ExposureTime", min(max(wanted_us, exposure.minimum), exposure.maximum))
+            self._finish_once("ExposureAuto", factor)
+        elif registers.choice("GainAuto") != "Off":
+            gain = registers.features["Gain"]
+            wanted_db = registers.quantity("Gain") + 20 * float(np.log10(factor))
+            registers.put("Gain", min(max(wanted_db, gain.minimum), gain.maximum))
+            self._finish_once("GainAuto", factor)
+
+    def _finish_once(self, key: str, factor: float) -> None:
+        if self._registers.choice(key) == "Once" and abs(factor - 1) < 0.05:
+            self._registers.put(key, self._registers.features[key].entries["Off"])
+
+    def _chunks(
+        self, device_ns: int, plan: Plan, n_triggers: int
+    ) -> tuple[tuple[str, int | float], ...] | None:
+        if not self._registers.number("ChunkModeActive"):
+            return None
+        values: dict[str, int | float] = {
+            "Timestamp": device_ns,
+            "FrameID": self._block_id,
+            "ExposureTime": plan.exposure_us,
+            "CounterValue": n_triggers,
+        }
+        return tuple(
+            (name, values[name])
+            for bank, name in enumerate(CHUNKS)
+            if self._registers.number("ChunkEnable", bank)
+        )

@@ -1,0 +1,190 @@
+"""The stream channel of a camera: packets onto the wire at the link's pace, the last frames kept for resends."""
+
+import random
+import socket
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+from drivers.gige_simulator.faults import Faults
+from drivers.gige_simulator.gvsp import IP_UDP_BYTES, Packet, unavailable
+from drivers.gige_simulator.registers import Status
+from drivers.gige_simulator.uplink import Uplink
+
+N_KEPT = 3
+"""Frames a camera keeps for resends."""
+_SLACK_S = 0.001
+"""How far the sender may run ahead of the link's pace before it sleeps."""
+_SEND_BUFFER_BYTES = 2 << 20
+
+
+@dataclass(slots=True)
+class Tally:
+    """What went over the wire; read and written under the channel's lock."""
+
+    frames: int = 0
+    torn: int = 0
+    packets: int = 0
+    dropped: int = 0
+    resent: int = 0
+    unavailable: int = 0
+
+
+@dataclass(slots=True)
+class _Kept:
+    packets: Sequence[Packet]
+    missing: set[int] = field(default_factory=set)  # never left
+
+
+class StreamChannel:
+    """One destination; frames are sent by one thread, resends by another."""
+
+    def __init__(
+        self,
+        faults: Faults,
+        *,
+        seed: int,
+        is_connected: Callable[[], bool],
+        uplink: Uplink | None = None,
+    ) -> None:
+        self.tally = Tally()
+        self._faults = faults
+        self._is_connected = is_connected
+        self._uplink = uplink
+        self._send_random = random.Random(f"{seed}/send")  # noqa: S311 - repeatable, nothing secret
+        self._resend_random = random.Random(f"{seed}/resend")  # noqa: S311
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[int, _Kept] = OrderedDict()
+        self._socket: socket.socket | None = None
+        self._destination: tuple[str, int] | None = None
+
+    def open(self, address: str) -> int:
+        """Bind to the camera's address; the port packets come from."""
+        stream_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        stream_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        stream_socket.bind((address, 0))
+        self._socket = stream_socket
+        return int(stream_socket.getsockname()[1])
+
+    def close(self) -> None:
+        self.disconnect()
+        with self._lock:
+            if self._socket is not None:
+                self._socket.close()
+                self._socket = None
+
+    def connect(self, address: str, port: int) -> None:
+        """Choose where the frames go; those kept for the last receiver are gone."""
+        with self._lock:
+            self._destination = (address, port)
+            self._kept.clear()
+
+    def disconnect(self) -> None:
+        with self._lock:
+            self._destination = None
+            self._kept.clear()
+
+    def send(
+        self,
+        block_id: int,
+        frame: Sequence[Packet],
+        *,
+        rate_bytes_s: float,
+        gap_ns: int,
+        is_wanted: Callable[[], bool],
+    ) -> None:
+        """Send a frame at `rate_bytes_s` and at least `gap_ns` between packets; it takes as long as that does."""
+        faults, kept = self._faults, _Kept(frame, set(range(len(frame))))
+        with self._lock:
+            self._kept[block_id] = kept
+            while len(self._kept) > N_KEPT:
+                self._kept.popitem(last=False)
+            self.tally.torn += 1
+        lost = {packet_id % len(frame) for packet_id in faults.lost_packets if packet_id < len(frame)}
+        due_s = time.monotonic()
+        for packet_id in _order(len(frame), reorder=faults.reorder):
+            if not is_wanted():
+                return
+            packet = frame[packet_id]
+            due_s += max((len(packet) + IP_UDP_BYTES) / rate_bytes_s, gap_ns / 1e9)
+            is_stalled = faults.stall_after is not None and packet_id > faults.stall_after
+            is_lost = is_stalled or packet_id in lost or _strikes(self._send_random, faults.packet_loss)
+            with self._lock:
+                if self._put(packet, is_lost=is_lost):
+                    self._mark(kept, packet_id)
+                if not is_lost and _strikes(self._send_random, faults.duplicate):
+                    self._put(packet, is_lost=False)
+            ahead_s = due_s - time.monotonic()
+            if ahead_s > _SLACK_S:
+                time.sleep(ahead_s)
+
+    def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
+        """Send packets `first` to `last` of a kept frame again, or say for each that it is gone."""
+        with self._lock:
+            kept = self._kept.get(block_id)
+            n_packets = len(kept.packets) if kept else 0
+            for packet_id in range(first, min(last, first + 0xFFFF) + 1):
+                if kept is None or packet_id >= n_packets or self._faults.no_resend:
+                    refusal = unavailable(
+                        block_id,
+                        packet_id,
+                        Status.PACKET_UNAVAILABLE,
+                        has_extended_ids=has_extended_ids,
+                    )
+                    self.tally.unavailable += self._put(refusal, is_lost=False)
+                    if packet_id >= n_packets:
+                        return
+                    continue
+                is_lost = _strikes(self._resend_random, self._faults.packet_loss)
+                if self._put(kept.packets[packet_id], is_lost=is_lost):
+                    self.tally.resent += 1
+                    self._mark(kept, packet_id)
+
+    def send_raw(self, datagram: bytes, destination: tuple[str, int] | None = None) -> None:
+        """Send a datagram that is no packet of a frame, uncounted."""
+        with self._lock, suppress(OSError):
+            target = destination or self._destination
+            if self._socket is not None and target is not None and self._is_connected():
+                self._socket.sendto(datagram, target)
+
+    def tallied(self) -> Tally:
+        with self._lock:
+            return replace(self.tally)
+
+    def _put(self, packet: Packet, *, is_lost: bool) -> bool:
+        """Put a packet on the wire, or count it as dropped."""
+        if (
+            is_lost
+            or self._socket is None
+            or self._destination is None
+            or not self._is_connected()
+            or (self._uplink is not None and not self._uplink.carries(len(packet) + IP_UDP_BYTES))
+        ):
+            self.tally.dropped += 1
+            return False
+        with suppress(OSError):  # nobody listens there any more: a real wire does not tell
+            self._socket.sendto(packet, self._destination)
+        self.tally.packets += 1
+        return True
+
+    def _mark(self, kept: _Kept, packet_id: int) -> None:
+        if packet_id in kept.missing:
+            kept.missing.remove(packet_id)
+            if not kept.missing:
+                self.tally.torn -= 1
+                self.tally.frames += 1
+
+
+def _order(n_packets: int, *, reorder: bool) -> list[int]:
+    order = list(range(n_packets))
+    if reorder:
+        for i in range(2, n_packets - 2, 7):
+            order[i], order[i + 1] = order[i + 1], order[i]
+    return order
+
+
+def _strikes(generator: random.Random, probability: float) -> bool:
+    return probability > 0 and generator.random() < probability

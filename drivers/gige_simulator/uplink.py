@@ -1,0 +1,29 @@
+"""The cable all cameras share behind a switch, and the memory of that switch."""
+
+import threading
+import time
+
+
+class Uplink:
+    """Carries `rate_bytes_s`; what finds more than `buffer_bytes` waiting is dropped, as switches do."""
+
+    def __init__(self, *, rate_bytes_s: float, buffer_bytes: int) -> None:
+        if rate_bytes_s <= 0 or buffer_bytes <= 0:
+            raise ValueError("an uplink needs a rate and a buffer")
+        self._rate_bytes_s = rate_bytes_s
+        self._buffer_bytes = buffer_bytes
+        self._lock = threading.Lock()
+        self._waiting_bytes = 0.0
+        self._at_s = time.monotonic()
+
+    def carries(self, n_bytes: int) -> bool:
+        """Take a packet, or drop it."""
+        with self._lock:
+            now_s = time.monotonic()
+            drained_bytes = (now_s - self._at_s) * self._rate_bytes_s
+            self._waiting_bytes = max(0.0, self._waiting_bytes - drained_bytes)
+            self._at_s = now_s
+            if self._waiting_bytes + n_bytes > self._buffer_bytes:
+                return False
+            self._waiting_bytes += n_bytes
+            return True

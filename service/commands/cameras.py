@@ -1,0 +1,64 @@
+"""`stonefall cameras`: which GigE cameras answer, and what they can be set to."""
+
+import json
+from dataclasses import asdict
+from ipaddress import IPv4Address
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from drivers.gvcp import Device, discover, local_addresses
+
+
+def ipv4_address(text: str) -> str:
+    """Refuse what is no IPv4 address."""
+    try:
+        return str(IPv4Address(text))
+    except ValueError as err:
+        raise typer.BadParameter(str(err)) from err
+
+
+def command(
+    xml: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            parser=ipv4_address,
+            help="Print the GenICam XML of the camera at this address.",
+        ),
+    ] = None,
+    interface: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="IP",
+            parser=ipv4_address,
+            help="Look only out of this machine's port with that address; may be repeated.",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a camera.")] = False,
+) -> None:
+    """Find all GigE cameras on the networks of this machine, whoever uses them."""
+    if xml is not None:
+        from drivers.cameras.aravis import genicam_xml  # looking around needs no Aravis
+
+        typer.echo(genicam_xml(xml))
+        return
+    found = discover(interface)
+    if as_json:
+        typer.echo(json.dumps([asdict(device) for device in found], indent=2))
+    elif found:
+        Console().print(_table(found))
+    else:
+        typer.echo(f"No camera answers out of {', '.join(interface or local_addresses())}.")
+
+
+def _table(devices: list[Device]) -> Table:
+    table = Table()
+    for title in ("address", "serial", "user name", "model", "MAC"):
+        table.add_column(title, overflow="fold")
+    for device in devices:
+        model = f"{device.vendor} {device.model} {device.version}"
+        table.add_row(device.address, device.serial, device.user_name, model, device.mac)
+    return table

@@ -1,0 +1,151 @@
+"""`stonefall record`: what a rig sees, into a recording, without the daemon around it.
+
+The devices, the acquisition and the recorder are the daemon's; only nothing is measured.
+"""
+
+import asyncio
+import fcntl
+import json
+import signal
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from drivers.factory import build_devices
+from drivers.files import require_unused
+from drivers.rig_file import read_rig
+from pipeline.frames import Trigger
+from service.acquisition import Acquisition
+from service.control import AcquisitionState, AcquisitionTarget
+from service.errors import ServiceError, SettingsError
+from service.recording_live import MAX_WAITING, EndedBy, LiveRecording, recording_source
+from service.recordings import require_room
+from service.settings import Settings, load_settings, problems
+
+TURN_S = 0.1
+"""How often it is looked whether something has ended."""
+
+
+def command(
+    out: Annotated[Path, typer.Argument(help="Folder of the new recording.")],
+    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
+    count: Annotated[
+        int | None, typer.Option(min=1, help="End after so many stones; default: at Ctrl-C.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Record from the rig of a configuration; Ctrl-C ends it and keeps what is there."""
+    settings = load_settings(config)
+    if wrong := "; ".join(problems(settings)):
+        raise SettingsError(f"{config}: {wrong}")
+    require_unused(out)
+    recording = asyncio.run(_record(settings, out.resolve(), count))
+    status = recording.status()
+    if recording.failure is not None:
+        raise ServiceError(f"{out}: {recording.failure}")
+    summary = {
+        "recording": str(out),
+        "bundles": status.bundles,
+        "stones": recording.stones,
+        "without_frames": recording.without_frames,
+        "bytes": status.bytes,
+        "ended_by": status.ended_by,
+    }
+    typer.echo(
+        json.dumps(summary)
+        if as_json
+        else f"{out}: {recording.stones} stones, {status.bundles - recording.stones} exposures of the empty rig,"
+        f" {status.bytes / 1e6:.1f} MB"
+    )
+    if status.is_cut_short:
+        raise ServiceError(f"{out}: ended early by {status.ended_by}; what was recorded until then is kept")
+
+
+class _Unaccounted:
+    """In the place of the store: nothing is promised about these triggers."""
+
+    async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None:
+        pass
+
+
+async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecording:
+    calibration = read_rig(settings.rig.calibration_path)
+    devices = build_devices(settings.rig.backend_for(calibration))
+    source = recording_source(devices, calibration, settings.model_dump(mode="json")["rig"])
+    require_room(out.parent, count or 1, source, settings.recordings.reserve_bytes)
+    recording = LiveRecording(
+        out,
+        source,
+        compression=settings.recordings.compression,
+        reserve_bytes=settings.recordings.reserve_bytes,
+        made_by={"command": "record", "count": count},
+        count=count,
+        on_through=(lambda: None) if devices.belt is None else devices.belt.permit,
+    )
+    if devices.belt is not None:
+        devices.belt.permit(MAX_WAITING // 2)  # in fast pace; the next ones as these are written
+    rig = Acquisition(
+        devices,
+        session=0,
+        triggers=_Unaccounted(),
+        bundling=settings.bundling,
+        min_cameras=settings.views.min,
+        empty_rig=settings.empty_rig,
+        on_bundle=recording.offer,
+        on_progress=lambda: None,
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, rig.stop)
+    recording.start()
+    acquiring = asyncio.create_task(rig.run())
+    rig.request(AcquisitionTarget.ARMED)
+    trouble = await _follow(rig, acquiring, recording, count)
+    recording.end(EndedBy.STOP)
+    await acquiring
+    await recording.closed.wait()
+    if trouble is not None:
+        raise ServiceError(trouble + _whose_rig(settings.store.dir))
+    return recording
+
+
+async def _follow(
+    rig: Acquisition, acquiring: "asyncio.Task[None]", recording: LiveRecording, count: int | None
+) -> str | None:
+    """Show the progress until rig or recording have ended; why the rig could not be armed, if so."""
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[found]}")
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
+        bar = progress.add_task("arming", total=count, found="")
+        settled = asyncio.create_task(rig.settled.wait())
+        await asyncio.wait([settled, acquiring], return_when=asyncio.FIRST_COMPLETED)
+        settled.cancel()
+        trouble = _why(rig)
+        while not acquiring.done():
+            has_ended = recording.ended_by is not None or recording.closed.is_set()
+            if has_ended or trouble is not None or rig.state is AcquisitionState.DISARMED:
+                rig.stop()
+            await asyncio.wait([acquiring], timeout=TURN_S)
+            found = f"{recording.stones} stones, {rig.cameras.armed} of {len(rig.cameras.ids)} cameras"
+            held = f"held: {rig.trouble}" if rig.trouble else "recording"
+            progress.update(bar, description=held, completed=recording.stones, found=found)
+    return trouble
+
+
+def _why(rig: Acquisition) -> str | None:
+    """Why the rig is held, None when it is not; of several cameras one speaks for all."""
+    causes = [f"; {camera.id}: {camera.last_error}" for camera in rig.cameras.statuses() if camera.last_error]
+    return rig.trouble and rig.trouble + "".join(causes[:1])
+
+
+def _whose_rig(state_dir: Path) -> str:
+    """What to do when a daemon of the same configuration runs: it has the rig."""
+    try:
+        with (state_dir / "store.lock").open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return "; the daemon of this configuration runs and has the rig: ask it, POST /api/v1/recordings"
+    except OSError:
+        return ""
+    return ""

@@ -1,0 +1,122 @@
+"""`stonefall simulate`: the simulated rig, for whoever wants to see real GigE Vision packets without a camera."""
+
+import hashlib
+import json
+import os
+import signal
+import sys
+import tempfile
+import threading
+from contextlib import redirect_stdout
+from enum import StrEnum
+from ipaddress import AddressValueError, IPv4Address
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivers.gige_simulator.rig import RigDesign, SimulatedRig
+from drivers.recording import open_recording
+from service.commands import synthesize
+from service.record import ALGORITHM_VERSION
+
+POLL_S = 0.1
+
+
+class Start(StrEnum):
+    """When the belt starts."""
+
+    AUTO = "auto"
+    MANUAL = "manual"
+
+
+def command(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(help="What falls; default: --bodies, rendered once and kept for the next time."),
+    ] = None,
+    address: Annotated[str, typer.Option(help="Of the first camera; the others follow.")] = "127.0.0.2",
+    cameras: Annotated[int | None, typer.Option(min=1, help="The first so many of the recording.")] = None,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000, help="Stones per second.")] = 4.0,
+    start: Annotated[
+        Start,
+        typer.Option(
+            help="auto: when all cameras acquire and the gate is open; manual: by the control socket."
+        ),
+    ] = Start.AUTO,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Exit when everything fell and was sent.")] = False,
+    gate_link: Annotated[Path | None, typer.Option(help="Name of the gate's serial port.")] = None,
+    control: Annotated[Path | None, typer.Option(help="Name of the control socket.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of clocks, faults and rendered bodies.")] = 0,
+    bodies: Annotated[str, typer.Option(help="What to render; as in `synthesize`.")] = synthesize.STONES,
+    count: Annotated[int, typer.Option(min=1, max=1000, help="How many bodies to render.")] = 10,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print what is there, and counters at the end.")
+    ] = False,
+) -> None:
+    """Play a rig: GigE Vision cameras on loopback, a light gate on a pseudo-terminal, one belt.
+
+    Requests to the control socket are JSON objects, one a line: {"do": "help"} lists them.
+    """
+    if loop and once:
+        raise typer.BadParameter("the end never comes with --loop", param_hint="--once")
+    try:
+        IPv4Address(address)
+    except AddressValueError as err:
+        raise typer.BadParameter(str(err), param_hint="--address") from err
+    source = open_recording(recording or _rendered(bodies, count, seed))
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with tempfile.TemporaryDirectory(prefix="stonefall-simulate-") as folder:
+        design = RigDesign(
+            gate_link=gate_link or Path(folder, "gate"),
+            control=control or Path(folder, "control"),
+            first_address=address,
+            n_cameras=cameras,
+            rate_hz=rate,
+            is_looping=loop,
+            seed=seed,
+        )
+        with SimulatedRig(design, source) as rig:
+            if start is Start.AUTO:
+                rig.belt.start_when(lambda: rig.is_ready)
+            typer.echo(json.dumps(_document(design, rig)) if as_json else _text(design, rig))
+            sys.stdout.flush()
+            while not (stop.wait(POLL_S) or (once and rig.is_over)):
+                pass
+    if as_json:
+        typer.echo(json.dumps(rig.counters()))
+
+
+def _rendered(bodies: str, count: int, seed: int) -> Path:
+    """A recording of these bodies, made the first time somebody asks for them."""
+    wanted = json.dumps([bodies, count, seed, ALGORITHM_VERSION])
+    name = f"recording-{hashlib.sha256(wanted.encode()).hexdigest()[:12]}"
+    folder = Path(tempfile.gettempdir(), f"stonefall-{os.getuid()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    path = folder / name
+    if not path.exists():
+        with redirect_stdout(sys.stderr):
+            synthesize.command(path, bodies=bodies, count=count, seed=seed)
+    return path
+
+
+def _document(design: RigDesign, rig: SimulatedRig) -> dict[str, object]:
+    return {
+        "cameras": [
+            {"id": camera.design.id, "serial": camera.design.serial, "address": camera.design.address}
+            for camera in rig.cameras.values()
+        ],
+        "gate": str(design.gate_link),
+        "control": str(design.control),
+    }
+
+
+def _text(design: RigDesign, rig: SimulatedRig) -> str:
+    cameras = [
+        f"{camera.design.id}  {camera.design.address:15}  {camera.design.serial}"
+        for camera in rig.cameras.values()
+    ]
+    return "\n".join([*cameras, f"gate     {design.gate_link}", f"control  {design.control}"])

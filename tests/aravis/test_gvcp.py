@@ -1,0 +1,88 @@
+"""Discovery and action commands, over our own datagrams."""
+
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from support.gige import INTERFACE, NET, design, powered
+
+from drivers.gige_simulator.camera import SimulatedCamera
+from drivers.gvcp import GVCP_PORT, Device, action_command, discover, local_addresses, probe
+
+
+@pytest.fixture
+def camera() -> Iterator[SimulatedCamera]:
+    with powered(design()) as simulated:
+        yield simulated
+
+
+def ours(devices: list[Device]) -> list[Device]:
+    """Other simulators of this machine answer as well."""
+    return [device for device in devices if device.address.startswith(f"{NET}.")]
+
+
+def test_a_camera_says_who_it_is(camera: SimulatedCamera) -> None:
+    device = probe(f"{NET}.2")
+    assert device is not None
+    assert (device.address, device.serial, device.user_name) == (f"{NET}.2", "SIM02", "place 2")
+    assert len(device.mac.split(":")) == 6
+    assert ours(discover([INTERFACE])) == [device]
+
+
+@pytest.mark.usefixtures("camera")
+def test_everybody_answers_a_broadcast_in_order_of_addresses() -> None:
+    with powered(design(10)), powered(design(3)):
+        assert [device.serial for device in ours(discover())] == ["SIM02", "SIM03", "SIM10"]
+
+
+def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
+        mute.bind((f"{NET}.9", GVCP_PORT))
+        start_s = time.monotonic()
+        assert probe(f"{NET}.9") is None
+        assert time.monotonic() - start_s < 0.2
+    assert probe(f"{NET}.9") is None  # refused
+    assert probe("240.0.0.1") is None  # unreachable
+
+
+def test_a_lost_datagram_is_no_dead_camera() -> None:
+    """The second question is answered, and so is what is no answer passed over."""
+    with ThreadPoolExecutor(1) as executor, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf_at_first:
+        deaf_at_first.bind((f"{NET}.9", GVCP_PORT))
+        deaf_at_first.settimeout(5)
+        probing = executor.submit(probe, f"{NET}.9", timeout_s=2.0)
+        first, _ = deaf_at_first.recvfrom(100)
+        second, peer = deaf_at_first.recvfrom(100)
+        assert first[:6] == second[:6] == bytes.fromhex("420100020000")
+        registers = bytearray(0xF8)
+        registers[0xD8:0xDC] = b"S123"
+        deaf_at_first.sendto(b"noise", peer)
+        deaf_at_first.sendto(struct.pack(">HHHH", 0, 0x81, 0xF8, 2) + registers, peer)
+        deaf_at_first.sendto(struct.pack(">HHHH", 0, 3, 0xF8, 2) + registers, peer)
+        device = probing.result()
+    assert device is not None
+    assert device.serial == "S123"
+
+
+def test_an_address_of_another_machine_is_refused_by_name() -> None:
+    with pytest.raises(OSError, match=r"out of 198\.51\.100\.7.*this machine has .*127\.0\.0\.1"):
+        discover(["198.51.100.7"])
+    assert "127.0.0.1" in local_addresses()
+    with pytest.raises(ValueError, match="camera-1"):
+        probe("camera-1")
+
+
+def test_action_command_on_the_wire() -> None:
+    keys = {"device_key": 7, "group_key": 2, "group_mask": 0x80000001}
+    assert action_command(**keys, request_id=9) == bytes.fromhex(
+        "42 00 0100 000c 0009 00000007 00000002 80000001"
+    )
+    assert action_command(**keys, request_id=9, at_ns=5) == bytes.fromhex(
+        "42 80 0100 0014 0009 00000007 00000002 80000001 0000000000000005"
+    )
+    for request_id in (0, 0x10000):
+        with pytest.raises(ValueError, match="request_id"):
+            action_command(**keys, request_id=request_id)

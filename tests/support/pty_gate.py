@@ -1,0 +1,124 @@
+"""A light gate on a pseudo-terminal: the device side of `SerialGate`, driven edge by edge by a test."""
+
+import os
+import select
+import threading
+import time
+import tty
+from pathlib import Path
+
+from drivers.gates.gate_protocol import (
+    IDENTIFY,
+    SEQUENCES,
+    TEST_PULSE,
+    Edge,
+    Identity,
+    Record,
+    Status,
+    TestPulse,
+    Width,
+    encode,
+)
+
+
+class PtyGate:
+    """Answers commands; edges, statuses, bytes and silence are the test's.
+
+    `link` is the stable name: a symbolic link that outlives `unplug` and `plug`. Its clock is the host's
+    since power-on, and what it sends it sends at once.
+    """
+
+    def __init__(self, link: Path, *, first_sequence: int = 1) -> None:
+        self.link = link
+        self.last_sequence = (first_sequence - 1) % SEQUENCES
+        self.ignored = 0
+        self.is_blocked = False
+        self.answers = True
+        self._booted_ns = time.monotonic_ns()
+        self._sending = threading.Lock()
+        self._stopping = threading.Event()
+        self._fd: int | None = None
+        self._thread: threading.Thread | None = None
+        self.plug()
+
+    def plug(self) -> None:
+        """Appear under the link."""
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        self._fd, self._slave = master, slave  # ours stays open, or reading fails until a host comes
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(slave))
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._obey, args=(master,), daemon=True, name="pty gate")
+        self._thread.start()
+
+    def unplug(self) -> None:
+        """Vanish; idempotent."""
+        if self._thread is None or self._fd is None:
+            return
+        self._stopping.set()
+        self._thread.join()
+        self._thread = None
+        os.close(self._slave)
+        os.close(self._fd)
+        self._fd = None
+        self.link.unlink()
+
+    def restart(self) -> None:
+        """Forget time and numbers, as at a loss of power."""
+        self._booted_ns = time.monotonic_ns()
+        self.last_sequence = self.ignored = 0
+
+    @property
+    def device_us(self) -> int:
+        return (time.monotonic_ns() - self._booted_ns) // 1000
+
+    def edge(self, *, width_us: int | None = None, is_told: bool = True, at_us: int | None = None) -> Edge:
+        """Count a stone; unless `is_told` no line says so."""
+        edge = Edge(self._count(), self.device_us if at_us is None else at_us)
+        if is_told:
+            self.send(edge)
+            if width_us is not None:
+                self.send(Width(edge.sequence, width_us))
+        return edge
+
+    def status(self) -> None:
+        self.send(
+            Status(
+                device_us=self.device_us,
+                last_sequence=self.last_sequence,
+                ignored=self.ignored,
+                is_blocked=self.is_blocked,
+            )
+        )
+
+    def send(self, record: Record) -> None:
+        self.send_bytes(encode(record))
+
+    def send_bytes(self, data: bytes) -> None:
+        with self._sending:
+            if self._fd is not None:
+                os.write(self._fd, data)
+
+    def _count(self) -> int:
+        self.last_sequence = (self.last_sequence + 1) % SEQUENCES
+        return self.last_sequence
+
+    def _obey(self, fd: int) -> None:
+        received = b""
+        while not self._stopping.is_set():
+            if not select.select([fd], [], [], 0.02)[0]:
+                continue
+            received += os.read(fd, 256)
+            *commands, received = received.split(b"\n")
+            for command in commands:
+                self._answer(command + b"\n")
+
+    def _answer(self, command: bytes) -> None:
+        if not self.answers:
+            return
+        if command == IDENTIFY:
+            self.send(Identity(name="pty-gate", serial="7", version="1.0"))
+            self.status()
+        elif command == TEST_PULSE:
+            self.send(TestPulse(self._count(), self.device_us))
