@@ -61,6 +61,12 @@ def is_running(process: int) -> bool:
         return False
 
 
+def number_of(bundle: str) -> int | None:
+    """Which one of the recording it is: a replay in a loop numbers its rounds behind that, live cameras count."""
+    number = re.match(r"\d+", bundle)
+    return int(number[0]) if number else None
+
+
 def row(item: dict[str, Any], truth: dict[str, Any] | None) -> str:
     measured = item["outcome"] == "measured"
     volume_error = sieve_error = ""
@@ -88,12 +94,13 @@ def main() -> int:
     parser.add_argument("base", help="such as http://127.0.0.1:8080")
     parser.add_argument("--truth", type=Path, help="truth.jsonl of a synthetic recording")
     parser.add_argument("--once", action="store_true", help="end when all triggers have their outcome")
+    parser.add_argument("--stones", type=int, help="so many fall; without, the daemon knows the end")
     parser.add_argument("--while-process", type=int, help="stop waiting when this process is gone")
     arguments = parser.parse_args()
     truth = {}
     if arguments.truth:
         records = [json.loads(line) for line in arguments.truth.read_text().splitlines()]
-        truth = {record["bundle"]: record for record in records}
+        truth = {number_of(record["bundle"]): record for record in records}
     base, process = arguments.base, arguments.while_process
     wait_until_ready(base, process)
     print(f"results   {base}/api/v1/results")
@@ -107,8 +114,7 @@ def main() -> int:
             time.sleep(0.5)  # keep the cursor over an outage
             continue
         for item in page["items"]:
-            # a replay in a loop numbers its rounds behind the name: 000006-sphere-r2
-            print(row(item, truth.get(re.sub(r"-r\d+$", "", item["bundle"]))), flush=True)
+            print(row(item, truth.get(number_of(item["bundle"]))), flush=True)
         cursor = page["next_after"]
         if arguments.once and not page["items"]:
             counts, acquisition = ask(base, "/accounting", process), ask(base, "/acquisition", process)
@@ -117,9 +123,12 @@ def main() -> int:
             if is_through:
                 return summary(counts)
             # then once more for what came between the two answers
-            is_through = (
-                counts["triggers"] > 0 and counts["in_progress"] == 0 and acquisition["state"] == "disarmed"
+            has_ended = (
+                acquisition["state"] == "disarmed"
+                if arguments.stones is None
+                else counts["triggers"] >= arguments.stones
             )
+            is_through = counts["triggers"] > 0 and counts["in_progress"] == 0 and has_ended
 
 
 def summary(counts: dict[str, Any]) -> int:

@@ -24,6 +24,7 @@ ACK_REQUIRED = 0x01
 SCHEDULED = 0x80
 """Flag of an action command: it carries the time at which to act."""
 DISCOVERY, DISCOVERY_ACK = 0x02, 0x03
+READ_MEMORY, READ_MEMORY_ACK = 0x84, 0x85
 ACTION, ACTION_ACK = 0x100, 0x101
 HEADER = struct.Struct(">BBHHH")
 """Of a command: key, flags, command, bytes that follow, request id."""

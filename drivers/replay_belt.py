@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 
 from drivers.errors import RecordingError
 from drivers.interfaces import DeviceEvent, EventSink, FrameLost, PlaybackEnded
+from drivers.outlet import Outlet
 from drivers.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
 from pipeline.frames import CameraId, Frame, Trigger
 
@@ -35,31 +36,6 @@ FRAME_DELAY_NS = 259_400_000
 
 UNREADABLE = "unreadable"
 """How the reason of every frame of an unreadable bundle begins."""
-
-
-class Outlet:
-    """Where a device's sink is plugged in; once `unplug` returns nothing more is delivered."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._sink: EventSink | None = None
-
-    @property
-    def is_plugged(self) -> bool:
-        return self._sink is not None
-
-    def plug(self, sink: EventSink) -> None:
-        with self._lock:
-            self._sink = sink
-
-    def unplug(self) -> None:
-        with self._lock:
-            self._sink = None
-
-    def deliver(self, event: DeviceEvent) -> None:
-        with self._lock:
-            if self._sink is not None:
-                self._sink.deliver(event)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -193,11 +193,11 @@ class Acquisition:
             if self.gate.state == "armed":
                 await self.gate.call(self._devices.gate.test_pulse)
 
-        def is_quiet() -> bool:
+        def is_quiet(for_s: float) -> bool:
             return (
                 self.state is AcquisitionState.ARMED
                 and assembler.next_deadline_ns is None
-                and self.last_trigger_age_s > self._bundling.quiet_s
+                and self.last_trigger_age_s > max(for_s, self._bundling.quiet_s)
             )
 
         await expose_empty_rig(self._empty_rig, fire, is_quiet)

@@ -116,7 +116,7 @@ class BundleAssembler:
         self._n_exposing = 0
         self._n_orphans = 0  # since the gate's last gap
         self._last_sequence = 0
-        self._last_trigger_ns: int | None = None
+        self._last_trigger: Trigger | None = None  # that exposed
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
         self._last_used: dict[CameraId, tuple[int, int]] = {}  # frame id, ordinal
         self.counters = BundlingCounters(cameras={camera: CameraCounters() for camera in self._camera_ids})
@@ -140,6 +140,7 @@ class BundleAssembler:
                     insort(self._held, event, key=_received_ns)
             case CameraLost():
                 self._gone.add(event.camera)
+                self._exposures[event.camera] = ExposureCheck(self._window_ns)  # its clock may begin anew
                 for window in self._open:
                     if event.camera not in window.frames:
                         window.lost.setdefault(event.camera, CAMERA_LOST)
@@ -184,9 +185,9 @@ class BundleAssembler:
     def _announce(self, trigger: Trigger) -> None:
         """Expect the frames of a trigger, unless another one's are on their way."""
         self._last_sequence = trigger.sequence
-        last_ns = self._last_trigger_ns
-        if last_ns is None or trigger.received_ns - last_ns >= self._dead_time_ns:
-            self._last_trigger_ns = trigger.received_ns
+        last = self._last_trigger
+        if last is None or self._spacing_ns(last, trigger) >= self._dead_time_ns:
+            self._last_trigger = trigger
             self._open_window(trigger)
             return
         if self._open and self._open[-1].trigger.kind is BundleKind.BACKGROUND:
@@ -199,6 +200,13 @@ class BundleAssembler:
         window.in_dead_time = True
         window.lost = dict.fromkeys(self._camera_ids, DEAD_TIME)
         self._open.append(window)
+
+    def _spacing_ns(self, earlier: Trigger, later: Trigger) -> int:
+        """By the gate's own clock, which knows no latency, unless that was set anew in between."""
+        by_host_ns = later.received_ns - earlier.received_ns
+        by_gate_ns = later.device_ns - earlier.device_ns
+        has_clock = earlier.device_ns and later.device_ns
+        return by_gate_ns if has_clock and abs(by_gate_ns - by_host_ns) < self._window_ns else by_host_ns
 
     def _open_window(self, trigger: Trigger) -> None:
         self.counters.triggers += 1

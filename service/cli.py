@@ -17,6 +17,7 @@ COMMANDS = {
     "import": "service.commands.import_images",
     "export": "service.commands.export_images",
     "measure": "service.commands.measure",
+    "record": "service.commands.record",
     "shape": "service.commands.shape",
     "simulate": "service.commands.simulate",
     "cameras": "service.commands.cameras",

@@ -11,6 +11,7 @@ from typing import Protocol
 
 from pipeline.frames import CameraId
 from service.errors import ServiceError
+from service.recordings import Recordings
 
 
 class AcquisitionState(StrEnum):
@@ -108,7 +109,7 @@ class Health:
     reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
     checks: Mapping[str, Check] = field(default_factory=dict)
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `calibration`, `clock`, `store`, `disk`."""
+    `calibration`, `clock`, `store`, `disk`, `recording`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,6 +167,9 @@ class AcquisitionStatus:
 
 class Control(Protocol):
     """The running daemon as the REST interface sees it; every method is called on the event loop."""
+
+    @property
+    def recordings(self) -> Recordings: ...
 
     def acquisition(self) -> AcquisitionStatus: ...
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from drivers.factory import build_devices
 from drivers.rig_file import read_rig
-from pipeline.frames import CameraId
+from pipeline.frames import CameraId, FrameBundle
 from service.acquisition import Acquisition
 from service.api.app import create_app
 from service.api.server import server_config
@@ -24,6 +24,8 @@ from service.health import Facts, assess
 from service.loop_watch import LoopWatch
 from service.processing import Processing, ProcessingContext
 from service.record import ALGORITHM_VERSION
+from service.recording_live import recording_source
+from service.recordings import Recordings, open_recordings
 from service.rest_server import RestServer, listen
 from service.settings import Settings
 from service.spool import Spool
@@ -80,6 +82,7 @@ class Daemon:
     folder: Path  # on tmpfs, for bundles and for the workers' files
     pool: WorkerPool
     spool: Spool
+    recordings: Recordings
     rig: Acquisition
     processing: Processing
     heartbeats: Heartbeats
@@ -119,6 +122,7 @@ class Daemon:
                 calibration_id=self.calibration_id,
                 last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
+                recording_trouble=self.recordings.trouble,
             )
         )
 
@@ -172,6 +176,18 @@ async def build(settings: Settings, store: Store) -> Daemon:
         # in fast pace a new bundle comes for each that is through: enough to keep the workers busy
         devices.belt.permit(min(2 * settings.workers.slots + 1, settings.spool.max_bundles))
         spool.on_release = devices.belt.permit
+    recordings = await asyncio.to_thread(
+        open_recordings,
+        settings.store.dir / "recordings",
+        recording_source(devices, calibration, settings.model_dump(mode="json")["rig"]),
+        settings.recordings,
+        {"command": "serve", "instance_id": store.instance_id, "session": session},
+    )
+
+    def on_bundle(bundle: FrameBundle) -> None:
+        recordings.offer(bundle)
+        spool.offer(bundle)
+
     rig = Acquisition(
         devices,
         session=session,
@@ -179,7 +195,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         bundling=settings.bundling,
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
-        on_bundle=spool.offer,
+        on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat("acquisition", time.monotonic()),
     )
     processing = Processing(
@@ -205,6 +221,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         folder=folder,
         pool=pool,
         spool=spool,
+        recordings=recordings,
         rig=rig,
         processing=processing,
         heartbeats=heartbeats,
@@ -236,6 +253,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         daemon = await build(settings, store)
         ending.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder, ignore_errors=True)
         ending.callback(daemon.pool.close)
+        ending.push_async_callback(daemon.recordings.close)
         server = RestServer(server_config(create_app(store, daemon, settings.api), settings.api))
         manager.notify("STATUS=warming up the workers")
         await daemon.pool.start()

@@ -11,6 +11,8 @@ from drivers.errors import GateUnavailableError
 log = logging.getLogger(__name__)
 
 POLL_S = 0.1
+STARVED_S = 5.0
+"""Without a stone for so long the next one will hardly fall just now: it would be lost with the exposure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,9 +30,9 @@ class EmptyRigParameters:
 
 
 async def expose_empty_rig(
-    parameters: EmptyRigParameters, fire: Callable[[], Awaitable[None]], is_quiet: Callable[[], bool]
+    parameters: EmptyRigParameters, fire: Callable[[], Awaitable[None]], is_quiet: Callable[[float], bool]
 ) -> None:
-    """Call `fire` as often as asked for, only while `is_quiet`: nothing in the air, nothing expected.
+    """Call `fire` as often as asked for, only while `is_quiet`: nothing in the air, no stone for so many seconds.
 
     Returns when there is nothing to do, or when the rig has no way to be exposed on purpose.
     """
@@ -38,7 +40,7 @@ async def expose_empty_rig(
     due_s = time.monotonic()
     while n_done < parameters.at_start or parameters.every_s:
         await asyncio.sleep(POLL_S)
-        if time.monotonic() < due_s or not is_quiet():
+        if time.monotonic() < due_s or not is_quiet(0 if n_done < parameters.at_start else STARVED_S):
             continue
         try:
             await fire()

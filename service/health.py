@@ -47,6 +47,7 @@ class Facts:
     calibration_id: str
     last_seq: int  # the newest durable result
     free_bytes: int  # on the store's file system
+    recording_trouble: str | None = None  # why a recording ended early
 
 
 def assess(facts: Facts) -> Health:
@@ -144,6 +145,8 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
         unit="bytes",
         detail=f"{facts.free_bytes / 1e9:.1f} GB free for results",
     )
+    trouble = facts.recording_trouble
+    checks["recording"] = Check(status=_status(warn=trouble is not None), detail=trouble)
     return checks
 
 

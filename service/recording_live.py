@@ -1,4 +1,4 @@
-"""One live recording: bundles are offered on the loop, written and compressed in a thread of their own.
+"""One live recording: bundles are offered on the loop and written in a thread of their own.
 
 The disk may be slow, full or gone: the loop never waits for it, and what waits for it is bounded. When that
 bound or the reserve of free space is reached, the recording ends early, says so and keeps what it has; when
@@ -6,7 +6,6 @@ it cannot be written it fails and leaves nothing. The cameras and the measuring 
 """
 
 import asyncio
-import os
 import queue
 import shutil
 import threading
@@ -27,8 +26,6 @@ from pipeline.rig import RigCalibration
 
 MAX_WAITING = 16
 """So many bundles may wait for the disk: four seconds at four stones a second, 340 MB with 16 cameras."""
-NICENESS = 10
-"""As the workers': it compresses, and frames come first."""
 
 
 class EndedBy(StrEnum):
@@ -165,6 +162,7 @@ class LiveRecording:
             self._waiting.put(self._in_order(bundle))
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
+        # not niced: a starved thread that holds the interpreter's lock blocks the loop, 240 ms were measured
         self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=True)
 
     def start(self, duration_s: float | None = None) -> None:
@@ -231,7 +229,6 @@ class LiveRecording:
     # --- the thread ---
 
     def _run(self) -> None:
-        os.nice(NICENESS)  # of this thread alone (nice(2), Linux)
         ended_by: EndedBy | None = None
         failure: str | None = "the recorder broke off, the journal says why"
         try:

@@ -308,7 +308,9 @@ class AravisRigSettings:
                     else ()
                 ),
                 *trigger_features(
-                    source=source, activation=self.trigger_activation, delay_us=self.trigger_delay_ms * 1e3
+                    source=source,
+                    activation=self.trigger_activation,
+                    delay_us=round(self.trigger_delay_ms * 1e3),
                 ),
                 *self.features,
                 *place.features,

@@ -1,6 +1,6 @@
 """A GigE Vision camera through Aravis.
 
-Control calls to a camera that is gone take 2.5 s to fail and closing it 5 s, so a datagram of our own asks
+Control calls to a camera that is gone take 2.5 s to fail and closing it 8 s, so a datagram of our own asks
 first whether it is there; what may block all the same holds this camera's lock and no other.
 """
 
@@ -25,12 +25,16 @@ from drivers.errors import CameraUnavailableError
 from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
 
-PROBE_S = 0.2
+PROBE_S = 0.25
 """How long a camera may take to say that it is there."""
 FULL_LINK_MBIT_S = 1000
+POLLED = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
+"""Features `examine` reports, of those a camera has."""
 
 _LINK_SPEED, _HEARTBEAT_MS, _CONTROL_PRIVILEGE, _STREAM_PORT = 0x670, 0x938, 0xA00, 0xD00
 """Bootstrap registers, the same in every camera: in Mbit/s; in ms; 0 when nobody has control; 0 for no stream."""
+_CONTROL = 0x2
+"""Control privilege: ours to write, others may read."""
 
 
 class AravisCamera:
@@ -122,7 +126,7 @@ class AravisCamera:
                         self._camera.stop_acquisition()
 
     def close(self) -> None:
-        """Leave the camera to others; when it is gone this takes 5 s, in Aravis."""
+        """Leave the camera to others; when it is gone this takes up to 8 s, in Aravis and without the GIL."""
         with self._control:
             self.disarm()
             if self._camera is not None:
@@ -168,8 +172,10 @@ class AravisCamera:
             packets.append(("GevSCPSPacketSize", settings.packet_size_bytes))
         self._applied = features.apply([*all_features(settings), *packets])
         features.verify(self._applied)  # a later setting may have changed an earlier one
-        names = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
-        self._polled = {name: own for name in names if (own := features.own_name(name))}
+        self._polled = {}
+        for name in POLLED:
+            if own := features.own_name(name):
+                self._polled[name] = own
 
     def _prepare_stream(self) -> None:
         settings, aravis = self._settings, load_aravis(self.id)
@@ -196,9 +202,11 @@ class AravisCamera:
         self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
         self._stream.set_property("socket-buffer-size", 0)
         host = self._camera.get_device().get_interface_address().get_address().to_string()
-        self._receive_buffer_bytes = widen_receive_buffer(
-            (host, self._stream.get_port()), settings.receive_buffer_bytes
-        )
+        local = (host, self._stream.get_port())
+        try:
+            self._receive_buffer_bytes = widen_receive_buffer(local, settings.receive_buffer_bytes)
+        except LookupError as err:
+            raise CameraUnavailableError(self.id, f"cannot widen its receive buffer: {err}") from err
         self._warnings = tuple(self._opening_warnings())
         for _ in range(settings.n_buffers):
             pixels = np.zeros(payload_bytes, np.uint8)
@@ -227,31 +235,28 @@ class AravisCamera:
     # --- watching ---
 
     def _require_control(self) -> None:
-        """Raise when the camera forgot us: another application has it, or it was switched off and on."""
-        is_ours = not self._control_lost.is_set() and self._register(_CONTROL_PRIVILEGE) != 0
-        if not is_ours or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
-            raise CameraUnavailableError(
-                self.id, "control was lost: switched off and on, or taken by another application"
-            )
+        """Raise when the camera forgot us, by switching off and on, or obeys another application."""
+        is_known = not self._control_lost.is_set() and self._register(_CONTROL_PRIVILEGE) != 0
+        if not is_known or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
+            raise CameraUnavailableError(self.id, "control was lost: the camera was restarted, or let us go")
+        try:
+            with explained(self.id, "keep it"):  # whoever has control may say so again, nobody else
+                self._camera.get_device().write_register(_CONTROL_PRIVILEGE, _CONTROL)
+        except CameraUnavailableError as err:
+            raise CameraUnavailableError(self.id, f"control was lost: {err.problem}") from err
 
     def _vitals(self, device: gvcp.Device) -> CameraVitals:
-        features, warnings, offset_ns = self._features(), list(self._warnings), None
-
-        def poll(name: str) -> Any:
-            return features.read(self._polled[name]) if name in self._polled else None
-
-        if poll("PtpEnable"):
-            if "PtpDataSetLatch" in self._polled:
-                features.execute(self._polled["PtpDataSetLatch"])
-            offset_ns = poll("PtpOffsetFromMaster")
-            if (status := poll("PtpStatus")) not in (None, "Slave"):
+        polled, warnings, ptp_offset_ns = self._poll(), list(self._warnings), None
+        if polled.get("PtpEnable"):
+            ptp_offset_ns = polled.get("PtpOffsetFromMaster")
+            if (status := polled.get("PtpStatus", "Slave")) != "Slave":
                 warnings.append(f"its clock follows no PTP master (status {status}): is one running?")
         return CameraVitals(
             serial=device.serial,
             model=device.model,
             address=device.address,
-            temperature_c=poll("DeviceTemperature"),
-            ptp_offset_ns=offset_ns,
+            temperature_c=polled.get("DeviceTemperature"),
+            ptp_offset_ns=ptp_offset_ns,
             receive_buffer_bytes=self._receive_buffer_bytes,
             frames=self._counter("n_completed_buffers"),
             failed_frames=self._counter("n_failures"),
@@ -259,6 +264,16 @@ class AravisCamera:
             resent_packets=self._counter("n_resent_packets"),
             warnings=tuple(warnings),
         )
+
+    def _poll(self) -> dict[str, Any]:
+        """Values now, by SFNC name; commands are given, as the latch must be before the offset is read."""
+        features, polled = self._features(), {}
+        for name, own in self._polled.items():
+            if name == "PtpDataSetLatch":
+                features.execute(own)
+            else:
+                polled[name] = features.read(own)
+        return polled
 
     def _is_there(self) -> bool:
         device = self._device
@@ -283,17 +298,3 @@ def _forgetful() -> Iterator[None]:
     except CameraUnavailableError as err:
         traceback.clear_frames(err.__traceback__)
         raise
-
-
-def genicam_xml(address: str) -> str:
-    """Return the description of its features that the camera at this address carries.
-
-    Raises `CameraUnavailableError` when nobody answers there or what answers has none.
-    """
-    name = f"camera at {address}"
-    if gvcp.probe(address) is None:
-        raise CameraUnavailableError(name, "does not answer")
-    aravis = load_aravis(name)
-    with explained(name, "read its GenICam XML"):
-        xml, _ = aravis.Camera.new(address).get_device().get_genicam_xml()
-    return str(xml)

@@ -38,13 +38,21 @@ class FeatureAccess:
     def own_name(self, name: str) -> str | None:
         """What this camera calls the feature with that SFNC name; nothing when it has none."""
         with explained(self._camera, f"ask for {name}"):
-            names = (name, *OTHER_NAMES.get(name, ()))
-            return next((own for own in names if self._device.is_feature_available(own)), None)
+            for own in (name, *OTHER_NAMES.get(name, ())):
+                if self._device.is_feature_available(own):
+                    return own
+        return None
 
     def apply(self, features: Iterable[Feature]) -> list[Applied]:
         """Write in order, read each back; returns what `verify` is to find from now on."""
-        applied = [self._apply(name, wanted) for name, wanted in features]
-        return [feature for feature in applied if feature is not None]
+        applied = []
+        for (
+            name,
+            wanted,
+        ) in features:  # no comprehension: its closure would keep the camera as long as its error
+            if (feature := self._apply(name, wanted)) is not None:
+                applied.append(feature)
+        return applied
 
     def verify(self, applied: Iterable[Applied]) -> None:
         """Read all features back; raises `CameraUnavailableError` at the first that is not as it was applied."""

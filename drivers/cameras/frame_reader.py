@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import CameraLost, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, Image
 
-POP_US = 100_000
+POP_US = 50_000
 """How long one wait for a frame lasts, and so how long `stop` may take."""
 OLDEST_NS = 1_000_000_000
 """A frame is not older than this: else the wall clock was set between its leader and now."""
@@ -42,9 +42,15 @@ class FrameReader:
         self._thread: threading.Thread | None = None
 
     def start(self, sink: EventSink) -> None:
-        """Forget what is left from before, then deliver."""
+        """Forget what is left from before, then deliver.
+
+        The camera will count its frames from 1 again, which Aravis' receive thread would throw away as late
+        ones of before: only a new thread has no before.
+        """
+        self._stream.stop_thread(False)
         while (stale := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(stale)
+        self._stream.start_thread()
         self._is_stopping.clear()
         self._thread = threading.Thread(
             target=self._run, args=(sink,), name=f"frames of {self._camera}", daemon=True

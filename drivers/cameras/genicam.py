@@ -59,9 +59,7 @@ class GigeCameraSettings:
     interfaces: tuple[str, ...] = ()  # this machine's IPv4 addresses to look for it; all of them if empty
     image_size_px: tuple[int, int]  # (W, H); the region, from the sensor's corner
     features: tuple[Feature, ...] = ()
-    packet_size_bytes: int | None = (
-        8192  # with IP and UDP header, what the network's MTU must hold; None: negotiated
-    )
+    packet_size_bytes: int | None = 8192  # with IP and UDP headers, so the MTU needed; None: negotiated
     packet_delay_ns: int = 0
     throughput_limit_bytes_s: int | None = None
     receive_buffer_bytes: int = 4 << 20  # of the stream's socket
@@ -78,16 +76,16 @@ class GigeCameraSettings:
                 IPv4Address(address)
             except ValueError as err:
                 raise ValueError(f"{where}: {err}") from None
+        lows = {"packet_delay_ns": 0, "receive_buffer_bytes": 1, "n_buffers": 2}
+        for name, low in lows.items():
+            if getattr(self, name) < low:
+                raise ValueError(f"{where}: {name} must be {low} or more, not {getattr(self, name)}")
         if min(self.image_size_px) < 1:
             raise ValueError(f"{where}: image_size_px must be positive, not {self.image_size_px}")
         if self.packet_size_bytes is not None and not 576 <= self.packet_size_bytes <= 9000:
             raise ValueError(f"{where}: packet_size_bytes must be 576 to 9000, not {self.packet_size_bytes}")
-        if self.packet_delay_ns < 0:
-            raise ValueError(f"{where}: packet_delay_ns must not be negative, not {self.packet_delay_ns}")
         if self.throughput_limit_bytes_s is not None and self.throughput_limit_bytes_s <= 0:
             raise ValueError(f"{where}: throughput_limit_bytes_s must be positive")
-        if self.n_buffers < 2 or self.receive_buffer_bytes <= 0:
-            raise ValueError(f"{where}: at least 2 buffers and 1 byte to receive into are needed")
 
 
 def trigger_features(*, source: str, activation: str = "RisingEdge", delay_us: float) -> tuple[Feature, ...]:

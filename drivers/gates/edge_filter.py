@@ -1,9 +1,8 @@
 """One stone, one trigger: merges the bounces of a beam that closes and opens. No clock; times are arguments.
 
-The stone is announced at its first edge, at once. An edge that follows the last one of the same kind of
-disturbance within the debounce time belongs to the same stone; how long the beam was closed is known only
-when it has been open for that long. Two stones in quick succession stay two: what becomes of the second is
-not for the gate to decide.
+A stone is announced at its first edge, at once. A beam that closes again within the debounce time after its
+last edge is the same stone's; how long it was closed is known only when it has been open for that time.
+Two stones in quick succession stay two: what becomes of the second is not for the gate to decide.
 """
 
 from dataclasses import dataclass
@@ -31,6 +30,8 @@ class Bounced:
     at_ns: int
 
 
+NEVER_NS = -(1 << 62)
+
 Pulse = Began | Ended | Bounced
 
 
@@ -41,12 +42,12 @@ class EdgeFilter:
         if debounce_ns < 0:
             raise ValueError(f"debounce_ns must not be negative, not {debounce_ns}")
         self._debounce_ns = debounce_ns
-        self._state: Literal["idle", "closed", "opened"] = "idle"
-        self._began_ns = self._last_ns = 0  # first and last edge of the pulse, unless idle
+        self.reset()
 
     def reset(self) -> None:
         """Forget the pulse that is going on."""
-        self._state = "idle"
+        self._state: Literal["idle", "closed", "opened"] = "idle"
+        self._began_ns = self._last_ns = NEVER_NS  # first and last edge of the pulse, or of the one before
 
     @property
     def settles_at_ns(self) -> int | None:
@@ -70,8 +71,10 @@ class EdgeFilter:
         return pulses
 
     def _close(self, at_ns: int) -> Pulse:
-        is_bounce = self._state != "idle" and at_ns - self._last_ns < self._debounce_ns
-        self._state, self._last_ns = "closed", at_ns
+        is_bounce = at_ns - self._last_ns < self._debounce_ns
+        self._last_ns = at_ns
+        if not (is_bounce and self._state == "idle"):  # told too late, it no longer counts for the width
+            self._state = "closed"
         if is_bounce:
             return Bounced(at_ns)
         self._began_ns = at_ns  # also when the opening before it was missed: that width stays unknown

@@ -26,6 +26,7 @@ class FiringGate:
         self._sink: EventSink | None = None
         self._lock = threading.Lock()  # a test pulse comes from another thread than the gate's triggers
         self._n_fired = 0  # test pulses, which the other gate does not count
+        self._shift = 0  # of the last trigger's number, and so of its width
         self._last_sequence = -1
         self._is_lost = False
 
@@ -75,7 +76,7 @@ class FiringGate:
                 case Trigger():
                     return self._pass_on(event, self._sink)
                 case PulseEnded():
-                    return self._sink.deliver(replace(event, sequence=event.sequence + self._n_fired))
+                    return self._sink.deliver(replace(event, sequence=event.sequence + self._shift))
                 case GateLost() if self._is_lost:
                     return True
             return self._sink.deliver(event)
@@ -86,7 +87,8 @@ class FiringGate:
             self._fire()
         except (OSError, DriverError) as err:
             problem = f"cannot trigger the cameras: {err}"
-        self._last_sequence = trigger.sequence + self._n_fired
+        self._shift = self._n_fired
+        self._last_sequence = trigger.sequence + self._shift
         is_taken = sink.deliver(replace(trigger, sequence=self._last_sequence))
         if problem is not None and not self._is_lost:
             self._is_lost = True

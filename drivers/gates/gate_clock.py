@@ -7,8 +7,8 @@ other, and so dates all others. Clocks drift apart: only the lines of the last s
 
 from collections import deque
 
-WINDOW_NS = 10_000_000_000
-"""Long enough for several prompt lines; a crystal that is off by 100 ppm moves by 1 ms in it."""
+WINDOW_NS = 20_000_000_000
+"""Long enough for a prompt line among one a second; a crystal that is off by 100 ppm moves by 2 ms in it."""
 MAX_LINES = 256
 
 

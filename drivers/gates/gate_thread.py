@@ -1,5 +1,6 @@
 """What all live gates have in common: a thread that reads the device, and one sink it delivers to."""
 
+import errno
 import threading
 import time
 from collections.abc import Callable
@@ -7,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 from drivers.errors import GateUnavailableError
 from drivers.interfaces import DeviceEvent, EventSink, GateLost
-from drivers.replay_belt import Outlet
+from drivers.outlet import Outlet
 from pipeline.frames import BundleKind, Trigger
 
 
@@ -18,6 +19,18 @@ def trigger_at(
     age = timedelta(microseconds=(time.monotonic_ns() - received_ns) / 1000)
     utc = (datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
+
+
+def port_problem(error: Exception) -> str:
+    """Return why a serial port cannot be opened, with the remedy where there is one."""
+    match error:
+        case OSError(errno=errno.ENOENT):
+            return "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/"
+        case OSError(errno=errno.EACCES):
+            return "permission denied: the service's user must be in the group dialout"
+        case OSError(errno=errno.EAGAIN | errno.EBUSY):
+            return "is in use by another program"
+    return str(error)
 
 
 class GateThread:

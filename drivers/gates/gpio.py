@@ -123,7 +123,7 @@ class GpioGate:
         self._pulses = LinePulses(settings.debounce_us, self._thread.deliver)
         self._lines: GpioLines | None = None
         self._last: LineEdge | None = None
-        self._echo_ns = 0, 0  # from, to: edges then are a test pulse's own
+        self._echo_ns = range(0)  # edges then are a test pulse's own
 
     def open(self) -> None:
         if self._thread.is_running and self._thread.failure is None:
@@ -151,7 +151,7 @@ class GpioGate:
         if self._lines is None or not self._thread.is_armed:
             raise self._thread.error("is not armed")
         at_ns = time.monotonic_ns()
-        self._echo_ns = at_ns, at_ns + self._settings.test_pulse_us * 1000 + ECHO_NS
+        self._echo_ns = range(at_ns, at_ns + self._settings.test_pulse_us * 1000 + ECHO_NS)
         try:
             self._lines.drive(test_line, is_active=True)
             time.sleep(self._settings.test_pulse_us / 1e6)
@@ -170,9 +170,10 @@ class GpioGate:
             self._lines = None
 
     def _turn(self, lines: GpioLines) -> None:
+        now_ns = time.monotonic_ns()  # before asking: every edge up to now is among those that come
         for edge in lines.wait(WAIT_S):
             self._take(edge)
-        self._pulses.settle(time.monotonic_ns())
+        self._pulses.settle(now_ns)
 
     def _take(self, edge: LineEdge) -> None:
         last, self._last = self._last, edge
@@ -181,6 +182,5 @@ class GpioGate:
             n_closed = (n_missed + (not last.is_closed)) // 2
             self._pulses.lose(n_closed, f"{n_missed} edges dropped by the kernel")
         at_ns = edge.at_ns - self._settings.glitch_us * 1000
-        begin_ns, end_ns = self._echo_ns
-        if not begin_ns <= at_ns <= end_ns:
+        if at_ns not in self._echo_ns:
             self._pulses.edge(is_closed=edge.is_closed, at_ns=at_ns)

@@ -9,6 +9,7 @@ counted by half (its end only), so that line is only looked at.
 A pseudo-terminal has no modem lines: tests bring a line of their own.
 """
 
+import errno
 import fcntl
 import os
 import sys
@@ -18,15 +19,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
-from drivers.gates.gate_thread import GateThread
+from drivers.gates.gate_thread import GateThread, port_problem
 from drivers.gates.line_pulses import LinePulses
-from drivers.gates.serial_gate import REMEDIES
 from drivers.interfaces import EventSink
 
 LOOK_S = 0.001
 COUNTS = 1 << 32
 COUNTER_WORDS = 20
-"""Of the kernel's `struct serial_icounter_struct`, in the order of `_COUNTED` and more."""
+"""Of the kernel's `serial_icounter_struct`: cts, dsr, rng, dcd, and what does not matter here."""
 
 ModemLineName = Literal["CTS", "DSR", "RI", "CD"]
 
@@ -155,7 +155,8 @@ class ModemLineGate:
             line = self._open_line(self._settings)
             first = line.look()
         except OSError as err:
-            raise self._thread.error(REMEDIES.get(err.errno or 0, f"has no modem lines: {err}")) from err
+            problem = "has no modem lines" if err.errno == errno.ENOTTY else port_problem(err)
+            raise self._thread.error(problem) from err
         self._line = line
         self._pulses.reset()
         between = EdgesBetween(first)

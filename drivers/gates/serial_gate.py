@@ -1,6 +1,5 @@
 """The light gate of a microcontroller on a serial line; `gate_protocol` says what it speaks."""
 
-import errno
 import termios
 import threading
 import time
@@ -11,7 +10,7 @@ import serial
 
 from drivers.gates.gate_listener import GateCounters, GateListener
 from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, Identity
-from drivers.gates.gate_thread import GateThread
+from drivers.gates.gate_thread import GateThread, port_problem
 from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
 from pipeline.frames import BundleKind, Trigger
 
@@ -22,13 +21,6 @@ WRITE_S = 0.5
 TEST_PULSE_S = 0.5
 """From the command to the gate's answer at most."""
 
-REMEDIES = {
-    errno.ENOENT: "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/",
-    errno.EACCES: "permission denied: the service's user must be in the group dialout",
-    errno.EAGAIN: "is in use by another program",
-    errno.EBUSY: "is in use by another program",
-}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialGateSettings:
@@ -36,9 +28,7 @@ class SerialGateSettings:
 
     port: str  # a name that outlives replugging: /dev/serial/by-id/...
     baud: int = 115_200  # a board with native USB has none: 4000000
-    debounce_us: int = (
-        10_000  # what follows the last edge within this is the same stone, if the gate let it pass
-    )
+    debounce_us: int = 10_000  # what follows the last edge within this is the same stone, if told at all
     answer_timeout_s: float = 3.0  # for its first status; a board that restarts when opened needs 2
     silence_s: float = 3.0  # without a valid line; it sends a status every second
     blocked_s: float = 2.0  # no stone closes the beam for that long
@@ -144,9 +134,9 @@ class SerialGate:
 
     def disarm(self) -> None:
         with self._heard:
+            if self._thread.is_armed and self._thread.failure is None:
+                self._is_owed = False
             self._thread.disarm()
-            if self._thread.failure is None:
-                self._is_owed, self._n_owed = False, 0
 
     def close(self) -> None:
         self.disarm()
@@ -165,8 +155,7 @@ class SerialGate:
                 exclusive=True,
             )
         except (OSError, ValueError, termios.error) as err:  # SerialException is an OSError
-            number = err.errno if isinstance(err, OSError) else None
-            raise self._thread.error(REMEDIES.get(number or 0, str(err))) from err
+            raise self._thread.error(port_problem(err)) from err
 
     def _answers(self, command: bytes, count: Callable[[], int], timeout_s: float) -> bool:
         """Send a command and wait for what it must raise."""

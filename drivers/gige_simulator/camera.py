@@ -12,7 +12,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -23,6 +23,7 @@ from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.device import CameraDevice, make_registers
 from drivers.gige_simulator.faults import Faults
+from drivers.gige_simulator.features import Feature
 from drivers.gige_simulator.gvcp import ControlChannel, Peer, pending_ack
 from drivers.gige_simulator.registers import Value
 from drivers.gige_simulator.sensor import Exposure, ImageSource, Sensor, Strobe
@@ -96,7 +97,8 @@ class SimulatedCamera:
         self._stream_port = 0
         self._unplugged_until_ns = 0
         self._off_until_ns: int | None = None
-        self._sockets: list[socket.socket] = []
+        self._sockets: list[socket.socket] = []  # the first one is of its own address
+        self._retired: list[socket.socket] = []  # to be closed by the thread that listens on them
         self._wake = -1
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -115,6 +117,11 @@ class SimulatedCamera:
     @property
     def is_acquiring(self) -> bool:
         return self._registers.is_acquiring
+
+    @property
+    def stream_port(self) -> int:
+        """UDP port the frames come from."""
+        return self._stream_port
 
     @property
     def controller(self) -> Peer | None:
@@ -148,16 +155,25 @@ class SimulatedCamera:
             actions=self._channel.n_actions,
         )
 
+    @property
+    def features(self) -> Mapping[str, Feature]:
+        """What it can be asked, by SFNC name."""
+        return self._registers.features
+
     def feature(self, name: str, bank: int = 0) -> Value:
         """Value of a feature, by its SFNC name in either dialect; enumerations as their number."""
         return self._registers.get(name, bank)
+
+    def address_of(self, name: str, bank: int = 0) -> int:
+        """Address of a feature's register, by its SFNC name."""
+        return self._registers.address(name, bank)
 
     # --- life ---
 
     def start(self) -> None:
         """Switch on; raises `CameraUnavailableError` when the address is taken or not this machine's."""
         self._stopping.clear()
-        self._open_sockets()
+        self._move_to(self._design.address)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK)
         self._power_on()
         self._sensor.start()
@@ -166,15 +182,18 @@ class SimulatedCamera:
 
     def stop(self) -> None:
         """Vanish, as a killed process does: no goodbye, and the host says nobody listens there."""
-        if self._thread is None:
-            return
-        self._stopping.set()
-        os.eventfd_write(self._wake, 1)
-        self._thread.join()
-        self._thread = None
-        self._sensor.stop()
-        self._close_sockets()
+        with self._lock:
+            thread, self._thread = self._thread, None
+            if thread is None:
+                return
+            self._stopping.set()
+            os.eventfd_write(self._wake, 1)
+        thread.join()
         os.close(self._wake)
+        self._sensor.stop()
+        self._stream.close()
+        self._retired, self._sockets = self._retired + self._sockets, []
+        self._close_retired()
         self._channel.reset()
 
     # --- signals ---
@@ -182,6 +201,10 @@ class SimulatedCamera:
     def line(self, name: str = "Line1", at_ns: int | None = None, *, rising: bool = True) -> None:
         """Apply an electrical edge to an input line, at a moment of `time.monotonic_ns`."""
         self._sensor.line(name, time.monotonic_ns() if at_ns is None else at_ns, rising=rising)
+
+    def skip_blocks(self, n_blocks: int) -> None:
+        """Go on counting blocks as if so many more frames had been exposed."""
+        self._sensor.skip_blocks(n_blocks)
 
     # --- faults that take time ---
 
@@ -202,20 +225,23 @@ class SimulatedCamera:
     ) -> None:
         """Cut the power for `off_s`: silence, then a camera without its settings and without a controller.
 
-        It comes back under another address (a new DHCP lease), or another device is in its place.
+        It comes back under another address (a new DHCP lease), or another device is in its place. Raises
+        `CameraUnavailableError` when that address is taken.
         """
-        design = self._design
         with self._lock:
+            design = self._design
+            if address is not None and self._thread is not None:
+                self._move_to(address)
             self._design = replace(design, address=address or design.address, serial=serial or design.serial)
             self._power_off(off_s)
-        os.eventfd_write(self._wake, 1)
+            self._wake_up()
 
     def steal_control(self, seconds: float = 5.0, peer: Peer = ("192.0.2.66", 49152)) -> None:
         """Let a foreign application have control for so long; then its heartbeat ends."""
         with self._lock:
             timeout_ns = self._registers.number("GevHeartbeatTimeout") * 1_000_000
             self._channel.seize(peer, heard_ns=time.monotonic_ns() + round(seconds * 1e9) - timeout_ns)
-        os.eventfd_write(self._wake, 1)
+            self._wake_up()
 
     def tamper(self, name: str, value: Value, bank: int = 0) -> None:
         """Change a feature behind the controller's back; SFNC name, enumerations by number or entry.
@@ -258,8 +284,10 @@ class SimulatedCamera:
 
     def _serve(self) -> None:
         while not self._stopping.is_set():
+            with self._lock:
+                self._close_retired()
+                by_fd = {each.fileno(): each for each in self._sockets}
             poll = select.poll()
-            by_fd = {each.fileno(): each for each in self._sockets}
             for fd in (*by_fd, self._wake):
                 poll.register(fd, select.POLLIN)
             ready = poll.poll(self._timeout_ms())
@@ -268,7 +296,7 @@ class SimulatedCamera:
                     os.eventfd_read(fd)
                 else:
                     self._receive(by_fd[fd])
-            if not ready:  # what was heard in time counts, even when read late
+            if not poll.poll(0):  # what was heard in time counts, even when read late
                 with self._lock:
                     self._channel.check_heartbeat(time.monotonic_ns())
             self._return_power()
@@ -293,20 +321,26 @@ class SimulatedCamera:
                 self._send(pending_ack(datagram, round(self.faults.ack_delay_ms * 2)), peer)
             self._stopping.wait(self.faults.ack_delay_ms / 1000)
         with self._lock:
+            if not self._is_connected():
+                return
             answer = self._channel.answer(datagram, peer, time.monotonic_ns())
         if answer is not None and not self._loses():
             self._send(answer, peer)
 
     def _send(self, answer: bytes, peer: Peer) -> None:
-        if self._is_connected() or self._off_until_ns is not None:  # a reset is acknowledged first
-            with suppress(OSError):
-                self._sockets[0].sendto(answer, peer)  # from its own address, whatever was asked
+        with suppress(OSError):
+            self._sockets[0].sendto(answer, peer)  # from its own address, whatever was asked
 
     def _loses(self) -> bool:
         return self.faults.control_loss > 0 and self._random.random() < self.faults.control_loss
 
     def _is_connected(self) -> bool:
         return self._off_until_ns is None and time.monotonic_ns() >= self._unplugged_until_ns
+
+    def _wake_up(self) -> None:
+        """Let the thread look anew at what is due and where it listens."""
+        if self._thread is not None:
+            os.eventfd_write(self._wake, 1)
 
     # --- power ---
 
@@ -321,9 +355,6 @@ class SimulatedCamera:
         with self._lock:
             if self._off_until_ns is None or time.monotonic_ns() < self._off_until_ns:
                 return
-            if self._sockets[0].getsockname()[0] != self._design.address:
-                self._close_sockets()
-                self._open_sockets()
             self._power_on()
 
     def _power_on(self) -> None:
@@ -331,28 +362,38 @@ class SimulatedCamera:
         self._off_until_ns = None
         self._note("power on")
 
-    def _open_sockets(self) -> None:
-        address = self._design.address
-        control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        broadcast = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._sockets = [control, broadcast]
+    def _move_to(self, address: str) -> None:
+        """Listen at this address from now on, and no longer at the last one."""
         try:
-            control.bind((address, GVCP_PORT))
-            broadcast.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            broadcast.bind(("255.255.255.255", GVCP_PORT))
+            sockets = _control_sockets(address)
             self._stream_port = self._stream.open(address)
         except OSError as err:
-            self._close_sockets()
             raise CameraUnavailableError(
                 self.id,
                 f"cannot be simulated at {address}:{GVCP_PORT} ({err.strerror}): "
                 "end the simulator that is there, or choose another address of 127/8",
             ) from err
+        self._retired += self._sockets
+        self._sockets = sockets
 
-    def _close_sockets(self) -> None:
-        for each in self._sockets:
-            each.close()
-        self._stream.close()
+    def _close_retired(self) -> None:
+        while self._retired:
+            self._retired.pop().close()
 
     def _note(self, event: str) -> None:
         self._log.append(LogEntry(time.monotonic_ns(), event))
+
+
+def _control_sockets(address: str) -> list[socket.socket]:
+    """Return the socket of the camera's own address, and the one that hears broadcasts."""
+    control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    broadcast = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        control.bind((address, GVCP_PORT))
+        broadcast.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        broadcast.bind(("255.255.255.255", GVCP_PORT))
+    except OSError:
+        control.close()
+        broadcast.close()
+        raise
+    return [control, broadcast]

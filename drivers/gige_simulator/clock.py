@@ -20,7 +20,6 @@ class CameraClock:
         self._rate = 1 + drift_ppm * 1e-6
         self._offset_ns = offset_ns
         self._ptp_since_ns: int | None = None
-        self._jump_ns = 0
         self._random = random.Random(seed)  # noqa: S311
 
     def restart(self) -> None:
@@ -28,7 +27,6 @@ class CameraClock:
         with self._lock:
             self._start = (time.monotonic_ns(), self._offset_ns)
             self._ptp_since_ns = None
-            self._jump_ns = 0
 
     def device_ns(self, host_ns: int) -> int:
         with self._lock:
@@ -42,11 +40,12 @@ class CameraClock:
             return now_ns + round(ahead_ns / (1 if self._is_locked(now_ns) else self._rate))
 
     def jump(self, by_ns: int) -> None:
-        """Step the free-running clock; a PTP slave is back at its master's time once it has locked anew."""
+        """Step; a PTP slave is back at its master's time once it has locked anew."""
         with self._lock:
-            self._jump_ns += by_ns
+            now_ns = time.monotonic_ns()
+            self._start = (now_ns, self._device_ns(now_ns) + by_ns)
             if self._ptp_since_ns is not None:
-                self._ptp_since_ns = time.monotonic_ns()
+                self._ptp_since_ns = now_ns
 
     def set_ptp(self, *, is_enabled: bool) -> None:
         """Start to synchronise, or go on free running from the time shown now."""
@@ -55,7 +54,6 @@ class CameraClock:
                 return
             now_ns = time.monotonic_ns()
             self._start = (now_ns, self._device_ns(now_ns))
-            self._jump_ns = 0
             self._ptp_since_ns = now_ns if is_enabled else None
 
     def ptp_state(self) -> str:
@@ -87,4 +85,4 @@ class CameraClock:
         if self._is_locked(host_ns):
             return host_ns + (time.time_ns() - time.monotonic_ns())
         start_host_ns, start_device_ns = self._start
-        return start_device_ns + round((host_ns - start_host_ns) * self._rate) + self._jump_ns
+        return start_device_ns + round((host_ns - start_host_ns) * self._rate)

@@ -16,10 +16,10 @@ class Counters:
     missed: int = 0  # not acquiring, not listened to, or still exposing the last one
     debounced: int = 0
     unseen: int = 0  # by fault
-    exposures: int = 0
+    exposures: int = 0  # due: triggered, or the next one of a free run
     unexposed: int = 0  # the image source had nothing to show: not sent
     swallowed: int = 0  # by fault: not sent
-    aborted: int = 0  # acquisition ended, or the power, before it was sent
+    aborted: int = 0  # acquisition or power ended before it was sent
     frames: int = 0  # every packet left, at first or when resent
     torn: int = 0  # a packet never left (yet)
     packets: int = 0  # on the wire, resent and repeated ones and refusals to resend included

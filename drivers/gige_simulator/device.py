@@ -10,7 +10,8 @@ from ipaddress import IPv4Address
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.faults import Faults
-from drivers.gige_simulator.features import PTP_STATES, legacy_features, sfnc_features
+from drivers.gige_simulator.feature_table import feature_table
+from drivers.gige_simulator.features import PTP_STATES
 from drivers.gige_simulator.genicam_xml import genicam_xml, zipped
 from drivers.gige_simulator.gvsp import IP_UDP_BYTES, chunk_bytes
 from drivers.gige_simulator.registers import (
@@ -40,9 +41,8 @@ _USER_SETS = ("Default", "UserSet1")
 
 def make_registers(design: CameraDesign) -> Registers:
     """Return registers and XML of a camera of this dialect; legacy cameras clamp what others refuse."""
-    make = legacy_features if design.dialect == "legacy" else sfnc_features
-    features = make(design.image_size_px, throughput_bytes_s=design.link_bytes_s)
-    registers = Registers(features, clamps=design.dialect == "legacy")
+    table = feature_table(design.dialect, design.image_size_px, throughput_bytes_s=design.link_bytes_s)
+    registers = Registers(table, clamps=design.dialect == "legacy")
     xml = genicam_xml(registers, vendor=VENDOR, model=design.model)
     registers.xml = zipped(xml, f"{design.model}.xml") if design.has_zipped_xml else xml
     return registers
@@ -71,6 +71,7 @@ class CameraDevice:
         self._restart = restart
         self._on_since_s = time.monotonic()
         self._counter_bases = [0, 0]
+        self._serial = ""
         self._user_name = ""
         self._user_sets: dict[str, Mapping[Key, Value]] = {}
         self._startup_set = "Default"
@@ -80,7 +81,7 @@ class CameraDevice:
             "AcquisitionStart": self._start_acquisition,
             "AcquisitionStop": lambda _: sensor.end_acquisition(),
             "TriggerMode": lambda _: sensor.trigger_mode_changed(),
-            "TriggerSoftware": lambda _: sensor.edge("Software", time.monotonic_ns()),
+            "TriggerSoftware": lambda bank: sensor.edge("Software", time.monotonic_ns(), bank=bank),
             "DeviceReset": lambda _: restart(),
             "TimestampLatch": lambda _: self._latch_timestamp(),
             "UserSetLoad": self._load_user_set,
@@ -106,6 +107,9 @@ class CameraDevice:
     def power_on(self, design: CameraDesign, *, stream_port: int) -> None:
         """Forget everything but what is in non-volatile memory."""
         registers = self._registers
+        if design.serial != self._serial:  # another device
+            self._serial, self._user_name, self._startup_set = design.serial, "", "Default"
+            self._user_sets.clear()
         registers.reset()
         for address, word in _bootstrap(design, stream_port, len(registers.xml)).items():
             registers.put_word(address, word)
@@ -123,6 +127,7 @@ class CameraDevice:
         registers.put("UserSetDefault", _USER_SETS.index(self._startup_set))
         registers.restore(self._user_sets.get(self._startup_set, {}))
         self._clock.restart()
+        self._clock.set_ptp(is_enabled=bool(registers.number("PtpEnable")))
         self._sensor.power_on()
         self._counter_bases = [self._events(bank) for bank in range(len(self._counter_bases))]
         self._mtu_bytes = design.mtu_bytes
@@ -145,8 +150,8 @@ class CameraDevice:
 
     def word_written(self, address: int, value: int) -> None:
         if address == TIMESTAMP_CONTROL:
-            if value & 1:
-                self._clock.restart()
+            if value & 1:  # reset
+                self._clock.jump(-self._clock.device_ns(time.monotonic_ns()))
             if value & 2:
                 self._latch_timestamp()
 
@@ -232,7 +237,7 @@ class CameraDevice:
             "Off": 0,
             "FrameTrigger": tally.heard,
             "FrameTriggerMissed": tally.heard - tally.triggers,
-            "ExposureStart": tally.exposures,
+            "ExposureStart": tally.started,
         }[self._registers.choice("CounterEventSource", bank)]
 
     def _payload_bytes(self) -> int:

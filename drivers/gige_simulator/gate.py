@@ -91,17 +91,16 @@ class SimulatedGate:
         self._plans: list[tuple[int, int, Callable[[], None]]] = []  # heap of (due, order, what)
         self._order = count()
         self._last_line_ns = 0
-        self.seed(design.seed)
+        # edges and each kind of line have random numbers of their own: none moves those of the others
+        self._dice: dict[type[Record] | None, random.Random] = {
+            kind: random.Random(f"{design.seed}/gate/{kind and kind.__name__}")  # noqa: S311 - nothing secret
+            for kind in (None, Edge, TestPulse, Width, Status, Identity)
+        }
         self.is_opened = False
         """Whether a host has the port open."""
         self._is_closing = threading.Event()
         self._wake_fd = -1
         self._thread = threading.Thread(target=self._run, name="simulated gate", daemon=True)
-
-    def seed(self, seed: int) -> None:
-        """Begin the random numbers anew; those of edges and of each kind of line do not depend on one another."""
-        kinds = (None, Edge, TestPulse, Width, Status, Identity)
-        self._dice = {kind: random.Random(f"{seed}/gate/{kind}") for kind in kinds}  # noqa: S311 - nothing secret
 
     # --- power and plug ---
 
@@ -219,6 +218,8 @@ class SimulatedGate:
 
     def _tell_status(self) -> None:
         with self._lock:
+            if not self._is_powered:
+                return
             now_ns = time.monotonic_ns()
             self._plan(now_ns + STATUS_NS, self._tell_status)
             self._say(

@@ -109,7 +109,7 @@ class ControlChannel:
             else:
                 status = Status.NOT_IMPLEMENTED
         except RefusedError as refused:
-            status = refused.status
+            status, answer = refused.status, refused.answer
         except struct.error:
             status = Status.INVALID_HEADER
         reply = ACK_HEADER.pack(status, command + 1, len(answer), request_id) + answer
@@ -138,12 +138,12 @@ class ControlChannel:
     def seize(self, peer: Peer, *, heard_ns: int) -> None:
         """Give control to `peer`, whoever has it; it was heard at `heard_ns`, which may lie ahead."""
         self._heard_ns = heard_ns
-        self._take(peer)
+        self._take(peer, _CONTROL)
 
-    def _take(self, peer: Peer, *, is_exclusive: bool = False) -> None:
-        self.controller, self._is_exclusive = peer, is_exclusive
-        self._registers.put_word(CONTROL_PRIVILEGE, _CONTROL | (_EXCLUSIVE if is_exclusive else 0))
-        self._device.noted(f"control {'exclusively ' if is_exclusive else ''}to {_name(peer)}")
+    def _take(self, peer: Peer, privilege: int) -> None:
+        self.controller, self._is_exclusive = peer, bool(privilege & _EXCLUSIVE)
+        self._registers.put_word(CONTROL_PRIVILEGE, privilege)
+        self._device.noted(f"{'exclusive ' if self._is_exclusive else ''}control to {_name(peer)}")
 
     def reset(self) -> None:
         """Power on: nobody has control, nothing was asked."""
@@ -163,14 +163,16 @@ class ControlChannel:
         return b"".join(self._registers.read(address, 4) for address in addresses)
 
     def _write_registers(self, body: bytes, peer: Peer) -> bytes:
-        n_written = 0
-        for address, value in struct.iter_unpack(">I4s", body):
-            if address == CONTROL_PRIVILEGE:
-                self._write_privilege(int.from_bytes(value, "big"), peer)
-            else:
-                self._write(address, value, peer)
-            n_written += 1
-        return struct.pack(">HH", 0, n_written)
+        writes = list(struct.iter_unpack(">I4s", body))
+        for n_written, (address, value) in enumerate(writes):
+            try:
+                if address == CONTROL_PRIVILEGE:
+                    self._write_privilege(int.from_bytes(value, "big"), peer)
+                else:
+                    self._write(address, value, peer)
+            except RefusedError as refused:
+                raise RefusedError(refused.status, struct.pack(">HH", 0, n_written)) from refused
+        return struct.pack(">HH", 0, len(writes))
 
     def _read_memory(self, body: bytes, peer: Peer) -> bytes:
         address, size = struct.unpack(">IxxH", body)
@@ -181,7 +183,10 @@ class ControlChannel:
 
     def _write_memory(self, body: bytes, peer: Peer) -> bytes:
         (address,) = struct.unpack_from(">I", body)
-        self._write(address, body[4:], peer)
+        try:
+            self._write(address, body[4:], peer)
+        except RefusedError as refused:
+            raise RefusedError(refused.status, bytes(4)) from refused
         return struct.pack(">HH", 0, len(body) - 4)
 
     def _write(self, address: int, data: bytes, peer: Peer) -> None:
@@ -201,7 +206,7 @@ class ControlChannel:
         if self.controller not in (None, peer):
             raise RefusedError(Status.ACCESS_DENIED)
         if value & (_CONTROL | _EXCLUSIVE):
-            self._take(peer, is_exclusive=bool(value & _EXCLUSIVE))
+            self._take(peer, value & (_CONTROL | _EXCLUSIVE))
         elif self.controller is not None:
             self._device.noted(f"{_name(peer)} left control")
             self.release()

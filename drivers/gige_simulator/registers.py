@@ -46,11 +46,12 @@ class Status(IntEnum):
 
 
 class RefusedError(Exception):
-    """The camera refuses a command with this status."""
+    """The camera refuses a command with this status; `answer` is what was done of it before."""
 
-    def __init__(self, status: Status) -> None:
+    def __init__(self, status: Status, answer: bytes = b"") -> None:
         super().__init__(status.name)
         self.status = status
+        self.answer = answer
 
 
 @dataclass(slots=True)
@@ -68,6 +69,7 @@ class Registers:
         self.live: dict[str, Callable[[int], int | float]] = {}
         self.is_acquiring = False
         self.xml = b""
+        self.version = 0  # goes up whenever a setting may have changed
         self._clamps = clamps
         self._registers: dict[int, _Register] = {}
         self._addresses = self._allot()
@@ -79,6 +81,7 @@ class Registers:
 
     def reset(self) -> None:
         """Power on: everything forgotten, features at their defaults."""
+        self.version += 1
         self.is_acquiring = False
         self._memory[:] = bytes(len(self._memory))
         for key, bank in self._keys():
@@ -152,6 +155,7 @@ class Registers:
             word = int.from_bytes(self._memory[address : address + feature.length], "big")
             data = _insert(feature, word, round(value / feature.scale)).to_bytes(feature.length, "big")
         self._memory[address : address + feature.length] = data
+        self.version += feature.access == "RW"
 
     def word(self, address: int) -> int:
         """Four bytes at a bootstrap address."""
@@ -222,6 +226,7 @@ class Registers:
         for key, _ in register.parts:
             accepted = self._accept(self.features[key], accepted, offered)
         self._memory[address : address + register.length] = accepted if register.parts else offered
+        self.version += 1
         return register.parts
 
     def _accept(self, feature: Feature, old: bytes, offered: bytes) -> bytes:
@@ -229,38 +234,38 @@ class Registers:
         if feature.kind == "string":
             return offered
         if feature.kind == "float":
-            is_same = offered == old
-            value = struct.unpack(">d", offered)[0]
+            old_value, value = struct.unpack(">d", old)[0], struct.unpack(">d", offered)[0]
         else:
-            raw = _extract(feature, int.from_bytes(offered, "big"))
-            is_same = raw == _extract(feature, int.from_bytes(old, "big"))
-            value = raw * feature.scale
-        if self.is_acquiring and feature.is_locked and not (is_same and feature.kind != "command"):
+            old_value = _extract(feature, int.from_bytes(old, "big"))
+            value = _extract(feature, int.from_bytes(offered, "big"))
+        is_change = value != old_value or feature.kind == "command"
+        if self.is_acquiring and feature.is_locked and is_change:
             raise RefusedError(Status.BUSY)
         value = self._within_range(feature, value)
         if feature.kind == "float":
             return struct.pack(">d", value)
-        word = _insert(feature, int.from_bytes(old, "big"), round(value / feature.scale))
-        return word.to_bytes(len(old), "big")
+        return _insert(feature, int.from_bytes(old, "big"), round(value)).to_bytes(len(old), "big")
 
     def _within_range(self, feature: Feature, value: float) -> float:
-        if feature.kind == "enumeration":
-            if value not in feature.entries.values():
-                raise RefusedError(Status.INVALID_PARAMETER)
-            return value
+        """Return what the register takes for `value`, both as the register holds them."""
         if feature.kind in ("boolean", "command"):
             return value
+        if feature.kind == "enumeration":
+            if value in feature.entries.values():
+                return value
+            raise RefusedError(Status.INVALID_PARAMETER)
         maximum = feature.maximum
         if feature.limit:
             whole, part = feature.limit
             maximum = self.number(whole) - self.number(part)
-        is_on_step = feature.kind == "float" or (value / feature.scale) % feature.increment == 0
-        if feature.minimum <= value <= maximum and is_on_step:
+        step = None if feature.kind == "float" else feature.increment
+        lowest, highest = round(feature.minimum / feature.scale, 6), round(maximum / feature.scale, 6)
+        if lowest <= value <= highest and (step is None or value % step == 0):
             return value
         if not self._clamps or value != value:  # nan
             raise RefusedError(Status.INVALID_PARAMETER)
-        clamped = min(max(value, feature.minimum), maximum)
-        return clamped - clamped % feature.increment if feature.kind == "integer" else clamped
+        clamped = min(max(value, lowest), highest)
+        return clamped if step is None else clamped - clamped % step
 
 
 def _extract(feature: Feature, word: int) -> int:

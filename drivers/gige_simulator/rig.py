@@ -6,6 +6,7 @@ cameras; each waits its trigger delay, exposes, and sends what the recording has
 
 import ipaddress
 import random
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,10 +18,12 @@ import numpy as np
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
 from drivers.gige_simulator.control import RigControl, counters_of
+from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.gige_simulator.hopper import Fall, Hopper, read_fall
 from drivers.gige_simulator.json_socket import JsonSocket
 from drivers.gige_simulator.sources import Images, Scene
+from drivers.gige_simulator.uplink import Uplink
 from drivers.recording import Recording
 from pipeline.frames import BundleKind, CameraId
 
@@ -29,6 +32,8 @@ MAX_EMPTY = 5
 """Exposures of the empty rig that are kept in memory, to be seen in turn where no stone is."""
 EXPOSURE_US = 20.0
 """Of a recording that does not say; the design's."""
+LINGER_NS = 1_500_000_000
+"""After the last exposure: for frames on the wire and packets that the host wants again."""
 MAX_CLOCK_OFFSET_NS = 10**13
 MAX_CLOCK_DRIFT_PPM = 50.0
 
@@ -47,6 +52,8 @@ class RigDesign:
     fall_ms: float = 247.35  # from the gate to the middle of the rig: 0.3 m
     exposure_us: float | None = None  # at which images are as recorded; None: the recording's
     gain_db: float = 0.0
+    uplink_bytes_s: float | None = None  # of the switch all cameras are at; None: faster than all of them
+    uplink_buffer_bytes: int = 2 << 20  # that the switch has for it
     seed: int = 0
 
 
@@ -67,8 +74,11 @@ class SimulatedRig:
             gain_db=design.gain_db,
         )
         self._scene = scene
+        uplink = None
+        if design.uplink_bytes_s is not None:
+            uplink = Uplink(rate_bytes_s=design.uplink_bytes_s, buffer_bytes=design.uplink_buffer_bytes)
         self.cameras: Mapping[CameraId, SimulatedCamera] = {
-            camera.id: SimulatedCamera(camera, scene.source_of(camera.id))
+            camera.id: SimulatedCamera(camera, scene.source_of(camera.id), uplink=uplink)
             for camera in _camera_designs(design, recording)
         }
         dice = random.Random(f"{design.seed}/gate")  # noqa: S311 - nothing secret
@@ -86,16 +96,18 @@ class SimulatedRig:
         control = RigControl(cameras=self.cameras, gate=self.gate, belt=self.belt)
         self._control = JsonSocket(design.control, control.answer) if design.control else None
         self._running = ExitStack()
+        self._last_edge_ns = 0
+        self._linger_ns = round(design.fall_ms * 1e6) + LINGER_NS
 
     def open(self) -> None:
         """Power everything on.
 
         Raises
         ------
+        CameraUnavailableError, GateUnavailableError
+            An address is taken; the gate's link cannot be made.
         OSError
-            An address or the control socket cannot be had.
-        GateUnavailableError
-            The gate's link cannot be made.
+            The control socket cannot be made.
         """
         with ExitStack() as running:
             for camera in self.cameras.values():
@@ -121,6 +133,13 @@ class SimulatedRig:
         self.close()
 
     @property
+    def is_over(self) -> bool:
+        """Whether everything fell and every image was sent, a while ago: the host may want packets again."""
+        if not self.belt.ended.is_set() or time.monotonic_ns() < self._last_edge_ns + self._linger_ns:
+            return False
+        return all(_is_sent(camera.counters) for camera in self.cameras.values())
+
+    @property
     def is_ready(self) -> bool:
         """Whether a host has opened the gate and all cameras are acquiring."""
         return self.gate.is_opened and all(camera.is_acquiring for camera in self.cameras.values())
@@ -130,6 +149,7 @@ class SimulatedRig:
         return counters_of(self.cameras, self.gate, self.belt)
 
     def _drop(self, fall: Fall, edge_ns: int) -> None:
+        self._last_edge_ns = edge_ns
         self._scene.enter(edge_ns, fall.images)
         if fall.is_empty:
             self.gate.test_pulse(edge_ns)
@@ -139,6 +159,11 @@ class SimulatedRig:
     def _pulse(self, at_ns: int) -> None:
         for camera in self.cameras.values():
             camera.line(TRIGGER_LINE, at_ns)
+
+
+def _is_sent(counters: Counters) -> bool:
+    done = counters.frames + counters.torn + counters.swallowed + counters.unexposed + counters.aborted
+    return counters.exposures == done
 
 
 def _camera_designs(design: RigDesign, recording: Recording) -> Iterator[CameraDesign]:

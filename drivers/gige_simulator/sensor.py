@@ -62,7 +62,8 @@ class SensorTally:
     missed: int = 0
     debounced: int = 0
     unseen: int = 0
-    exposures: int = 0
+    exposures: int = 0  # planned
+    started: int = 0  # of them
     unexposed: int = 0
     swallowed: int = 0
     aborted: int = 0
@@ -138,6 +139,7 @@ class Sensor:
     def end_acquisition(self) -> None:
         with self._changed:
             self._registers.is_acquiring = False
+            self.tally.aborted += len(self._plans)
             self._plans.clear()
 
     def trigger_mode_changed(self) -> None:
@@ -148,6 +150,10 @@ class Sensor:
     def tallied(self) -> SensorTally:
         with self._changed:
             return replace(self.tally)
+
+    def skip_blocks(self, n_blocks: int) -> None:
+        with self._changed:
+            self._block_id += n_blocks
 
     # --- signals ---
 
@@ -164,10 +170,12 @@ class Sensor:
         (self._high.add if rising else self._high.discard)(bank)
         self.edge(name, at_ns, rising=rising)
 
-    def edge(self, source: str, at_ns: int, *, rising: bool | None = None) -> None:
-        """Take a trigger signal; `rising` only for an electrical edge."""
+    def edge(self, source: str, at_ns: int, *, rising: bool | None = None, bank: int | None = None) -> None:
+        """Take a trigger signal: `rising` only for an electrical edge, `bank` for one that means this trigger."""
         with self._changed:
             banks = self._trigger.banks(source, rising=rising)
+            if bank is not None:
+                banks = [each for each in banks if each == bank]
             bounces = rising is not None and self._trigger.bounces(source, at_ns)
             if rising is False and not banks:
                 return
@@ -197,6 +205,7 @@ class Sensor:
             self._push(replace(plan, exposed_ns=plan.exposed_ns + round(DOUBLE_AFTER_MS * 1e6)))
 
     def _push(self, plan: Plan) -> None:
+        self.tally.exposures += 1
         heapq.heappush(self._plans, (plan.exposed_ns, next(self._order), plan))
         self._changed.notify_all()
 
@@ -232,7 +241,7 @@ class Sensor:
                     wait_s = (self._plans[0][0] - time.monotonic_ns()) / 1e9
                     if wait_s <= 0:
                         _, _, plan = heapq.heappop(self._plans)
-                        self.tally.exposures += 1
+                        self.tally.started += 1
                         return plan, self._run
                 self._changed.wait(wait_s)
             return None
@@ -251,7 +260,8 @@ class Sensor:
         n_triggers = self.tally.heard
         image = self._image(plan)
         if not self._is_current(run):
-            self.tally.aborted += 1
+            with self._changed:
+                self.tally.aborted += 1
             return
         has_extended_ids = registers.choice("GevGVSPExtendedIDMode") == "On"
         self._block_id = self._block_id + 1 if has_extended_ids else self._block_id % 0xFFFF + 1
@@ -274,7 +284,11 @@ class Sensor:
         self._stream.send(
             block.block_id,
             packets(block),
-            rate_bytes_s=min(self._link_bytes_s, registers.number("DeviceLinkThroughputLimit")),
+            rate_bytes_s=min(
+                self._link_bytes_s,
+                registers.number("DeviceLinkThroughputLimit"),
+                image.shape[1] * 1e9 / LINE_TIME_NS,  # not before it is read out
+            ),
             gap_ns=registers.number("GevSCPD"),
             is_wanted=lambda: self._is_current(run),
         )

@@ -16,8 +16,8 @@ from drivers.gige_simulator.uplink import Uplink
 
 N_KEPT = 3
 """Frames a camera keeps for resends."""
-_SLACK_S = 0.001
-"""How far the sender may run ahead of the link's pace before it sleeps."""
+BURST_S = 0.001
+"""The sender sleeps, then sends what would have left meanwhile: the shorter, the more it costs."""
 _SEND_BUFFER_BYTES = 2 << 20
 
 
@@ -36,7 +36,9 @@ class Tally:
 @dataclass(slots=True)
 class _Kept:
     packets: Sequence[Packet]
-    missing: set[int] = field(default_factory=set)  # never left
+    missing: set[int] = field(default_factory=set)  # should have left and did not
+    is_sent: bool = False  # every packet had its turn
+    is_whole: bool = False
 
 
 class StreamChannel:
@@ -62,11 +64,18 @@ class StreamChannel:
         self._destination: tuple[str, int] | None = None
 
     def open(self, address: str) -> int:
-        """Bind to the camera's address; the port packets come from."""
+        """Bind to the camera's address; the port packets come from. Raises `OSError`."""
         stream_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         stream_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        stream_socket.bind((address, 0))
-        self._socket = stream_socket
+        try:
+            stream_socket.bind((address, 0))
+        except OSError:
+            stream_socket.close()
+            raise
+        with self._lock:
+            if self._socket is not None:
+                self._socket.close()
+            self._socket = stream_socket
         return int(stream_socket.getsockname()[1])
 
     def close(self) -> None:
@@ -96,30 +105,65 @@ class StreamChannel:
         gap_ns: int,
         is_wanted: Callable[[], bool],
     ) -> None:
-        """Send a frame at `rate_bytes_s` and at least `gap_ns` between packets; it takes as long as that does."""
-        faults, kept = self._faults, _Kept(frame, set(range(len(frame))))
+        """Send a frame at `rate_bytes_s` and with `gap_ns` between packets; it takes as long as that does."""
+        kept = _Kept(frame)
         with self._lock:
             self._kept[block_id] = kept
             while len(self._kept) > N_KEPT:
                 self._kept.popitem(last=False)
+        packet_s = (len(frame[1]) + IP_UDP_BYTES) / rate_bytes_s + gap_ns / 1e9
+        is_sent = self._send_all(kept, packet_s, is_wanted)
+        with self._lock:
             self.tally.torn += 1
-        lost = {packet_id % len(frame) for packet_id in faults.lost_packets if packet_id < len(frame)}
-        due_s = time.monotonic()
-        for packet_id in _order(len(frame), reorder=faults.reorder):
-            if not is_wanted():
-                return
-            packet = frame[packet_id]
-            due_s += max((len(packet) + IP_UDP_BYTES) / rate_bytes_s, gap_ns / 1e9)
-            is_stalled = faults.stall_after is not None and packet_id > faults.stall_after
-            is_lost = is_stalled or packet_id in lost or _strikes(self._send_random, faults.packet_loss)
-            with self._lock:
-                if self._put(packet, is_lost=is_lost):
-                    self._mark(kept, packet_id)
-                if not is_lost and _strikes(self._send_random, faults.duplicate):
-                    self._put(packet, is_lost=False)
-            ahead_s = due_s - time.monotonic()
-            if ahead_s > _SLACK_S:
+            kept.is_sent = is_sent
+            self._settle(kept)
+
+    def _send_all(self, kept: _Kept, packet_s: float, is_wanted: Callable[[], bool]) -> bool:
+        """Send a packet every `packet_s`; stop and say so when the frame is no longer wanted."""
+        n_burst = max(1, int(BURST_S / packet_s))
+        order = _order(len(kept.packets), reorder=self._faults.reorder)
+        start_s = time.monotonic()
+        for first in range(0, len(order), n_burst):
+            burst = order[first : first + n_burst]
+            ahead_s = start_s + (first + len(burst)) * packet_s - time.monotonic()
+            if ahead_s > 0:
                 time.sleep(ahead_s)
+            if not is_wanted():
+                return False
+            with self._lock:
+                self._put_burst(kept, burst)
+        return True
+
+    def _put_burst(self, kept: _Kept, packet_ids: Sequence[int]) -> None:
+        faults, frame = self._faults, kept.packets
+        if self._is_plain() and self._socket is not None and self._destination is not None:
+            send, destination = self._socket.sendto, self._destination
+            with suppress(OSError):
+                for packet_id in packet_ids:
+                    send(frame[packet_id], destination)
+            self.tally.packets += len(packet_ids)
+            return
+        lost = {packet_id % len(frame) for packet_id in faults.lost_packets if packet_id < len(frame)}
+        for packet_id in packet_ids:
+            is_lost = (
+                packet_id in lost
+                or (faults.stall_after is not None and packet_id > faults.stall_after)
+                or _strikes(self._send_random, faults.packet_loss)
+            )
+            if not self._put(frame[packet_id], is_lost=is_lost):
+                kept.missing.add(packet_id)
+            elif _strikes(self._send_random, faults.duplicate):
+                self._put(frame[packet_id], is_lost=False)
+
+    def _is_plain(self) -> bool:
+        """Whether nothing can happen to a packet: most of the time, and then bursts are cheap."""
+        faults = self._faults
+        return (
+            not (faults.packet_loss or faults.lost_packets or faults.duplicate)
+            and faults.stall_after is None
+            and self._uplink is None
+            and self._is_connected()
+        )
 
     def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
         """Send packets `first` to `last` of a kept frame again, or say for each that it is gone."""
@@ -141,7 +185,9 @@ class StreamChannel:
                 is_lost = _strikes(self._resend_random, self._faults.packet_loss)
                 if self._put(kept.packets[packet_id], is_lost=is_lost):
                     self.tally.resent += 1
-                    self._mark(kept, packet_id)
+                    kept.missing.discard(packet_id)
+            if kept is not None:
+                self._settle(kept)
 
     def send_raw(self, datagram: bytes, destination: tuple[str, int] | None = None) -> None:
         """Send a datagram that is no packet of a frame, uncounted."""
@@ -170,12 +216,12 @@ class StreamChannel:
         self.tally.packets += 1
         return True
 
-    def _mark(self, kept: _Kept, packet_id: int) -> None:
-        if packet_id in kept.missing:
-            kept.missing.remove(packet_id)
-            if not kept.missing:
-                self.tally.torn -= 1
-                self.tally.frames += 1
+    def _settle(self, kept: _Kept) -> None:
+        """Count a frame as whole once its last missing packet has left."""
+        if kept.is_sent and not kept.missing and not kept.is_whole:
+            kept.is_whole = True
+            self.tally.torn -= 1
+            self.tally.frames += 1
 
 
 def _order(n_packets: int, *, reorder: bool) -> list[int]:

@@ -22,14 +22,18 @@ TITLES = {
     "internal-error": "A fault of the service",
     "content-too-large": "The request is too large",
     "invalid-request": "The request is not valid",
+    "no-room": "The disk has no room for it",
     "not-acceptable": "No acceptable representation",
     "not-kept": "This file was not kept",
     "not-ready": "Not ready to measure stones",
+    "recording-exists": "There is such a recording already",
+    "recording-running": "Another recording is under way",
     "store-unavailable": "The store cannot be read or written",
     "transition-conflict": "The acquisition cannot change to this state now",
     "unauthorized": "A key is needed",
     "unknown-camera": "No such camera",
     "unknown-particle": "No such particle",
+    "unknown-recording": "No such recording",
 }
 
 

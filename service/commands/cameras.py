@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from drivers.cameras.description import genicam_xml
 from drivers.gvcp import Device, discover, local_addresses
 
 
@@ -41,8 +42,6 @@ def command(
 ) -> None:
     """Find all GigE cameras on the networks of this machine, whoever uses them."""
     if xml is not None:
-        from drivers.cameras.aravis import genicam_xml  # looking around needs no Aravis
-
         typer.echo(genicam_xml(xml))
         return
     found = discover(interface)

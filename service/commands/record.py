@@ -79,7 +79,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     recording = LiveRecording(
         out,
         source,
-        compression=settings.recordings.compression,
+        compression="zstd",  # nobody else needs the processor
         reserve_bytes=settings.recordings.reserve_bytes,
         made_by={"command": "record", "count": count},
         count=count,

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import httpx
 import pytest
+from support.recordings import SOURCE
 from support.rest import FakeControl, client_of
 
 from service.api.app import create_app
 from service.api.settings import ApiSettings
+from service.recordings import RecordingsSettings, open_recordings
 from service.store import Store, open_store
 
 
@@ -28,8 +30,9 @@ async def session(store: Store) -> int:
 
 
 @pytest.fixture
-def control() -> FakeControl:
-    return FakeControl()
+def control(tmp_path: Path) -> FakeControl:
+    settings = RecordingsSettings(reserve_gb=0.0)
+    return FakeControl(open_recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}))
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
         mute.bind((f"{NET}.9", GVCP_PORT))
         start_s = time.monotonic()
         assert probe(f"{NET}.9") is None
-        assert time.monotonic() - start_s < 0.2
+        assert time.monotonic() - start_s < 0.3
     assert probe(f"{NET}.9") is None  # refused
     assert probe("240.0.0.1") is None  # unreachable
 

@@ -1,5 +1,6 @@
 """What every camera and every light gate does, whatever it is made of."""
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.pty_gate import serial_gate
 from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
 from support.sinks import Collector
 
@@ -139,52 +141,85 @@ class TestCameraContract:
         assert len(sink.events) == 1
 
 
+@dataclass(frozen=True)
+class GateBench:
+    """A gate under test, closed, and a way to let stones fall through it."""
+
+    gate: LightGate
+    drop: Callable[[], None]
+    """One stone passes; who listens hears of it soon."""
+    clock: Callable[[], int] = time.monotonic_ns
+
+
+@pytest.fixture(params=[*PLANS, "serial"])
+def gate_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GateBench]:
+    if request.param == "serial":
+        with serial_gate(tmp_path / "gate") as (gate, device):
+            yield GateBench(gate, device.edge)
+        return
+    path = write_recording(tmp_path / "rec", [make_bundle(number) for number in range(N_BUNDLES)])
+    devices = build_devices(ReplayBackend(recording=path, pace="stepped", faults=PLANS[request.param]))
+    assert devices.belt is not None
+    yield GateBench(devices.gate, devices.belt.step, devices.clock)
+    devices.gate.close()
+
+
 class TestGateContract:
     @pytest.fixture
-    def gate(self, devices: Devices) -> LightGate:
-        return devices.gate
+    def gate(self, gate_bench: GateBench) -> LightGate:
+        return gate_bench.gate
 
-    def test_an_armed_gate_counts_stones(self, gate: LightGate, bench: Bench) -> None:
-        before_ns = bench.devices.clock()
+    def test_an_armed_gate_counts_stones(self, gate: LightGate, gate_bench: GateBench) -> None:
+        gate.open()
+        gate.arm(sink := Collector())
+        triggers, before_ns = [], gate_bench.clock()
         for _ in range(3):
-            bench.fire()
-        triggers = bench.triggers.events
-        assert all(isinstance(trigger, Trigger) for trigger in triggers)
-        assert [trigger.sequence for trigger in triggers] == [0, 1, 2]
+            gate_bench.drop()
+            triggers.append(next_trigger(sink))
+        assert all(later.sequence - earlier.sequence == 1 for earlier, later in pairwise(triggers))
         assert all(later.received_ns > earlier.received_ns for earlier, later in pairwise(triggers))
-        assert before_ns <= triggers[1].received_ns <= bench.devices.clock()
+        assert before_ns <= triggers[1].received_ns <= gate_bench.clock()
         assert all(trigger.utc.endswith("Z") for trigger in triggers)
 
-    def test_after_disarm_nothing_is_delivered(self, gate: LightGate, bench: Bench) -> None:
-        bench.fire()
-        gate.disarm()
-        gate.disarm()
-        assert bench.devices.belt is not None
-        bench.devices.belt.step()
-        assert len(bench.triggers.events) == 1
+    def test_after_disarm_nothing_is_delivered(self, gate: LightGate, gate_bench: GateBench) -> None:
+        gate.open()
         gate.arm(sink := Collector())
-        assert isinstance(trigger := sink.next(), Trigger)
-        assert trigger.sequence == bench.triggers.events[0].sequence + 1
-        assert len(bench.triggers.events) == 1
+        gate_bench.drop()
+        first = next_trigger(sink)
+        gate.disarm()
+        gate.disarm()
+        gate_bench.drop()
+        gate.arm(second_sink := Collector())
+        gate_bench.drop()
+        assert next_trigger(second_sink).sequence > first.sequence
+        assert len(sink.events) == 1
 
     def test_it_must_be_open_to_be_armed(self, gate: LightGate) -> None:
         with pytest.raises(DeviceError, match="gate"):
             gate.arm(Collector())
 
     def test_closing_is_always_allowed_and_it_can_be_opened_again(
-        self, gate: LightGate, bench: Bench
+        self, gate: LightGate, gate_bench: GateBench
     ) -> None:
-        bench.fire()
+        gate.open()
+        gate.arm(sink := Collector())
+        gate_bench.drop()
+        first = next_trigger(sink)
         gate.close()
         gate.close()
         gate.disarm()
         gate.open()
-        gate.arm(sink := Collector())
-        bench.fire()
-        (trigger,) = sink.events
-        assert isinstance(trigger, Trigger)
-        assert trigger.sequence == 1
+        gate.arm(second_sink := Collector())
+        gate_bench.drop()
+        assert next_trigger(second_sink).sequence == first.sequence + 1
+        assert len(sink.events) == 1
 
     def test_closing_unopened(self, gate: LightGate) -> None:
         gate.close()
         gate.disarm()
+
+
+def next_trigger(sink: Collector) -> Trigger:
+    trigger = sink.next()
+    assert isinstance(trigger, Trigger)
+    return trigger

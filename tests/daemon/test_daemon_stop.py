@@ -14,7 +14,8 @@ from support.recordings import make_bundle, write_recording
 from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.interfaces import EventSink
 from service import daemon
-from service.settings import RigSettings, Settings, SpoolSettings, StoreSettings, WorkersSettings
+from service.rig_settings import ReplayRigSettings
+from service.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
 from service.store import open_store
 from service.systemd import ServiceManager
 
@@ -23,7 +24,7 @@ from service.systemd import ServiceManager
 def settings(tmp_path: Path) -> Settings:
     recording = write_recording(tmp_path / "recording", [make_bundle(1)])
     return Settings(
-        rig=RigSettings(recording=recording),
+        rig=ReplayRigSettings(recording=recording),
         spool=SpoolSettings(dir=tmp_path / "spool"),
         store=StoreSettings(dir=tmp_path / "state"),
         workers=WorkersSettings(slots=1),

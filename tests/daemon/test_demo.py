@@ -71,13 +71,6 @@ def test_it_ends_with_the_daemon(daemon: DaemonProcess):
     assert watch.returncode == 1
 
 
-@pytest.mark.parametrize(
-    ("argument", "line"),
-    [
-        ("--gige", "--gige is not available in this version\n"),
-        ("--twice", "usage: deploy/demo [--once]\n"),
-    ],
-)
-def test_unknown_arguments_are_refused(argument: str, line: str):
-    done = subprocess.run([DEPLOY / "demo", argument], check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
+def test_unknown_arguments_are_refused():
+    done = subprocess.run([DEPLOY / "demo", "--twice"], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: deploy/demo [--gige] [--once]\n")

@@ -19,14 +19,14 @@ from urllib.parse import urlsplit
 STONEFALL = Path(sys.executable).with_name("stonefall")
 
 CONFIG = """
-[rig]
-recording = "{recording}"
 {rig}
 [spool]
 dir = "spool"
 max_bundles = 100
 [store]
 dir = "state"
+[recordings]
+reserve_gb = 0.1
 [carving]
 n = 64
 [workers]
@@ -42,10 +42,13 @@ class DaemonProcess:
     def __init__(
         self, folder: Path, recording: Path, *, rig: str = 'pace = "fast"', slots: int = 2, port: int = 0
     ) -> None:
+        """`rig`: what follows `recording` in the section of that name, or all of it with its name."""
+        if not rig.startswith("[rig]"):
+            rig = f'[rig]\nrecording = "{recording}"\n{rig}'
         self.folder = folder
         self.log_path = folder / "daemon.log"
         self.config_path = folder / "stonefall.toml"
-        self.config_path.write_text(CONFIG.format(recording=recording, rig=rig, slots=slots, port=port))
+        self.config_path.write_text(CONFIG.format(rig=rig, slots=slots, port=port))
         self.heard: list[str] = []
 
     def __enter__(self) -> Self:
@@ -90,6 +93,9 @@ class DaemonProcess:
 
     def put(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
         return self._ask(path, method="PUT", body=json.dumps(body))
+
+    def post(self, path: str, body: dict[str, Any]) -> dict[str, Any]:
+        return self._ask(path, method="POST", body=json.dumps(body))
 
     def url(self, path: str) -> str:
         addresses = re.findall(r"serving url=(\S+)", self.log)

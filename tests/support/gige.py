@@ -1,22 +1,24 @@
-"""A simulated GigE camera and the settings to open it, for tests of the real driver.
+"""Simulated GigE cameras and the settings to open them, for tests of the real driver."""
 
-Addresses are 127.33.0.x, so that other simulators on this machine are not disturbed.
-"""
-
+import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from support.recordings import SIZE_PX as SMALL_PX
+from support.recordings import tagged_image
 
+from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import GigeCameraSettings, exposure_features, trigger_features
-from drivers.gige_simulator.camera import CameraDesign, Exposure, SimulatedCamera
+from drivers.gige_simulator.camera import CameraDesign, Exposure, ImageSource, SimulatedCamera
 from pipeline.frames import CameraId
 
-NET = "127.33.0"
+NET = f"127.33.{os.getpid() % 256}"
+"""Of this test process alone: the port of the control protocol is the same for all simulators of a machine."""
 INTERFACE = f"{NET}.1"
 SIZE_PX = (320, 240)
 EXPOSURE_US = 100.0
@@ -34,22 +36,23 @@ def numbered(exposure: Exposure) -> NDArray[np.uint8]:
 
 
 def design(number: int = 2, **changes: Any) -> CameraDesign:
-    """Camera `number` of the net; by default `c02` at 127.33.0.2 with serial SIM02."""
+    """Camera `number` of the net; by default `c02` with serial SIM02."""
     camera = CameraDesign(
         id=CameraId(f"c{number:02}"),
         address=f"{NET}.{number}",
         serial=f"SIM{number:02}",
         user_name=f"place {number}",
         image_size_px=SIZE_PX,
+        link_bytes_s=20_000_000,  # a frame takes longer than the readout: once it is here, the next may be exposed
         seed=number,
     )
     return replace(camera, **changes)
 
 
 @contextmanager
-def powered(camera: CameraDesign) -> Iterator[SimulatedCamera]:
+def powered(camera: CameraDesign, source: ImageSource = numbered) -> Iterator[SimulatedCamera]:
     """Switch a simulated camera on, and off again."""
-    simulated = SimulatedCamera(camera, numbered)
+    simulated = SimulatedCamera(camera, source)
     simulated.start()
     try:
         yield simulated
@@ -73,9 +76,35 @@ def settings_for(camera: CameraDesign, *, source: str = "Line1", **changes: Any)
     return replace(settings, **changes)
 
 
-def eventually(is_so: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    """Wait until it is so; fails when it takes too long."""
-    deadline_s = time.monotonic() + timeout_s
-    while not is_so():
-        assert time.monotonic() < deadline_s, "never came true"
-        time.sleep(0.01)
+@dataclass(frozen=True)
+class GigeRig:
+    """The small rig's cameras as simulated GigE cameras, and the drivers to them, not yet opened."""
+
+    simulated: Mapping[CameraId, SimulatedCamera]
+    cameras: Mapping[CameraId, AravisCamera]
+    _fired_ns: list[int]
+
+    def fire(self) -> None:
+        """Expose all of them: stone number n shows `tagged_image(n, camera)`, from 0."""
+        self._fired_ns.append(time.monotonic_ns())
+        for simulated in self.simulated.values():
+            simulated.line(at_ns=self._fired_ns[-1])
+
+
+@contextmanager
+def gige_rig(camera_ids: Sequence[CameraId]) -> Iterator[GigeRig]:
+    """Switch the cameras on; afterwards close the drivers and switch them off."""
+    fired_ns: list[int] = []
+
+    def source(exposure: Exposure) -> NDArray[np.uint8]:
+        return tagged_image(fired_ns.index(exposure.trigger_ns), exposure.camera)
+
+    designs = [
+        design(number, id=camera, image_size_px=SMALL_PX) for number, camera in enumerate(camera_ids, start=2)
+    ]
+    with ExitStack() as stack:
+        simulated = {each.id: stack.enter_context(powered(each, source)) for each in designs}
+        cameras = {each.id: AravisCamera(settings_for(each, image_size_px=SMALL_PX)) for each in designs}
+        for camera in cameras.values():
+            stack.callback(camera.close)
+        yield GigeRig(simulated, cameras, fired_ns)

@@ -5,6 +5,8 @@ import select
 import threading
 import time
 import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from drivers.gates.gate_protocol import (
@@ -19,13 +21,34 @@ from drivers.gates.gate_protocol import (
     Width,
     encode,
 )
+from drivers.gates.serial_gate import SerialGate, SerialGateSettings
+
+
+def pty_settings(link: Path) -> SerialGateSettings:
+    """For a gate that transmits at once, as native USB does, and stones that follow one another at once."""
+    return SerialGateSettings(port=str(link), baud=4_000_000, debounce_us=1)
+
+
+@contextmanager
+def serial_gate(link: Path) -> Iterator[tuple[SerialGate, "PtyGate"]]:
+    """Make a serial gate, not yet opened, and the device it will find; both end with the context."""
+    device = PtyGate(link)
+    gate = SerialGate(pty_settings(link))
+    try:
+        yield gate, device
+    finally:
+        gate.close()
+        device.unplug()
+
+
+UPTIME_NS = 60_000_000_000
+"""For so long it has been on when it is made."""
 
 
 class PtyGate:
     """Answers commands; edges, statuses, bytes and silence are the test's.
 
-    `link` is the stable name: a symbolic link that outlives `unplug` and `plug`. Its clock is the host's
-    since power-on, and what it sends it sends at once.
+    `link` is the stable name: a symbolic link, the same after `unplug` and `plug`. What it sends it sends at once.
     """
 
     def __init__(self, link: Path, *, first_sequence: int = 1) -> None:
@@ -34,7 +57,7 @@ class PtyGate:
         self.ignored = 0
         self.is_blocked = False
         self.answers = True
-        self._booted_ns = time.monotonic_ns()
+        self._booted_ns = time.monotonic_ns() - UPTIME_NS
         self._sending = threading.Lock()
         self._stopping = threading.Event()
         self._fd: int | None = None
@@ -72,6 +95,10 @@ class PtyGate:
     @property
     def device_us(self) -> int:
         return (time.monotonic_ns() - self._booted_ns) // 1000
+
+    def host_ns(self, device_us: int) -> int:
+        """Monotonic time of the gate's `device_us`."""
+        return self._booted_ns + device_us * 1000
 
     def edge(self, *, width_us: int | None = None, is_told: bool = True, at_us: int | None = None) -> Edge:
         """Count a stone; unless `is_told` no line says so."""

@@ -10,6 +10,7 @@ from drivers.recording import RecordingWriter
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import nominal_rig
+from service.recording_live import RecordingSource
 
 SIZE_PX = (64, 48)
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 5))
@@ -25,6 +26,9 @@ def small_rig(camera_ids: Sequence[CameraId] = CAMERAS) -> RigCalibration:
         for camera_id, camera in zip(camera_ids, rig.cameras, strict=False)
     )
     return replace(rig, name="small", cameras=cameras)
+
+
+SOURCE = RecordingSource(camera_ids=CAMERAS, rig=small_rig(), is_simulated=True)
 
 
 def tagged_image(sequence: int, camera: CameraId, size_px: tuple[int, int] = SIZE_PX) -> Image:

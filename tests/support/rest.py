@@ -23,6 +23,7 @@ from service.control import (
     Ne107,
     next_state,
 )
+from service.recordings import Recordings
 from service.store import Store
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
@@ -47,6 +48,7 @@ SICK_HEALTH = Health(
 class FakeControl:
     """A daemon whose state a test sets; arming and disarming end at once."""
 
+    recordings: Recordings | None = None
     state: AcquisitionState = AcquisitionState.DISARMED
     condition: Health = GOOD_HEALTH
     snapshots: dict[str, bytes] = field(default_factory=dict)

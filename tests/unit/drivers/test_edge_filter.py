@@ -95,6 +95,15 @@ def test_missed_edges_end_in_no_absurd_width() -> None:
     assert edge_filter.settle(99_000) == [Ended(5000)]
 
 
+def test_a_bounce_that_is_told_late_is_still_no_stone() -> None:
+    edge_filter = EdgeFilter(DEBOUNCE)
+    feed(edge_filter, ("closed", 0), ("opened", 5000))
+    assert edge_filter.settle(6000) == [Ended(5000)]
+    assert feed(edge_filter, ("closed", 5300), ("opened", 5400)) == [Bounced(5300)]
+    assert edge_filter.settle(9000) == []
+    assert feed(edge_filter, ("closed", 9000)) == [Began(9000)]
+
+
 def test_a_reset_forgets_the_pulse() -> None:
     edge_filter = EdgeFilter(DEBOUNCE)
     feed(edge_filter, ("closed", 0))

@@ -110,6 +110,16 @@ def test_a_trigger_within_the_dead_time_gets_an_empty_bundle() -> None:
     assert assembler.counters.in_dead_time == 1
 
 
+def test_the_clock_of_the_gate_decides_whether_a_trigger_was_too_soon() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    late = replace(trigger(0, 40 * MS), device_ns=1)  # heard 40 ms late
+    assembler.feed(late)
+    assembler.feed(replace(trigger(1, 250 * MS), device_ns=1 + 250 * MS))
+    assert assembler.counters.in_dead_time == 0
+    assembler.feed(replace(trigger(2, 400 * MS), device_ns=1))  # the gate's clock began anew
+    assert assembler.counters.in_dead_time == 1
+
+
 def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:
     parameters = BundlingParameters(expected_delay_ms=0, window_ms=50, dead_time_ms=200)
     assembler = BundleAssembler(CAMERAS, parameters)

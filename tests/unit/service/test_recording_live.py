@@ -2,7 +2,7 @@ import asyncio
 import shutil
 import threading
 from collections import namedtuple
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +32,10 @@ async def closed(recording: LiveRecording) -> LiveRecording:
 
 def bundles_in(path: Path) -> list[FrameBundle]:
     return [read_bundle(header.path, CAMERAS) for header in playback_order(open_recording(path))]
+
+
+def names_in(path: Path) -> list[str]:
+    return sorted(entry.name for entry in path.iterdir())
 
 
 class SlowFrames(dict[CameraId, Frame]):
@@ -157,7 +161,7 @@ async def test_a_recording_that_fails_leaves_nothing(
     assert recording.failure is not None
     assert reason in recording.failure
     assert recording.status().state is RecordingState.FAILED
-    assert list(tmp_path.iterdir()) == []
+    assert names_in(tmp_path) == []
 
 
 async def test_an_io_error_is_a_reason_without_paths(tmp_path: Path):
@@ -166,13 +170,13 @@ async def test_an_io_error_is_a_reason_without_paths(tmp_path: Path):
     recording.start()
     recording.offer(slow)
     await asyncio.to_thread(frames.has_begun.wait, 10)
-    (unfinished,) = tmp_path.iterdir()
-    shutil.rmtree(unfinished)  # as if the disk were gone
+    (unfinished,) = names_in(tmp_path)
+    shutil.rmtree(tmp_path / unfinished)  # as if the disk were gone
     frames.may_end.set()
     await closed(recording)
     assert recording.failure == "cannot be written: No such file or directory"
     recording.offer(make_bundle(2))  # goes nowhere, and harms nobody
-    assert list(tmp_path.iterdir()) == []
+    assert names_in(tmp_path) == []
 
 
 async def test_the_name_must_be_free_when_it_is_taken(tmp_path: Path):

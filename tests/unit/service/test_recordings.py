@@ -29,6 +29,10 @@ def offer(recordings: Recordings, *sequences: int, kind: BundleKind = BundleKind
         recordings.offer(make_bundle(sequence, kind=kind))
 
 
+def names_in(path: Path) -> list[str]:
+    return sorted(entry.name for entry in path.iterdir())
+
+
 def sequences_in(path: Path) -> list[int]:
     return [header.sequence for header in open_recording(path).headers]
 
@@ -133,7 +137,7 @@ async def test_the_next_start_finds_what_is_complete_and_removes_what_is_not(
     assert damaged.reason.startswith("recording.json cannot be read")
     assert [complete] == [status for status in await recordings.all() if status.name == "r1"]
     assert (complete.bundles, complete.ended_by) == (2, "count")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged", "r1"]
+    assert names_in(tmp_path) == ["damaged", "r1"]
 
 
 @pytest.mark.parametrize(

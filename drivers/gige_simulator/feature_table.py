@@ -1,0 +1,231 @@
+"""What a simulated camera can be asked and told: one table in two dialects.
+
+Names follow the Standard Features Naming Convention (SFNC); the legacy dialect is the same table with the
+names of older cameras, integer registers behind its floats, and values clamped instead of refused.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from drivers.gige_simulator.features import CHUNKS, MONO8, PTP_STATES, Dialect, Feature
+
+_LINES = ("Line1", "Line2", "Line3")
+_AUTOMATIC = ("Off", "Once", "Continuous")
+_SETS = ("Default", "UserSet1")
+
+
+def feature_table(
+    dialect: Dialect, image_size_px: tuple[int, int], *, throughput_bytes_s: int
+) -> tuple[Feature, ...]:
+    """Return the features of a camera with such a sensor on such a link."""
+    table = (
+        *_device(throughput_bytes_s),
+        *_image_format(*image_size_px),
+        *_acquisition(),
+        *_lines_and_counters(),
+        *_transport(),
+    )
+    return tuple(_as_legacy(feature) for feature in table) if dialect == "legacy" else table
+
+
+def _device(throughput_bytes_s: int) -> tuple[Feature, ...]:
+    integer, floating, command = _integer("DeviceControl"), _float("DeviceControl"), _command("DeviceControl")
+    text = partial(Feature, category="DeviceControl", kind="string", access="RO")
+    return (
+        text(name="DeviceVendorName", address=0x48, length=32),
+        text(name="DeviceModelName", address=0x68, length=32),
+        text(name="DeviceVersion", address=0x88, length=32),
+        text(name="DeviceManufacturerInfo", address=0xA8, length=48),
+        text(name="DeviceSerialNumber", address=0xD8, length=16),
+        text(name="DeviceUserID", address=0xE8, length=16, access="RW"),
+        floating(name="DeviceTemperature", access="RO", unit="C", minimum=-50, maximum=150),
+        command(name="DeviceReset"),
+        command(name="TimestampLatch"),
+        integer(
+            name="TimestampLatchValue", access="RO", address=0x948, length=8, maximum=2**63 - 1, unit="ns"
+        ),
+        integer(
+            name="DeviceLinkThroughputLimit",
+            value=throughput_bytes_s,
+            minimum=100_000,
+            maximum=throughput_bytes_s,
+            unit="B/s",
+        ),
+        _choice("UserSetSelector", "UserSetControl", _SETS, is_kept=False),
+        _choice("UserSetDefault", "UserSetControl", _SETS, is_kept=False),
+        _command("UserSetControl")(name="UserSetLoad", is_locked=True),
+        _command("UserSetControl")(name="UserSetSave", is_locked=True),
+    )
+
+
+def _image_format(width: int, height: int) -> tuple[Feature, ...]:
+    category = "ImageFormatControl"
+    integer, extent = _integer(category), _integer(category, is_locked=True, maximum=max(width, height))
+    return (
+        integer(name="SensorWidth", access="RO", value=width, maximum=width),
+        integer(name="SensorHeight", access="RO", value=height, maximum=height),
+        extent(name="Width", value=width, minimum=16, increment=4, limit=("SensorWidth", "OffsetX")),
+        extent(name="Height", value=height, minimum=2, increment=2, limit=("SensorHeight", "OffsetY")),
+        extent(name="OffsetX", increment=4, limit=("SensorWidth", "Width")),
+        extent(name="OffsetY", increment=2, limit=("SensorHeight", "Height")),
+        _choice("PixelFormat", category, {"Mono8": MONO8}, value=MONO8, is_locked=True),
+        integer(name="PayloadSize", access="RO"),
+    )
+
+
+def _acquisition() -> tuple[Feature, ...]:
+    category = "AcquisitionControl"
+    floating, command, switch = _float(category), _command(category), _switch(category)
+    of_trigger: dict[str, Any] = {"category": category, "selector": "TriggerSelector"}
+    return (
+        _choice("AcquisitionMode", category, ("Continuous", "SingleFrame"), is_locked=True),
+        command(name="AcquisitionStart"),
+        command(name="AcquisitionStop"),
+        switch(name="AcquisitionStatus", access="RO"),
+        floating(name="AcquisitionFrameRate", value=10.0, minimum=0.1, maximum=100.0, unit="Hz"),
+        switch(name="AcquisitionFrameRateEnable"),
+        _choice("TriggerSelector", category, ("FrameStart", "FrameBurstStart")),
+        _choice("TriggerMode", **of_trigger, entries=("Off", "On")),
+        _choice("TriggerSource", **of_trigger, entries=(*_LINES, "Software", "Action1")),
+        _choice("TriggerActivation", **of_trigger, entries=("RisingEdge", "FallingEdge", "AnyEdge")),
+        floating(name="TriggerDelay", selector="TriggerSelector", maximum=1_000_000.0, unit="us"),
+        command(name="TriggerSoftware", selector="TriggerSelector"),
+        floating(name="ExposureTime", value=1000.0, minimum=10.0, maximum=1_000_000.0, unit="us"),
+        _choice("ExposureAuto", category, _AUTOMATIC),
+        _float("AnalogControl")(name="Gain", maximum=24.0, unit="dB"),
+        _choice("GainAuto", "AnalogControl", _AUTOMATIC),
+    )
+
+
+def _lines_and_counters() -> tuple[Feature, ...]:
+    lines, counters, actions = "DigitalIOControl", "CounterAndTimerControl", _integer("ActionControl")
+    events = ("Off", "FrameTrigger", "FrameTriggerMissed", "ExposureStart")
+    of_line: dict[str, Any] = {"category": lines, "selector": "LineSelector"}
+    of_counter: dict[str, Any] = {"category": counters, "selector": "CounterSelector"}
+    return (
+        _choice("LineSelector", lines, _LINES),
+        _choice("LineMode", **of_line, entries=("Input", "Output")),
+        _choice("LineSource", **of_line, entries=("Off", "ExposureActive")),
+        _switch(**of_line)(name="LineInverter"),
+        _switch(**of_line)(name="LineStatus", access="RO"),
+        _float(**of_line)(name="LineDebouncerTime", maximum=20_000.0, unit="us"),
+        _choice("CounterSelector", counters, ("Counter1", "Counter2")),
+        _choice("CounterEventSource", **of_counter, entries=events, value=events.index("FrameTrigger")),
+        _integer(**of_counter)(name="CounterValue", access="RO"),
+        _command(**of_counter)(name="CounterReset"),
+        actions(name="ActionDeviceKey", address=0x90C),
+        actions(name="ActionGroupKey", address=0x9800),
+        actions(name="ActionGroupMask", address=0x9804),
+    )
+
+
+def _transport() -> tuple[Feature, ...]:
+    category, chunks = "TransportLayerControl", "ChunkDataControl"
+    integer, switch = _integer(category), _switch(category)
+    return (
+        _switch(chunks)(name="ChunkModeActive", is_locked=True),
+        _choice("ChunkSelector", chunks, tuple(CHUNKS)),
+        _switch(chunks)(name="ChunkEnable", selector="ChunkSelector", value=1, is_locked=True),
+        integer(
+            name="GevSCPSPacketSize",
+            address=0xD04,
+            bits=(16, 31),
+            value=1500,
+            minimum=220,
+            maximum=9000,
+            increment=4,
+            unit="B",
+            is_locked=True,
+        ),
+        switch(name="GevSCPSDoNotFragment", address=0xD04, bits=(1, 1)),
+        switch(name="GevSCPSFireTestPacket", address=0xD04, bits=(0, 0)),
+        integer(name="GevSCPD", address=0xD08, maximum=100_000_000, unit="ns"),
+        integer(
+            name="GevHeartbeatTimeout",
+            address=0x938,
+            value=3000,
+            minimum=500,
+            maximum=60_000,
+            unit="ms",
+            is_kept=False,
+        ),
+        _choice("GevGVSPExtendedIDMode", category, ("Off", "On"), address=0x960, bits=(1, 1), is_locked=True),
+        switch(name="PtpEnable"),
+        _choice("PtpStatus", category, PTP_STATES, access="RO"),
+        integer(
+            name="PtpOffsetFromMaster",
+            access="RO",
+            length=8,
+            minimum=-(2**63),
+            maximum=2**63 - 1,
+            unit="ns",
+        ),
+        _command(category)(name="PtpDataSetLatch"),
+        integer(name="TLParamsLocked", maximum=1, is_kept=False),
+    )
+
+
+def _integer(category: str, **settings: Any) -> partial[Feature]:
+    return partial(Feature, category=category, kind="integer", **settings)
+
+
+def _float(category: str, **settings: Any) -> partial[Feature]:
+    return partial(Feature, category=category, kind="float", **settings)
+
+
+def _switch(category: str, **settings: Any) -> partial[Feature]:
+    return partial(Feature, category=category, kind="boolean", **settings)
+
+
+def _command(category: str, **settings: Any) -> partial[Feature]:
+    return partial(Feature, category=category, kind="command", access="WO", **settings)
+
+
+def _choice(
+    name: str, category: str, entries: tuple[str, ...] | Mapping[str, int], **settings: Any
+) -> Feature:
+    """Return an enumeration, its entries counted from 0 unless they have numbers."""
+    if isinstance(entries, tuple):
+        entries = {entry: value for value, entry in enumerate(entries)}
+    return Feature(name=name, category=category, kind="enumeration", entries=entries, **settings)
+
+
+_LEGACY_NAMES = {
+    "DeviceSerialNumber": "DeviceID",
+    "TimestampLatch": "GevTimestampControlLatch",
+    "TimestampLatchValue": "GevTimestampValue",
+    "AcquisitionFrameRate": "AcquisitionFrameRateAbs",
+    "TriggerDelay": "TriggerDelayAbs",
+    "ExposureTime": "ExposureTimeAbs",
+    "Gain": "GainRaw",
+    "LineDebouncerTime": "LineDebouncerTimeAbs",
+    "PtpEnable": "GevIEEE1588",
+    "PtpStatus": "GevIEEE1588Status",
+    "PtpOffsetFromMaster": "GevIEEE1588OffsetFromMaster",
+    "PtpDataSetLatch": "GevIEEE1588DataSetLatch",
+}
+
+_LEGACY_STEPS = {
+    "AcquisitionFrameRate": 0.01,
+    "TriggerDelay": 1.0,
+    "ExposureTime": 1.0,
+    "LineDebouncerTime": 1.0,
+    "DeviceTemperature": 0.1,
+}
+"""Floats behind an integer register, and what one count of it is worth."""
+
+GAIN_STEP_DB = 0.1
+"""What one count of the legacy `GainRaw` is worth."""
+
+
+def _as_legacy(feature: Feature) -> Feature:
+    renamed = replace(feature, name=_LEGACY_NAMES.get(feature.key, feature.name))
+    if feature.key in _LEGACY_STEPS:
+        return replace(renamed, kind="scaled", length=4, scale=_LEGACY_STEPS[feature.key])
+    if feature.key == "Gain":
+        return replace(renamed, kind="integer", length=4, scale=GAIN_STEP_DB, unit="")
+    if feature.key == "TriggerSelector":
+        return replace(renamed, entries={"FrameStart": 0, "AcquisitionStart": 1})
+    return renamed

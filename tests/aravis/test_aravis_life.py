@@ -1,0 +1,309 @@
+"""Life and death of a camera: what the driver notices, how soon, and how it comes back."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.eventually import eventually
+from support.gige import NET, design, picture, powered, settings_for
+from support.sinks import Collector
+
+from drivers.cameras.aravis import AravisCamera
+from drivers.errors import CameraUnavailableError
+from drivers.gige_simulator.camera import SimulatedCamera
+from drivers.interfaces import CameraLost
+from pipeline.frames import Frame
+
+FOUND_OUT_S = 0.5
+"""How soon `examine` knows: 0.25 s, and this machine may be busy."""
+N_CYCLES = 100
+
+
+@pytest.fixture
+def simulated() -> Iterator[SimulatedCamera]:
+    with powered(design()) as camera:
+        yield camera
+
+
+@pytest.fixture
+def camera(simulated: SimulatedCamera) -> Iterator[AravisCamera]:
+    """Open; found by its serial number."""
+    camera = AravisCamera(settings_for(simulated.design, address=None, serial=simulated.design.serial))
+    camera.open()
+    yield camera
+    camera.close()
+
+
+def trouble(camera: AravisCamera) -> str:
+    """What `examine` complains about."""
+    start_s = time.monotonic()
+    with pytest.raises(CameraUnavailableError) as caught:
+        camera.examine()
+    assert time.monotonic() - start_s < FOUND_OUT_S
+    return str(caught.value)
+
+
+def reopen(camera: AravisCamera, timeout_s: float = 10.0) -> None:
+    """What the service does with a lost camera: close, and open until it can."""
+    camera.close()
+
+    def can_be_opened() -> bool:
+        try:
+            camera.open()
+        except CameraUnavailableError:
+            return False
+        return True
+
+    eventually(can_be_opened, timeout_s)
+
+
+def works(camera: AravisCamera, simulated: SimulatedCamera) -> bool:
+    """Whether an edge becomes the frame that was exposed, and all settings are as they should be."""
+    camera.arm(sink := Collector())
+    simulated.line()
+    frame = sink.next()
+    vitals = camera.examine()
+    camera.disarm()
+    return isinstance(frame, Frame) and frame.frame_id == 1 and vitals.serial == simulated.design.serial
+
+
+# --- gone ---
+
+
+def test_a_pulled_cable_is_seen_at_once_and_back_in_time_nothing_was(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    camera.arm(sink := Collector())
+    simulated.unplug()
+    assert f"does not answer at {NET}.2" in trouble(camera)
+    simulated.line()
+    eventually(lambda: simulated.counters.torn == 1)
+    simulated.replug()
+    camera.examine()
+    simulated.line()
+    frame = sink.next()
+    assert isinstance(frame, Frame)
+    assert frame.frame_id == 2
+    assert np.array_equal(frame.image, picture(2))
+
+
+def test_a_power_cycle_is_seen_and_the_camera_set_again(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    camera.arm(Collector())
+    simulated.power_cycle(0.3)
+    assert "does not answer" in trouble(camera)
+    eventually(lambda: "does not answer" not in trouble(camera))
+    assert "control was lost" in trouble(camera)
+    assert simulated.feature("ExposureTime") != 100.0
+    reopen(camera)
+    assert simulated.feature("ExposureTime") == 100.0
+    assert works(camera, simulated)
+
+
+def test_another_device_in_the_place_is_told_by_its_serial_number(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    simulated.power_cycle(0.1, serial="OTHER")
+    eventually(lambda: f"another camera, serial OTHER, has the address {NET}.2" in trouble(camera))
+    camera.close()
+    with pytest.raises(CameraUnavailableError, match=r"serial SIM02 does not answer; found .*OTHER"):
+        camera.open()
+
+
+def test_a_new_address_is_found_by_the_serial_number(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    simulated.power_cycle(0.1, address=f"{NET}.99")
+    assert f"does not answer at {NET}.2" in trouble(camera)
+    reopen(camera)
+    assert camera.examine().address == f"{NET}.99"
+    assert works(camera, simulated)
+
+
+def test_a_killed_camera_does_not_hold_up_anybody_else(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    """Closing takes seconds, in Aravis and without the interpreter's lock; another camera works meanwhile."""
+    with powered(design(3)) as other_simulated:
+        other = AravisCamera(settings_for(other_simulated.design))
+        camera.arm(Collector())
+        simulated.stop()
+        assert "does not answer" in trouble(camera)
+        closing = threading.Thread(target=camera.close)
+        start_s = time.monotonic()
+        closing.start()
+        moments_s = [start_s]
+        while closing.is_alive():
+            other.open()
+            assert works(other, other_simulated)
+            other.close()
+            moments_s.append(time.monotonic())
+        closing.join()
+        assert time.monotonic() - start_s < 9
+        assert max(later - earlier for earlier, later in pairwise(moments_s)) < 1
+    with pytest.raises(CameraUnavailableError, match="does not answer"):
+        camera.open()
+    simulated.start()
+    camera.open()
+    assert works(camera, simulated)
+
+
+def test_control_lost_for_good_ends_the_session_by_itself(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    camera.arm(sink := Collector())
+    simulated.power_cycle(0.1)
+    lost = sink.next()
+    assert isinstance(lost, CameraLost)
+    assert (lost.camera, lost.reason) == ("c02", "control was lost")
+    reopen(camera)
+    assert works(camera, simulated)
+    assert [event for event in sink.events if isinstance(event, CameraLost)] == [lost]
+
+
+# --- in other hands ---
+
+
+def test_settings_changed_by_someone_else(camera: AravisCamera, simulated: SimulatedCamera) -> None:
+    camera.arm(Collector())
+    simulated.tamper("ExposureTime", 5000.0)
+    assert trouble(camera) == "c02: setting ExposureTime is 5000.0, should be 100.0"
+    simulated.tamper("ExposureTime", 100.0)
+    camera.examine()
+    simulated.tamper("TriggerMode", "Off")
+    assert "setting TriggerMode is Off, should be On" in trouble(camera)
+    reopen(camera)
+    assert works(camera, simulated)
+
+
+def test_stolen_control_is_seen_and_won_back(camera: AravisCamera, simulated: SimulatedCamera) -> None:
+    camera.arm(Collector())
+    simulated.steal_control(1.0)
+    assert "control was lost: cannot keep it" in trouble(camera)
+    camera.close()
+    with pytest.raises(CameraUnavailableError, match="in use by another application"):
+        camera.open()
+    reopen(camera)
+    assert works(camera, simulated)
+
+
+def test_a_killed_predecessor_is_waited_for(simulated: SimulatedCamera) -> None:
+    program = f"""
+        import time
+        from support.gige import design, settings_for
+        from support.sinks import Collector
+        from drivers.cameras.aravis import AravisCamera
+        camera = AravisCamera(settings_for(design(), address={simulated.design.address!r}))
+        camera.open()
+        camera.arm(Collector())
+        print("armed", flush=True)
+        time.sleep(60)
+    """
+    tests = Path(__file__).parents[1]
+    predecessor = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": f"{tests}{os.pathsep}{tests.parent}"},
+    )
+    with predecessor:
+        assert predecessor.stdout is not None
+        assert predecessor.stdout.readline() == b"armed\n"
+        predecessor.send_signal(signal.SIGKILL)
+    camera = AravisCamera(settings_for(design()))
+    with pytest.raises(CameraUnavailableError, match="its heartbeat ends within 3 s"):
+        camera.open()
+    reopen(camera, timeout_s=5.0)
+    assert works(camera, simulated)
+    camera.close()
+
+
+# --- the driver's own life ---
+
+
+def test_a_sequence_of_calls_nobody_planned(simulated: SimulatedCamera) -> None:
+    camera = AravisCamera(settings_for(design()))
+    camera.close()
+    camera.disarm()
+    for call in (lambda: camera.arm(Collector()), camera.examine, camera.software_trigger):
+        with pytest.raises(CameraUnavailableError, match="c02: is not open"):
+            call()
+    camera.open()
+    camera.open()
+    camera.arm(first := Collector())
+    camera.arm(second := Collector())
+    simulated.line()
+    assert isinstance(second.next(), Frame)
+    assert first.events == []
+    camera.close()
+    camera.close()
+    assert simulated.controller is None
+
+
+def test_an_error_somebody_keeps_does_not_keep_the_camera(
+    camera: AravisCamera, simulated: SimulatedCamera
+) -> None:
+    simulated.tamper("ExposureTime", 5000.0)
+    with pytest.raises(CameraUnavailableError) as kept:
+        camera.examine()
+    n_sockets = sockets_of_this_process()
+    camera.close()
+    assert sockets_of_this_process() == n_sockets - 2  # control and stream
+    assert kept.value.problem
+
+
+def test_vitals_are_the_camera_s_own(camera: AravisCamera, simulated: SimulatedCamera) -> None:
+    simulated.faults.temperature_c = 91.5
+    camera.arm(sink := Collector())
+    for _ in range(3):
+        simulated.line()
+        sink.next()
+    vitals = camera.examine()
+    assert vitals.temperature_c == 91.5
+    assert vitals.ptp_offset_ns is None  # not asked for
+    assert (vitals.frames, vitals.failed_frames, vitals.missing_packets) == (simulated.counters.frames, 0, 0)
+    assert vitals.warnings == ()
+
+
+def test_a_hundred_cycles_leave_nothing_behind(simulated: SimulatedCamera) -> None:
+    camera = AravisCamera(settings_for(design()))
+    used = []
+    for n in range(N_CYCLES):
+        camera.open()
+        camera.arm(sink := Collector())
+        simulated.line()
+        frame = sink.next()
+        assert isinstance(frame, Frame)
+        assert frame.frame_id == 1
+        camera.examine()
+        camera.close()
+        if n in (N_CYCLES // 4, N_CYCLES - 1):
+            used.append((entries("fd"), entries("task"), resident_kb()))
+    (fds, threads, kb), (fds_after, threads_after, kb_after) = used
+    assert (fds_after, threads_after) == (fds, threads)
+    assert kb_after - kb < 1000
+    counters = simulated.counters
+    assert counters.frames == counters.triggers == N_CYCLES
+
+
+def entries(folder: str) -> int:
+    return sum(1 for _ in Path("/proc/self", folder).iterdir())
+
+
+def sockets_of_this_process() -> int:
+    links = (entry.readlink().name for entry in Path("/proc/self/fd").iterdir() if entry.is_symlink())
+    return sum(name.startswith("socket:") for name in links)
+
+
+def resident_kb() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") // 1024

@@ -1,0 +1,276 @@
+"""The fault table on real packets: the daemon, the real Aravis driver, a serial gate and a simulated rig.
+
+One daemon for all rows, in the order of the table: whatever a row breaks must be whole again for the next.
+"""
+
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from support.live_rig import LiveRig, eventually, live_rig
+from support.small_recording import write_small_recording
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveRig]:
+    folder = tmp_path_factory.mktemp("live")
+    write_small_recording(folder / "recording", n_stones=4, n_backgrounds=4)
+    with live_rig(folder, folder / "recording") as live:
+        yield live
+
+
+@pytest.fixture
+def live(rig: LiveRig) -> Iterator[LiveRig]:
+    """The rig, whole before and after; nothing that fell is missing from the books."""
+    rig.wait_until_whole()
+    yield rig
+    for camera in rig.rig.cameras.values():
+        camera.faults.clear()
+    rig.rig.gate.faults.clear()
+    rig.wait_until_whole()
+    counts = rig.accounting()
+    assert counts["is_balanced"], counts
+    assert counts["in_progress"] == 0, counts
+    _, whole = rig.measure(2)  # the first image of a camera whose clock was set is not believed
+    assert (whole["outcome"], whole["dropped_views"]) == ("measured", {})
+
+
+def views(results: list[dict]) -> list[int]:
+    return [len(result["views"]) for result in results]
+
+
+def all_measured(results: list[dict]) -> bool:
+    return all(result["outcome"] == "measured" for result in results)
+
+
+# --- C: cameras and their network ---
+
+
+@pytest.mark.parametrize("loss", [0.01, 0.05])
+def test_c1_lost_packets_are_resent_and_no_frame_is_lost(live: LiveRig, loss: float):
+    before = {camera: live.status(camera)["resent_packets"] for camera in ("c01", "c16")}
+    for camera in live.rig.cameras.values():
+        camera.faults.packet_loss = loss
+    results = live.measure(6)
+    assert all_measured(results)
+    assert views(results) == [16] * 6
+    eventually(
+        lambda: sum(live.status(camera)["resent_packets"] - before[camera] for camera in before) > 0,
+        "resent packets are told",
+    )
+
+
+def test_c1_what_a_camera_cannot_resend_is_a_missing_view(live: LiveRig):
+    live.camera("c05").faults.set("no_resend", True)
+    live.camera("c05").faults.set("lost_packets", [3])
+    results = live.measure(2)
+    assert all_measured(results)
+    assert views(results) == [15, 15]
+    assert live.status("c05")["state"] == "armed"
+
+
+def test_c2_a_cable_that_is_pulled_costs_a_view_until_it_is_plugged_in_again(live: LiveRig):
+    live.camera("c02").unplug()
+    assert views(live.measure(1)) == [15]
+    eventually(lambda: live.status("c02")["state"] == "lost", "c02 is lost", 3)
+    assert "does not answer" in live.status("c02")["last_error"]
+    assert views(live.measure(2)) == [15, 15]
+    recoveries = live.status("c02")["recoveries"]
+    live.camera("c02").replug()
+    eventually(lambda: live.status("c02")["recoveries"] == recoveries + 1, "c02 is back", 10)
+
+
+def test_c2_a_power_cycle_forgets_settings_and_they_are_written_again(live: LiveRig):
+    live.camera("c03").power_cycle(1.0)
+    assert views(live.measure(1)) == [15]
+    live.wait_until_whole(10)
+    assert live.camera("c03").feature("ExposureTime") == 20.0
+
+
+def test_c2_a_camera_with_a_new_address_is_found_by_its_serial_number(live: LiveRig):
+    old = live.camera("c04").design.address
+    network, _, _ = old.rpartition(".")
+    live.camera("c04").power_cycle(0.5, address=f"{network}.200")
+    assert views(live.measure(1)) == [15]
+    live.wait_until_whole(15)
+    assert live.status("c04")["address"] == f"{network}.200"
+
+
+def test_c2_another_camera_in_a_place_is_not_used(live: LiveRig):
+    serial = live.camera("c06").design.serial
+    live.camera("c06").power_cycle(0.2, serial="STRANGER")
+    assert views(live.measure(2)) == [15, 15]
+    eventually(lambda: live.status("c06")["state"] == "lost", "c06 is lost")
+    live.camera("c06").power_cycle(0.2, serial=serial)
+    live.wait_until_whole(15)
+
+
+def test_c2_a_camera_that_was_killed_is_back_within_ten_seconds(live: LiveRig):
+    live.camera("c07").stop()
+    assert views(live.measure(3)) == [15, 15, 15]
+    live.camera("c07").start()
+    live.wait_until_whole(10)
+
+
+def test_c2_control_taken_by_another_application_is_taken_back(live: LiveRig):
+    live.camera("c08").steal_control(3.0)
+    assert all_measured(live.measure(2))
+    eventually(lambda: live.status("c08")["state"] == "lost", "c08 is lost", 10)
+    live.wait_until_whole(15)
+
+
+def test_c3_without_any_camera_it_is_the_switch_and_stones_are_counted(live: LiveRig):
+    for camera in live.rig.cameras.values():
+        camera.unplug()
+    lost = live.measure(2)
+    assert [result["outcome"] for result in lost] == ["lost", "lost"]
+    eventually(lambda: live.acquisition()["state"] == "held", "held", 10)
+    eventually(lambda: live.acquisition()["cameras_armed"] == 0, "all are lost", 10)
+    health = live.daemon.get("/health")
+    (alarm,) = [reason for reason in health["reasons"] if "camera" in reason]
+    assert alarm.startswith("cameras: all 16 cameras are gone: look at the switch")
+    assert health["ne107"] == "failure"
+    (lost,) = live.measure(1)
+    assert (lost["outcome"], lost["reason"]) == ("lost", "no_frames")
+    for camera in live.rig.cameras.values():
+        camera.replug()
+    live.wait_until_whole(30)
+
+
+def test_c4_a_frame_that_comes_a_period_late_is_in_no_other_bundle(live: LiveRig):
+    live.camera("c09").faults.late_ms = 270.0
+    results = live.measure(3)
+    assert all_measured(results)
+    assert all("c09" not in result["views"] for result in results)
+    eventually(lambda: live.status("c09")["late"] + live.status("c09")["missing"] > 0, "it is counted")
+
+
+def test_c5_a_camera_that_misses_a_trigger_is_right_again_with_the_next(live: LiveRig):
+    live.measure(1)
+    live.camera("c10").faults.missed_triggers = 1
+    results = live.measure(3)
+    assert all_measured(results)
+    assert views(results) == [15, 16, 16]
+    eventually(lambda: live.status("c10")["not_exposed"] >= 1, "its counter shows it")
+
+
+def test_c6_a_frozen_image_is_no_view(live: LiveRig):
+    live.camera("c11").faults.frozen = True
+    results = live.measure(3)
+    assert all_measured(results)
+    assert views(results)[1:] == [15, 15]
+    live.camera("c11").faults.frozen = False
+
+
+def test_c7_settings_changed_by_someone_else_are_found_and_written_again(live: LiveRig):
+    live.camera("c01").tamper("ExposureTime", 500.0)
+    eventually(lambda: live.camera("c01").feature("ExposureTime") == 20.0, "set again", 15)
+    assert "ExposureTime" in live.daemon.log
+
+
+def test_c8_a_clock_that_was_set_costs_one_view_at_most(live: LiveRig):
+    live.measure(1)
+    live.camera("c12").jump_clock(10**12)
+    results = live.measure(3)
+    assert all_measured(results)
+    assert min(views(results)) >= 15
+    assert views(results)[2] == 16
+
+
+# --- D: the light gate ---
+
+
+def test_d1_a_bounce_is_merged_and_a_double_is_one_stone(live: LiveRig):
+    before, stones = live.acquisition(), live.accounting()["triggers"]
+    live.rig.gate.faults.bounce = 1.0
+    assert views(live.measure(2)) == [16, 16]
+    eventually(
+        lambda: live.acquisition()["triggers_ignored"] >= before["triggers_ignored"] + 2, "bounces are told"
+    )
+    live.rig.gate.faults.bounce, live.rig.gate.faults.doubled = 0.0, 1.0
+    assert views(live.measure(2)) == [16, 16]
+    assert live.accounting()["triggers"] == stones + 4
+    assert live.acquisition()["triggers_ignored"] >= before["triggers_ignored"] + 4
+
+
+def test_d2_a_stone_that_the_gate_does_not_announce_is_measured_all_the_same(live: LiveRig):
+    before = live.acquisition()
+    live.rig.gate.faults.uncounted = 1.0
+    results = live.measure(2)
+    assert all_measured(results)
+    assert views(results) == [16, 16]
+    assert all(result["bundle"].endswith("-orphan") for result in results)
+    assert live.acquisition()["orphans"] == before["orphans"] + 2
+
+
+def test_d2_a_lost_line_is_an_orphan_and_a_gap(live: LiveRig):
+    before = live.acquisition()
+    live.rig.gate.faults.corrupted = 1.0
+    live.fall(1)
+    live.rig.gate.faults.corrupted = 0.0
+    results = live.measure(2)
+    assert all_measured(results)
+    assert live.acquisition()["orphans"] == before["orphans"] + 1
+    eventually(lambda: live.acquisition()["triggers_lost"] == before["triggers_lost"] + 1, "the gap is told")
+    assert live.acquisition()["unseen"] == before["unseen"]
+
+
+def test_d6_a_burst_is_counted_stone_by_stone(live: LiveRig):
+    before = live.last_seq()
+    stones, gate = live.stones, live.rig.counters()["gate"]
+    live.fall(20, spacing_s=0.05)
+    n_fallen = live.stones - stones
+    merged = live.rig.counters()["gate"]["merged"] - gate["merged"]
+    results = live.wait_for_results(before, n_fallen - merged)
+    assert len(results) + merged == n_fallen >= 20
+    measured = [result for result in results if result["outcome"] == "measured"]
+    assert len(measured) >= 2
+    assert {result["reason"] for result in results} <= {None, "no_frames"}
+    assert live.acquisition()["in_dead_time"] > 0
+
+
+def test_d7_slow_workers_fill_the_queue_and_nothing_is_silently_dropped(live: LiveRig):
+    before = live.last_seq()
+    live.daemon.signal_workers(signal.SIGSTOP)
+    live.fall(6)
+    assert live.daemon.get("/health")["checks"]["queue"]["observed_value"] >= 6
+    live.daemon.signal_workers(signal.SIGCONT)
+    assert all_measured(live.wait_for_results(before, 6))
+
+
+def test_d8_garbage_and_half_lines_are_survived(live: LiveRig):
+    live.rig.gate.faults.garbage = 0.7
+    assert all_measured(live.measure(3))
+    live.rig.gate.faults.clear()
+    before = live.last_seq()
+    live.rig.gate.faults.halved = 1.0
+    live.fall(1)
+    live.rig.gate.faults.clear()
+    live.fall(1)
+    assert all_measured(live.wait_for_results(before, 2))
+
+
+def test_d8_while_the_serial_line_is_unplugged_stones_are_measured_as_orphans(live: LiveRig):
+    before, seq = live.acquisition(), live.last_seq()
+    live.rig.gate.unplug()
+    eventually(lambda: live.acquisition()["state"] == "held", "held", 10)
+    assert live.daemon.get("/health")["checks"]["gate"]["status"] == "fail"
+    live.fall(2)
+    live.rig.gate.plug()
+    live.wait_until_whole(15)
+    results = live.wait_for_results(seq, 2)
+    assert all_measured(results)
+    assert live.acquisition()["orphans"] == before["orphans"] + 2
+    eventually(lambda: live.acquisition()["triggers_lost"] == before["triggers_lost"] + 2, "the gap is told")
+    live.measure(1)
+    assert live.acquisition()["unseen"] == before["unseen"]
+
+
+def test_d10_without_stones_nobody_is_alarmed(live: LiveRig):
+    before = len(live.daemon.log)
+    threading.Event().wait(6.0)  # more than one examination of each camera
+    assert live.daemon.get("/health")["ready"]
+    assert " ERROR " not in live.daemon.log[before:]

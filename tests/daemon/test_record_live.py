@@ -1,0 +1,58 @@
+"""`stonefall record` on the real Aravis driver: what it records is, pixel by pixel, what the cameras were given."""
+
+import json
+import subprocess
+from pathlib import Path
+
+from support.daemon_process import STONEFALL
+from support.live_rig import eventually, live_section, simulated_rig
+from support.small_recording import write_small_recording
+
+from drivers.recording import open_recording, playback_order, read_bundle
+from pipeline.frames import BundleKind
+
+N_STONES = 4
+
+
+def test_a_live_rig_is_recorded(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "source", n_stones=N_STONES)
+    source = open_recording(tmp_path / "source")
+    given = {
+        (camera, frame.image.tobytes()): header.name
+        for header in source.headers
+        for camera, frame in read_bundle(header.path, source.camera_ids).frames.items()
+    }
+    with simulated_rig(tmp_path, tmp_path / "source", number=1) as rig:
+        config = tmp_path / "stonefall.toml"
+        section = live_section(rig, tmp_path, tmp_path / "source", by_address=True)
+        config.write_text(
+            f'{section}[spool]\ndir = "spool"\n[store]\ndir = "state"\n[recordings]\nreserve_gb = 0.1\n'
+        )
+        process = subprocess.Popen(
+            [STONEFALL, "record", tmp_path / "out", "--config", config, "--count", str(N_STONES), "--json"],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        pattern = ".out.*.unfinished/bundles/*.tiff"
+        eventually(lambda: len(list(tmp_path.glob(pattern))) >= 2, "the empty rig is recorded")
+        rig.belt.start()
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    summary = json.loads(output)
+    assert (summary["stones"], summary["without_frames"], summary["ended_by"]) == (N_STONES, 0, "count")
+
+    recorded = open_recording(tmp_path / "out")
+    assert recorded.is_simulated
+    assert recorded.rig is not None
+    assert recorded.document["camera_settings"]["trigger"] == "Line1"
+    assert recorded.document["gate_settings"]["serial"]["port"] == str(tmp_path / "gate")
+    stones = []
+    for header in playback_order(recorded):
+        bundle = read_bundle(header.path, recorded.camera_ids)
+        assert set(bundle.frames) == set(source.camera_ids)
+        (name,) = {given[camera, frame.image.tobytes()] for camera, frame in bundle.frames.items()}
+        assert name.endswith("background") == (header.kind is BundleKind.BACKGROUND)
+        if header.kind is not BundleKind.BACKGROUND:
+            stones.append(name)
+    names = [header.name for header in source.headers if header.kind is not BundleKind.BACKGROUND]
+    assert stones == names
