@@ -72,6 +72,7 @@ class Acquisition:
         self._on_progress = on_progress
         self._arm_requested = asyncio.Event()
         self._leave = asyncio.Event()
+        self._is_abandoned = False
         self._n_named = 0
         self._last_trigger_s = time.monotonic()
         self.cameras = RigCameras(devices.cameras, is_live=devices.belt is None)
@@ -104,6 +105,12 @@ class Acquisition:
         self.state = AcquisitionState.STOPPING
         self._leave.set()
         self._arm_requested.set()
+
+    def abandon(self) -> None:
+        """Leave devices that do not come back alone: `run` returns soon."""
+        self._is_abandoned = True
+        self.gate.abandon()
+        self.cameras.abandon()
 
     @property
     def last_trigger_age_s(self) -> float:
@@ -161,10 +168,11 @@ class Acquisition:
             ending.push_async_callback(self._end_session, inbox, assembler)
             ending.push_async_callback(self.cameras.close)
             await self.cameras.arm(inbox, tasks)
-            ending.push_async_callback(self._pump_last_frames, inbox, assembler)
-            ending.push_async_callback(self.gate.end)
             self.gate.start(inbox, tasks)
-            await self.gate.settled.wait()
+            ending.push_async_callback(self.gate.end)
+            ending.push_async_callback(self._pump_last_frames, inbox, assembler)
+            ending.push_async_callback(self.gate.disarm)
+            await self.gate.settle()
             ending.callback(self._enter, AcquisitionState.DISARMING)
             exposing = tasks.create_task(self._expose_empty_rig(assembler))
             ending.callback(exposing.cancel)
@@ -221,7 +229,7 @@ class Acquisition:
     async def _pump_last_frames(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
         """See the stones through that passed the gate before it was disarmed."""
         deadline_s = time.monotonic() + LAST_FRAMES_S
-        while time.monotonic() < deadline_s:
+        while time.monotonic() < deadline_s and not self._is_abandoned:
             event = await self._pump(inbox, assembler)
             if event is None and assembler.next_deadline_ns is None:
                 return

@@ -41,8 +41,6 @@ DRAIN_S = 30.0
 """How long bundles already seen may take after SIGTERM before they are given up."""
 DISARM_S = 15.0
 """How long the rig may take to disarm, the last stone's frames included, before it is left alone."""
-ABORT_S = 2.0
-"""How long it may then take to let go of the devices."""
 ACQUISITION_LIMIT_S = 20.0
 """An armed rig moves twenty times a second; to open or close cameras of which some are dead takes longer."""
 COMMIT_LIMIT_S = 30.0
@@ -279,9 +277,10 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             manager.notify("STOPPING=1", "STATUS=disarming")
             daemon.rig.stop()
             await finish(acquiring, requests, DISARM_S)
-            if acquiring.cancel():
+            if not acquiring.done():
                 log.error("the rig does not disarm in time and is left alone")
-                await asyncio.wait([acquiring], timeout=ABORT_S)
+                daemon.rig.abandon()
+                await acquiring
             daemon.spool.finish()
             await finish(processing, requests, DRAIN_S)
             daemon.processing.abandon()

@@ -25,7 +25,7 @@ Answer = TypeVar("Answer")
 
 
 class Keeper:
-    """From `start` to `end` the device is kept; `settled` once the first attempt has succeeded or failed.
+    """From `start` to `end` the device is kept; `settle` waits for the end of the first attempt.
 
     `on_lost` is told of a loss that the device did not report itself.
     """
@@ -45,7 +45,9 @@ class Keeper:
         self.last_error: str | None = None
         self.recoveries = 0
         self.vitals = CameraVitals()
-        self.settled = asyncio.Event()
+        self._settled = asyncio.Event()
+        self._disarmed = asyncio.Event()
+        self._may_close = asyncio.Event()
         self._examine = examine
         self._on_lost = on_lost
         self._lost_at_s = 0.0
@@ -57,14 +59,32 @@ class Keeper:
     def start(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
         """Keep the device armed until `end`; it may be started again after that."""
         self._is_ending = False
+        for event in (self._settled, self._disarmed, self._may_close):
+            event.clear()
         self._task = tasks.create_task(self._keep(sink))
+
+    async def settle(self) -> None:
+        """Return when the device was tried once, whatever came of it."""
+        await self._settled.wait()
+
+    async def disarm(self) -> None:
+        """Disarm and stay open until `end`; returns when that is done."""
+        self._is_ending = True
+        self._wake.set()
+        await self._disarmed.wait()
 
     async def end(self) -> None:
         """Disarm and close; returns when that is done."""
         self._is_ending = True
+        self._may_close.set()
         self._wake.set()
         if self._task is not None:
             await asyncio.wait([self._task])
+
+    def abandon(self) -> None:
+        """Wait for the device no longer; what it was last asked for may still be under way on its thread."""
+        if self._task is not None:
+            self._task.cancel()
 
     async def _keep(self, sink: EventSink) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"{self.name} control")
@@ -81,17 +101,22 @@ class Keeper:
                     failures = 0
                     self._admit()
                     await self._look_after()
-                self.settled.set()
+                self._settled.set()
                 if self.state == "lost":
                     await self.call(self.device.close)
-                    await self._sleep(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
+                    self._wake.clear()  # of the loss itself
+                    if not self._is_ending:
+                        await self._sleep(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
             if self.state == "armed":
                 await self.call(self.device.disarm)
+            self._disarmed.set()
+            await self._may_close.wait()
             await self.call(self.device.close)
             self.state = "closed"
         finally:
             self._thread.shutdown(wait=False)
-            self.settled.clear()
+            self._settled.set()  # nobody shall wait any more
+            self._disarmed.set()
 
     async def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
         """Call the device on its thread; only while it is kept."""
@@ -116,7 +141,7 @@ class Keeper:
             self.recoveries += 1
             log.info("device back device=%s after_s=%.1f", self.name, time.monotonic() - self._lost_at_s)
         self.state = "armed"
-        self.settled.set()
+        self._settled.set()
 
     async def _look_after(self) -> None:
         """Return when the device is lost or no longer wanted."""

@@ -76,11 +76,16 @@ class RigCameras:
         self._sink = sink
         for place in self._places.values():
             place.keeper.start(sink, tasks)
-        await asyncio.gather(*(place.keeper.settled.wait() for place in self._places.values()))
+        await asyncio.gather(*(place.keeper.settle() for place in self._places.values()))
 
     async def close(self) -> None:
         """Disarm and close all cameras."""
         await asyncio.gather(*(place.keeper.end() for place in self._places.values()))
+
+    def abandon(self) -> None:
+        """Wait for no camera any longer."""
+        for place in self._places.values():
+            place.keeper.abandon()
 
     def trouble(self, min_cameras: int) -> str | None:
         """Why there are too few cameras, None when there are enough."""

@@ -1,35 +1,33 @@
 """A GigE Vision camera in pure Python: real packets from an address of its own, no root, no hardware.
 
-Two threads a camera: one answers the control channel, the sensor's exposes and sends. Any address of
+Two threads a camera: the control port's answers, the sensor's exposes and sends. Any address of
 127/8 works without being configured; broadcast discovery finds all cameras of a machine.
 """
 
-import os
-import random
-import select
-import socket
 import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 from drivers.errors import CameraUnavailableError
 from drivers.gige_simulator.clock import CameraClock
+from drivers.gige_simulator.control_port import ControlPort
 from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.device import CameraDevice, make_registers
 from drivers.gige_simulator.faults import Faults
 from drivers.gige_simulator.features import Feature
-from drivers.gige_simulator.gvcp import ControlChannel, Peer, pending_ack
+from drivers.gige_simulator.gvcp import ControlChannel, Peer
+from drivers.gige_simulator.imaging import Exposure, ImageSource
 from drivers.gige_simulator.registers import Value
-from drivers.gige_simulator.sensor import Exposure, ImageSource, Sensor, Strobe
+from drivers.gige_simulator.sensor import Sensor, Strobe
 from drivers.gige_simulator.stream import StreamChannel
 from drivers.gige_simulator.uplink import Uplink
-from drivers.gvcp import DISCOVERY, GVCP_PORT, HEADER
+from drivers.gvcp import GVCP_PORT
 from pipeline.frames import CameraId
 
 __all__ = ["CameraDesign", "Exposure", "ImageSource", "LogEntry", "SimulatedCamera", "Strobe"]
@@ -37,7 +35,6 @@ __all__ = ["CameraDesign", "Exposure", "ImageSource", "LogEntry", "SimulatedCame
 BOOT_S = 1.0
 """How long a `DeviceReset` takes."""
 
-_PENDING_FROM_MS = 100.0
 _N_LOGGED = 1000
 _FOREVER_NS = 2**62
 
@@ -65,7 +62,6 @@ class SimulatedCamera:
         self._design = design
         self._lock = threading.RLock()
         self._log: deque[LogEntry] = deque(maxlen=_N_LOGGED)
-        self._random = random.Random(f"{design.seed}/control")  # noqa: S311 - repeatable, nothing secret
         self._clock = CameraClock(
             offset_ns=design.clock_offset_ns, drift_ppm=design.clock_drift_ppm, seed=design.seed
         )
@@ -97,11 +93,14 @@ class SimulatedCamera:
         self._stream_port = 0
         self._unplugged_until_ns = 0
         self._off_until_ns: int | None = None
-        self._sockets: list[socket.socket] = []  # the first one is of its own address
-        self._retired: list[socket.socket] = []  # to be closed by the thread that listens on them
-        self._wake = -1
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._port = ControlPort(
+            design.id,
+            answer=self._answer,
+            next_due_ns=self._next_due_ns,
+            run_due=self._run_due,
+            faults=self.faults,
+            seed=design.seed,
+        )
 
     # --- what it is and does ---
 
@@ -134,23 +133,9 @@ class SimulatedCamera:
 
     @property
     def counters(self) -> Counters:
-        sensor, wire = self._sensor.tallied(), self._stream.tallied()
         return Counters(
-            edges=sensor.edges,
-            triggers=sensor.triggers,
-            missed=sensor.missed,
-            debounced=sensor.debounced,
-            unseen=sensor.unseen,
-            exposures=sensor.exposures,
-            unexposed=sensor.unexposed,
-            swallowed=sensor.swallowed,
-            aborted=sensor.aborted,
-            frames=wire.frames,
-            torn=wire.torn,
-            packets=wire.packets,
-            dropped=wire.dropped,
-            resent=wire.resent,
-            unavailable=wire.unavailable,
+            **asdict(self._sensor.tallied()),
+            **asdict(self._stream.tallied()),
             heartbeats=self._channel.n_heartbeats,
             actions=self._channel.n_actions,
         )
@@ -172,28 +157,22 @@ class SimulatedCamera:
 
     def start(self) -> None:
         """Switch on; raises `CameraUnavailableError` when the address is taken or not this machine's."""
-        self._stopping.clear()
-        self._move_to(self._design.address)
-        self._wake = os.eventfd(0, os.EFD_NONBLOCK)
-        self._power_on()
+        address = self._design.address
+        with self._lock, self._naming(address):
+            self._stream_port = self._stream.open(address)
+            self._power_on()
+            try:
+                self._port.open(address)
+            except OSError:
+                self._stream.close()
+                raise
         self._sensor.start()
-        self._thread = threading.Thread(target=self._serve, name=f"{self.id} control", daemon=True)
-        self._thread.start()
 
     def stop(self) -> None:
         """Vanish, as a killed process does: no goodbye, and the host says nobody listens there."""
-        with self._lock:
-            thread, self._thread = self._thread, None
-            if thread is None:
-                return
-            self._stopping.set()
-            os.eventfd_write(self._wake, 1)
-        thread.join()
-        os.close(self._wake)
+        self._port.close()
         self._sensor.stop()
         self._stream.close()
-        self._retired, self._sockets = self._retired + self._sockets, []
-        self._close_retired()
         self._channel.reset()
 
     # --- signals ---
@@ -230,18 +209,20 @@ class SimulatedCamera:
         """
         with self._lock:
             design = self._design
-            if address is not None and self._thread is not None:
-                self._move_to(address)
+            if address is not None and self._port.is_open:
+                with self._naming(address):
+                    self._port.move(address)
+                    self._stream_port = self._stream.open(address)
             self._design = replace(design, address=address or design.address, serial=serial or design.serial)
             self._power_off(off_s)
-            self._wake_up()
+        self._port.wake()
 
     def steal_control(self, seconds: float = 5.0, peer: Peer = ("192.0.2.66", 49152)) -> None:
         """Let a foreign application have control for so long; then its heartbeat ends."""
         with self._lock:
             timeout_ns = self._registers.number("GevHeartbeatTimeout") * 1_000_000
             self._channel.seize(peer, heard_ns=time.monotonic_ns() + round(seconds * 1e9) - timeout_ns)
-            self._wake_up()
+        self._port.wake()
 
     def tamper(self, name: str, value: Value, bank: int = 0) -> None:
         """Change a feature behind the controller's back; SFNC name, enumerations by number or entry.
@@ -280,67 +261,28 @@ class SimulatedCamera:
         }
         self._stream.send_raw(datagrams[kind])
 
-    # --- the thread ---
+    # --- the control channel ---
 
-    def _serve(self) -> None:
-        while not self._stopping.is_set():
-            with self._lock:
-                self._close_retired()
-                by_fd = {each.fileno(): each for each in self._sockets}
-            poll = select.poll()
-            for fd in (*by_fd, self._wake):
-                poll.register(fd, select.POLLIN)
-            ready = poll.poll(self._timeout_ms())
-            for fd, _ in ready:
-                if fd == self._wake:
-                    os.eventfd_read(fd)
-                else:
-                    self._receive(by_fd[fd])
-            if not poll.poll(0):  # what was heard in time counts, even when read late
-                with self._lock:
-                    self._channel.check_heartbeat(time.monotonic_ns())
-            self._return_power()
-
-    def _timeout_ms(self) -> int | None:
-        with self._lock:
-            due_ns = [at for at in (self._channel.heartbeat_due_ns(), self._off_until_ns) if at is not None]
-        if not due_ns:
-            return None
-        return max(0, (min(due_ns) - time.monotonic_ns()) // 1_000_000 + 1)
-
-    def _receive(self, from_socket: socket.socket) -> None:
-        try:
-            datagram, peer = from_socket.recvfrom(2048)
-        except OSError:  # what came back for an answer nobody waits for any more
-            return
-        if not self._is_connected() or self._loses():
-            return
-        is_discovery = datagram[2:4] == struct.pack(">H", DISCOVERY)
-        if self.faults.ack_delay_ms > 0 and not is_discovery and len(datagram) >= HEADER.size:
-            if self.faults.ack_delay_ms >= _PENDING_FROM_MS:
-                self._send(pending_ack(datagram, round(self.faults.ack_delay_ms * 2)), peer)
-            self._stopping.wait(self.faults.ack_delay_ms / 1000)
+    def _answer(self, datagram: bytes, peer: Peer) -> bytes | None:
         with self._lock:
             if not self._is_connected():
-                return
-            answer = self._channel.answer(datagram, peer, time.monotonic_ns())
-        if answer is not None and not self._loses():
-            self._send(answer, peer)
+                return None
+            return self._channel.answer(datagram, peer, time.monotonic_ns())
 
-    def _send(self, answer: bytes, peer: Peer) -> None:
-        with suppress(OSError):
-            self._sockets[0].sendto(answer, peer)  # from its own address, whatever was asked
+    def _next_due_ns(self) -> int | None:
+        with self._lock:
+            due_ns = (self._channel.heartbeat_due_ns(), self._off_until_ns)
+        return min((each for each in due_ns if each is not None), default=None)
 
-    def _loses(self) -> bool:
-        return self.faults.control_loss > 0 and self._random.random() < self.faults.control_loss
+    def _run_due(self) -> None:
+        with self._lock:
+            now_ns = time.monotonic_ns()
+            self._channel.check_heartbeat(now_ns)
+            if self._off_until_ns is not None and now_ns >= self._off_until_ns:
+                self._power_on()
 
     def _is_connected(self) -> bool:
         return self._off_until_ns is None and time.monotonic_ns() >= self._unplugged_until_ns
-
-    def _wake_up(self) -> None:
-        """Let the thread look anew at what is due and where it listens."""
-        if self._thread is not None:
-            os.eventfd_write(self._wake, 1)
 
     # --- power ---
 
@@ -351,49 +293,21 @@ class SimulatedCamera:
         self._channel.reset()
         self._note(f"power off for {off_s:g} s")
 
-    def _return_power(self) -> None:
-        with self._lock:
-            if self._off_until_ns is None or time.monotonic_ns() < self._off_until_ns:
-                return
-            self._power_on()
-
     def _power_on(self) -> None:
         self._device.power_on(self._design, stream_port=self._stream_port)
         self._off_until_ns = None
         self._note("power on")
 
-    def _move_to(self, address: str) -> None:
-        """Listen at this address from now on, and no longer at the last one."""
+    @contextmanager
+    def _naming(self, address: str) -> Iterator[None]:
         try:
-            sockets = _control_sockets(address)
-            self._stream_port = self._stream.open(address)
+            yield
         except OSError as err:
             raise CameraUnavailableError(
                 self.id,
                 f"cannot be simulated at {address}:{GVCP_PORT} ({err.strerror}): "
                 "end the simulator that is there, or choose another address of 127/8",
             ) from err
-        self._retired += self._sockets
-        self._sockets = sockets
-
-    def _close_retired(self) -> None:
-        while self._retired:
-            self._retired.pop().close()
 
     def _note(self, event: str) -> None:
         self._log.append(LogEntry(time.monotonic_ns(), event))
-
-
-def _control_sockets(address: str) -> list[socket.socket]:
-    """Return the socket of the camera's own address, and the one that hears broadcasts."""
-    control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    broadcast = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        control.bind((address, GVCP_PORT))
-        broadcast.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        broadcast.bind(("255.255.255.255", GVCP_PORT))
-    except OSError:
-        control.close()
-        broadcast.close()
-        raise
-    return [control, broadcast]

@@ -237,8 +237,15 @@ class ControlChannel:
         self._device.resend(block_id, first, last, has_extended_ids=has_extended_ids)
 
 
-def pending_ack(datagram: bytes, delay_ms: int) -> bytes:
-    """Ask the sender of this command for patience."""
+def is_discovery(datagram: bytes) -> bool:
+    """Whether this is the one command that is answered at once by everybody."""
+    return datagram[2:4] == DISCOVERY.to_bytes(2, "big")
+
+
+def pending_ack(datagram: bytes, delay_ms: int) -> bytes | None:
+    """Ask the sender of this command for patience; nothing if it is none."""
+    if len(datagram) < HEADER.size or datagram[0] != KEY:
+        return None
     _, _, _, _, request_id = HEADER.unpack_from(datagram)
     return ACK_HEADER.pack(Status.SUCCESS, PENDING_ACK, 4, request_id) + struct.pack(">HH", 0, delay_ms)
 

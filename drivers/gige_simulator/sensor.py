@@ -11,35 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.gige_simulator.clock import CameraClock
+from drivers.gige_simulator.counters import SensorTally
 from drivers.gige_simulator.faults import DOUBLE_AFTER_MS, Faults
 from drivers.gige_simulator.features import CHUNKS
 from drivers.gige_simulator.gvsp import Block, packets
+from drivers.gige_simulator.imaging import Exposure, ImageSource, Imaging
 from drivers.gige_simulator.registers import Registers
 from drivers.gige_simulator.stream import StreamChannel
 from drivers.gige_simulator.triggering import LINE_TIME_NS, Plan, TriggerInput
 from pipeline.frames import CameraId
 
-TARGET_GREY = 128.0
-"""Mean grey level automatic exposure and gain aim at."""
-
 N_WAITING = 8
 """Exposures that may wait for the link before triggers are ignored."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exposure:
-    """What an image source is asked for: what this camera saw."""
-
-    camera: CameraId
-    n: int  # exposures since power-on, from 1
-    trigger_ns: int  # host's monotonic time of the edge that caused it
-    exposed_ns: int  # of its start
-    exposure_us: float
-    gain_db: float
-
-
-ImageSource = Callable[[Exposure], "NDArray[np.uint8] | None"]
-"""Returns the whole sensor's image (H, W), not changed any more; nothing is sent for `None`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,23 +33,6 @@ class Strobe:
     line: str
     exposed_ns: int  # host's monotonic time
     exposure_us: float
-
-
-@dataclass(slots=True)
-class SensorTally:
-    """Counts since the camera was made; read and written under the sensor's lock."""
-
-    edges: int = 0
-    heard: int = 0  # of them, by a trigger that is on
-    triggers: int = 0
-    missed: int = 0
-    debounced: int = 0
-    unseen: int = 0
-    exposures: int = 0  # planned
-    started: int = 0  # of them
-    unexposed: int = 0
-    swallowed: int = 0
-    aborted: int = 0
 
 
 class Sensor:
@@ -91,9 +57,8 @@ class Sensor:
         self._clock = clock
         self._stream = stream
         self._faults = faults
-        self._source = source
         self._link_bytes_s = link_bytes_s
-        self._note = note
+        self._imaging = Imaging(registers, faults=faults, source=source, note=note)
         self._on_strobe = on_strobe
         self._trigger = TriggerInput(registers)
         self._changed = threading.Condition()
@@ -103,7 +68,6 @@ class Sensor:
         self._n_exposures = 0
         self._block_id = 0
         self._high: set[int] = set()
-        self._frozen: NDArray[np.uint8] | None = None
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -256,31 +220,30 @@ class Sensor:
         self._strobe(plan)
         end_s = plan.exposed_ns / 1e9 + (plan.exposure_us + faults.late_ms * 1000) / 1e6
         self._stopping.wait(max(0.0, end_s - time.monotonic()))
-        device_ns = self._clock.device_ns(plan.exposed_ns)
-        n_triggers = self.tally.heard
-        image = self._image(plan)
-        if not self._is_current(run):
-            with self._changed:
-                self.tally.aborted += 1
-            return
-        has_extended_ids = registers.choice("GevGVSPExtendedIDMode") == "On"
-        self._block_id = self._block_id + 1 if has_extended_ids else self._block_id % 0xFFFF + 1
-        if image is None:
-            self.tally.unexposed += 1
-            return
-        if faults.swallowed_frames > 0:
-            faults.swallowed_frames -= 1
-            self.tally.swallowed += 1
-            return
-        block = Block(
-            block_id=self._block_id,
-            has_extended_ids=has_extended_ids,
-            packet_bytes=registers.number("GevSCPSPacketSize"),
-            device_ns=device_ns,
-            image=image,
-            offset_px=(registers.number("OffsetX"), registers.number("OffsetY")),
-            chunks=self._chunks(device_ns, plan, n_triggers),
+        image = self._imaging.take(
+            Exposure(
+                camera=self._camera,
+                n=self._n_exposures,
+                trigger_ns=plan.trigger_ns,
+                exposed_ns=plan.exposed_ns,
+                exposure_us=plan.exposure_us,
+                gain_db=registers.quantity("Gain"),
+            )
         )
+        with self._changed:
+            if not self._is_current(run):
+                self.tally.aborted += 1
+                return
+            has_extended_ids = registers.choice("GevGVSPExtendedIDMode") == "On"
+            self._block_id = self._block_id + 1 if has_extended_ids else self._block_id % 0xFFFF + 1
+            if image is None:
+                self.tally.unexposed += 1
+                return
+            if faults.swallowed_frames > 0:
+                faults.swallowed_frames -= 1
+                self.tally.swallowed += 1
+                return
+            block = self._block(plan, image, has_extended_ids=has_extended_ids)
         self._stream.send(
             block.block_id,
             packets(block),
@@ -294,6 +257,28 @@ class Sensor:
         )
         if registers.choice("AcquisitionMode") == "SingleFrame":
             self.end_acquisition()
+
+    def _block(self, plan: Plan, image: NDArray[np.uint8], *, has_extended_ids: bool) -> Block:
+        registers = self._registers
+        device_ns = self._clock.device_ns(plan.exposed_ns)
+        values: dict[str, int | float] = {
+            "Timestamp": device_ns,
+            "FrameID": self._block_id,
+            "ExposureTime": plan.exposure_us,
+            "CounterValue": self.tally.heard,
+        }
+        chunks = tuple(
+            (name, values[name]) for bank, name in enumerate(CHUNKS) if registers.number("ChunkEnable", bank)
+        )
+        return Block(
+            block_id=self._block_id,
+            has_extended_ids=has_extended_ids,
+            packet_bytes=registers.number("GevSCPSPacketSize"),
+            device_ns=device_ns,
+            image=image,
+            offset_px=(registers.number("OffsetX"), registers.number("OffsetY")),
+            chunks=chunks if registers.number("ChunkModeActive") else None,
+        )
 
     def _strobe(self, plan: Plan) -> None:
         registers = self._registers
@@ -310,74 +295,3 @@ class Sensor:
                         exposure_us=plan.exposure_us,
                     )
                 )
-
-    # --- the image ---
-
-    def _image(self, plan: Plan) -> NDArray[np.uint8] | None:
-        """Return what goes out: the region of interest, with the faults of the image."""
-        registers, faults = self._registers, self._faults
-        image = self._source(
-            Exposure(
-                camera=self._camera,
-                n=self._n_exposures,
-                trigger_ns=plan.trigger_ns,
-                exposed_ns=plan.exposed_ns,
-                exposure_us=plan.exposure_us,
-                gain_db=registers.quantity("Gain"),
-            )
-        )
-        if image is None:
-            return None
-        shape = (registers.number("SensorHeight"), registers.number("SensorWidth"))
-        if image.shape != shape or image.dtype != np.uint8:
-            self._note(f"image source gave {image.dtype} {image.shape}, not uint8 {shape}: nothing sent")
-            return None
-        self._adapt(float(image[::8, ::8].mean()), plan)
-        top, left = registers.number("OffsetY"), registers.number("OffsetX")
-        image = image[top : top + registers.number("Height"), left : left + registers.number("Width")]
-        if faults.frozen:
-            if self._frozen is None or self._frozen.shape != image.shape:
-                self._frozen = image
-            image = self._frozen
-        else:
-            self._frozen = None
-        if faults.corrupted:
-            image = image.copy()
-            image[::2] = 255 - image[::2]
-        return image[: image.shape[0] // 2] if faults.wrong_size else image
-
-    def _adapt(self, mean_grey: float, plan: Plan) -> None:
-        """Move exposure, then gain, towards the target; `Once` is done as soon as it is near."""
-        registers = self._registers
-        factor = min(max(TARGET_GREY / max(mean_grey, 1.0), 0.5), 2.0)
-        if registers.choice("ExposureAuto") != "Off":
-            exposure = registers.features["ExposureTime"]
-            wanted_us = plan.exposure_us * factor
-            registers.put("ExposureTime", min(max(wanted_us, exposure.minimum), exposure.maximum))
-            self._finish_once("ExposureAuto", factor)
-        elif registers.choice("GainAuto") != "Off":
-            gain = registers.features["Gain"]
-            wanted_db = registers.quantity("Gain") + 20 * float(np.log10(factor))
-            registers.put("Gain", min(max(wanted_db, gain.minimum), gain.maximum))
-            self._finish_once("GainAuto", factor)
-
-    def _finish_once(self, key: str, factor: float) -> None:
-        if self._registers.choice(key) == "Once" and abs(factor - 1) < 0.05:
-            self._registers.put(key, self._registers.features[key].entries["Off"])
-
-    def _chunks(
-        self, device_ns: int, plan: Plan, n_triggers: int
-    ) -> tuple[tuple[str, int | float], ...] | None:
-        if not self._registers.number("ChunkModeActive"):
-            return None
-        values: dict[str, int | float] = {
-            "Timestamp": device_ns,
-            "FrameID": self._block_id,
-            "ExposureTime": plan.exposure_us,
-            "CounterValue": n_triggers,
-        }
-        return tuple(
-            (name, values[name])
-            for bank, name in enumerate(CHUNKS)
-            if self._registers.number("ChunkEnable", bank)
-        )

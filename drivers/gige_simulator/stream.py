@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
+from drivers.gige_simulator.counters import WireTally
 from drivers.gige_simulator.faults import Faults
 from drivers.gige_simulator.gvsp import IP_UDP_BYTES, Packet, unavailable
 from drivers.gige_simulator.registers import Status
@@ -19,18 +20,6 @@ N_KEPT = 3
 BURST_S = 0.001
 """The sender sleeps, then sends what would have left meanwhile: the shorter, the more it costs."""
 _SEND_BUFFER_BYTES = 2 << 20
-
-
-@dataclass(slots=True)
-class Tally:
-    """What went over the wire; read and written under the channel's lock."""
-
-    frames: int = 0
-    torn: int = 0
-    packets: int = 0
-    dropped: int = 0
-    resent: int = 0
-    unavailable: int = 0
 
 
 @dataclass(slots=True)
@@ -52,7 +41,7 @@ class StreamChannel:
         is_connected: Callable[[], bool],
         uplink: Uplink | None = None,
     ) -> None:
-        self.tally = Tally()
+        self.tally = WireTally()
         self._faults = faults
         self._is_connected = is_connected
         self._uplink = uplink
@@ -196,7 +185,7 @@ class StreamChannel:
             if self._socket is not None and target is not None and self._is_connected():
                 self._socket.sendto(datagram, target)
 
-    def tallied(self) -> Tally:
+    def tallied(self) -> WireTally:
         with self._lock:
             return replace(self.tally)
 

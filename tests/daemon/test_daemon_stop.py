@@ -33,25 +33,26 @@ def settings(tmp_path: Path) -> Settings:
 
 
 class HangingGate:
-    """Does not come back from `open` until it is closed; asks the daemon to stop meanwhile."""
+    """Does not come back from `open` until the test is over; asks the daemon to stop meanwhile."""
 
     def __init__(self, n_signals: int) -> None:
         self.n_signals = n_signals
-        self.closed = threading.Event()
+        self.is_over = threading.Event()
 
     def open(self) -> None:
         for _ in range(self.n_signals):
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(0.2)
-        self.closed.wait()
+        self.is_over.wait()
 
     def arm(self, sink: EventSink) -> None:
         raise AssertionError("armed although it was never opened")
 
     def disarm(self) -> None: ...
 
-    def close(self) -> None:
-        self.closed.set()
+    def test_pulse(self) -> None: ...
+
+    def close(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -70,14 +71,19 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ):
+    gate = HangingGate(n_signals)
+
     def hanging(backend: ReplayBackend) -> Devices:
-        return replace(build_devices(backend), gate=HangingGate(n_signals))
+        return replace(build_devices(backend), gate=gate)
 
     monkeypatch.setattr(daemon, "build_devices", hanging)
     monkeypatch.setattr(daemon, "DISARM_S", disarm_s)
     monkeypatch.setattr(daemon, "ACQUISITION_LIMIT_S", 0.1)
     manager = ListeningManager(watchdog_s=0.15)
-    await asyncio.wait_for(daemon.run(settings, manager), 30)
+    try:
+        await asyncio.wait_for(daemon.run(settings, manager), 30)
+    finally:
+        gate.is_over.set()
     assert "READY=1" not in manager.heard
     assert "STOPPING=1" in manager.heard
     assert "no progress of acquisition" in caplog.text

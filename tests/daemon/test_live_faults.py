@@ -6,10 +6,8 @@ One daemon for all rows, in the order of the table: whatever a row breaks must b
 import signal
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
 from support.live_rig import LiveRig, eventually, live_rig
 from support.small_recording import write_small_recording
 

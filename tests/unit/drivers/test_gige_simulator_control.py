@@ -123,6 +123,8 @@ def test_a_legacy_camera_clamps_instead() -> None:
         assert camera.number("Width") == 128
         assert camera.set("ExposureTime", 2_000_000) == 0  # an integer behind the float
         assert camera.camera.feature("ExposureTime") == 1_000_000
+        assert camera.set("Gain", 3) == 0
+        assert camera.camera.feature("Gain") == pytest.approx(0.3)  # in steps of a tenth
 
 
 def test_a_bad_packet_size_is_refused_and_the_flags_beside_it_are_not_lost(camera: Session) -> None:
