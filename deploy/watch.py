@@ -20,6 +20,8 @@ HEAD = ROW.format(
     "remarks",
 )  # fmt: skip
 """The errors are those of volume and sieve size against the truth of a synthetic recording."""
+PATIENCE_S = 60.0
+"""For a rig that is held, when somebody waits for the end."""
 
 
 def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
@@ -107,7 +109,7 @@ def main() -> int:
     print(f"health    {base}/api/v1/health")
     print(f"API       {base}/api/v1/docs\n")
     print(HEAD, flush=True)
-    cursor, is_through = 0, False
+    cursor, is_through, held_since = 0, False, time.monotonic()
     while True:
         page = ask(base, f"/results?after={cursor}&wait_s={0 if is_through else 2}", process)
         if page is None:
@@ -122,6 +124,10 @@ def main() -> int:
                 continue
             if is_through:
                 return summary(counts)
+            if acquisition["state"] != "held":
+                held_since = time.monotonic()
+            elif time.monotonic() - held_since > PATIENCE_S:
+                sys.exit(f"held: {acquisition['trouble']}")
             # then once more for what came between the two answers
             has_ended = (
                 acquisition["state"] == "disarmed"

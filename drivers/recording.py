@@ -41,6 +41,7 @@ __all__ = [
 FORMAT = "stonefall-recording/1"
 UNKNOWN_UTC = "1970-01-01T00:00:00.000Z"
 UNREADABLE_SPACING_NS = 250_000_000
+MAX_SPEED_MM_S = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +53,7 @@ class Recording:
     image_size_px: tuple[int, int]  # W, H
     rig_name: str
     is_simulated: bool
+    speed_at_gate_mm_s: float  # of the stones, as the gate's beam closed
     rig: RigCalibration | None
     document: Mapping[str, Any]
     """Content of recording.json."""
@@ -93,6 +95,7 @@ def open_recording(path: Path) -> Recording:
         image_size_px=size_px,
         rig_name=str(document.get("rig_name", "")),
         is_simulated=is_simulated,
+        speed_at_gate_mm_s=_speed_at_gate_mm_s(document_path, document),
         rig=rig,
         document=document,
         headers=headers,
@@ -278,3 +281,18 @@ def _image_size(path: Path, document: Mapping[str, Any]) -> tuple[int, int]:
         case [int(width_px), int(height_px)] if width_px > 0 and height_px > 0:
             return width_px, height_px
     raise RecordingError(path, f"image_size_px: must be [W, H] in pixels, not {size_px!r}")
+
+
+def _speed_at_gate_mm_s(path: Path, document: Mapping[str, Any]) -> float:
+    """A recording that says nothing is one of stones that were let go at the beam."""
+    match document.get("gate_settings", {}):
+        case {"speed_at_gate_mm_s": int(speed) | float(speed)} if 0 <= speed <= MAX_SPEED_MM_S:
+            return float(speed)
+        case {"speed_at_gate_mm_s": other}:
+            raise RecordingError(
+                path, f"gate_settings.speed_at_gate_mm_s: must be in 0..{MAX_SPEED_MM_S:g}, not {other!r}"
+            )
+        case Mapping():
+            return 0.0
+        case other:
+            raise RecordingError(path, f"gate_settings: must be an object, not {other!r}")

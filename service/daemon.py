@@ -163,11 +163,17 @@ async def build(settings: Settings, store: Store) -> Daemon:
     heartbeats = Heartbeats(
         {"acquisition": ACQUISITION_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
     )
+    source = recording_source(devices, calibration, settings.model_dump(mode="json")["rig"])
     pool = WorkerPool(
         slots=settings.workers.slots,
         deadline_s=settings.workers.deadline_s,
         initialize=initialize,
-        context=WorkerContext(rig=calibration, parameters=settings.pipeline, is_simulated=is_simulated),
+        context=WorkerContext(
+            rig=calibration,
+            parameters=settings.pipeline,
+            is_simulated=is_simulated,
+            speed_at_gate_mm_s=source.speed_at_gate_mm_s,
+        ),
     )
     spool = Spool(folder, max_bundles=settings.spool.max_bundles, camera_ids=camera_ids)
     if devices.belt is not None:
@@ -177,7 +183,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     recordings = await asyncio.to_thread(
         open_recordings,
         settings.store.dir / "recordings",
-        recording_source(devices, calibration, settings.model_dump(mode="json")["rig"]),
+        source,
         settings.recordings,
         {"command": "serve", "instance_id": store.instance_id, "session": session},
     )

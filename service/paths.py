@@ -7,9 +7,10 @@ from typing import Annotated
 from pydantic import AfterValidator, ValidationInfo
 
 
-def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
+def beside_the_file(path: Path, info: ValidationInfo) -> Path:
+    """Return an absolute path."""
     folder: Path = (info.context or {})["folder"]
     return Path(os.path.normpath(folder / path))
 
 
-ConfiguredPath = Annotated[Path, AfterValidator(_beside_the_file)]
+ConfiguredPath = Annotated[Path, AfterValidator(beside_the_file)]

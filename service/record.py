@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import Trigger
 from pipeline.particle import ParticleMeasurement, ParticleResult
 
@@ -40,6 +41,7 @@ def result_record(
     bundle: str,
     calibration_id: str,
     is_simulated: bool,
+    speed_at_gate_mm_s: float,
     timings_ms: dict[str, float],
 ) -> dict[str, Any]:
     """The record of a bundle that was looked at: `measured`, or `rejected` with the reason."""
@@ -57,7 +59,7 @@ def result_record(
     }
     if measurement is not None:
         record |= _measured(measurement)
-    return record
+    return record | _at_the_gate(trigger, measurement, speed_at_gate_mm_s)
 
 
 def lost_record(
@@ -82,6 +84,8 @@ def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulat
         "views": [],
         "dropped_views": {},
         **dict.fromkeys(MEASURED_FIELDS),
+        "gate_extent_mm": None,
+        "gate_extent_is_plausible": None,
         "mesh": None,
         "view_residuals_px": {},
         "timings_ms": {},
@@ -115,3 +119,17 @@ def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
         "mass_g": measurement.mass_g,
         "center_mm": list(shape.center_mm),
     }
+
+
+def _at_the_gate(
+    trigger: Trigger, measurement: ParticleMeasurement | None, speed_at_gate_mm_s: float
+) -> dict[str, Any]:
+    """What closed the beam, against what was measured: it turns as it falls, so its diameters bound the extent."""
+    if trigger.pulse_width_ns is None:
+        return {}
+    extent_mm = vertical_extent_mm(trigger.pulse_width_ns, speed_at_gate_mm_s)
+    found: dict[str, Any] = {"gate_extent_mm": extent_mm}
+    if measurement is not None:
+        ferets_mm = (measurement.shape.min_feret_mm, measurement.shape.max_feret_mm)
+        found["gate_extent_is_plausible"] = extent_is_plausible(extent_mm, ferets_mm)
+    return found

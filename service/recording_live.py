@@ -21,6 +21,7 @@ from drivers.errors import RecordingError
 from drivers.factory import Devices
 from drivers.files import read_json, write_json
 from drivers.recording import RecordingWriter
+from pipeline.fall import speed_mm_s
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import RigCalibration
 
@@ -86,6 +87,11 @@ class RecordingSource:
     gate_settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def speed_at_gate_mm_s(self) -> float:
+        """Of the stones, as the beam closes; zero where nobody said so."""
+        return float(self.gate_settings.get("speed_at_gate_mm_s", 0.0))
+
+    @property
     def bundle_bytes(self) -> int:
         """Most that a bundle takes on disk."""
         width_px, height_px = self.rig.cameras[0].image_size_px
@@ -98,7 +104,10 @@ def recording_source(
     """What a recording of these devices says of them; `rig_settings` is `[rig]` of the configuration, as JSON."""
     settings = {
         "camera_settings": {key: value for key, value in rig_settings.items() if key != "gate"},
-        "gate_settings": rig_settings.get("gate", {}),
+        "gate_settings": {
+            **rig_settings.get("gate", {}),
+            "speed_at_gate_mm_s": speed_mm_s(rig_settings.get("start_above_gate_mm", 0.0)),
+        },
     }
     if devices.belt is not None:
         settings |= {key: devices.belt.recording.document.get(key, {}) for key in settings}

@@ -4,12 +4,12 @@ When the cameras expose follows from the height of the fall, not from a number s
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Discriminator, Tag
+from pydantic import AfterValidator, Discriminator, Tag, ValidationInfo
 
 from drivers.cameras.genicam import (
     Feature,
@@ -31,7 +31,9 @@ from pipeline.fall import blur_px, fall_time_ms, longest_exposure_us, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from service.bundling import BundlingParameters
-from service.paths import ConfiguredPath
+from service.paths import ConfiguredPath, beside_the_file
+
+PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
 
 BUSY_SLACK_MS = 30.0
 """A stone may follow the one before by so much less than a camera is busy: it is lost as a stone without frames."""
@@ -89,12 +91,16 @@ class CameraPlace:
     features: tuple[Feature, ...] = ()  # for this camera alone, after those of all
 
 
+def _port_beside_the_file(gate: PortGate, info: ValidationInfo) -> PortGate:
+    return replace(gate, port=str(beside_the_file(Path(gate.port), info)))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateSettings:
     """The light gate: exactly one of the three kinds."""
 
-    serial: SerialGateSettings | None = None
-    modem_line: ModemLineSettings | None = None
+    serial: Annotated[SerialGateSettings, AfterValidator(_port_beside_the_file)] | None = None
+    modem_line: Annotated[ModemLineSettings, AfterValidator(_port_beside_the_file)] | None = None
     gpio: GpioGateSettings | None = None
 
     def __post_init__(self) -> None:

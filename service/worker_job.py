@@ -39,6 +39,7 @@ class WorkerContext:
     rig: RigCalibration
     parameters: PipelineParameters
     is_simulated: bool
+    speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
     segmenter: str = "background"
 
 
@@ -150,6 +151,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         bundle=bundle.name,
         calibration_id=_worker.calibration_id,
         is_simulated=_worker.context.is_simulated,
+        speed_at_gate_mm_s=_worker.context.speed_at_gate_mm_s,
         timings_ms=timings_ms,
     )
     record["mesh"] = None if result.mesh is None else "mesh.ply"

@@ -54,7 +54,8 @@ class Device(Protocol):
 
 @dataclass(slots=True)
 class _LastCommand:
-    peer: Peer
+    """Of the controller."""
+
     datagram: bytes
     answer: bytes | None
 
@@ -82,7 +83,7 @@ class ControlChannel:
     def answer(self, datagram: bytes, peer: Peer, now_ns: int) -> bytes | None:
         """Do what a command asks; nothing for what is no command or wants no answer.
 
-        A repeated command is answered again, not done again.
+        What the controller repeats is answered again, not done again; others only read.
         """
         if len(datagram) < HEADER.size or datagram[0] != KEY:
             return None
@@ -93,7 +94,7 @@ class ControlChannel:
         if command == PACKET_RESEND:
             self._resend(flags, body)
             return None
-        if self._last and (self._last.peer, self._last.datagram) == (peer, datagram) and command != DISCOVERY:
+        if peer == self.controller and self._last and self._last.datagram == datagram:
             return self._last.answer
         answer = b""
         try:
@@ -114,7 +115,8 @@ class ControlChannel:
             status = Status.INVALID_HEADER
         reply = ACK_HEADER.pack(status, command + 1, len(answer), request_id) + answer
         wanted = reply if flags & ACK_REQUIRED else None
-        self._last = _LastCommand(peer, datagram, wanted)
+        if peer == self.controller:
+            self._last = _LastCommand(datagram, wanted)
         return wanted
 
     def heartbeat_due_ns(self) -> int | None:
@@ -141,6 +143,8 @@ class ControlChannel:
         self._take(peer, _CONTROL)
 
     def _take(self, peer: Peer, privilege: int) -> None:
+        if peer != self.controller:
+            self._last = None
         self.controller, self._is_exclusive = peer, bool(privilege & _EXCLUSIVE)
         self._registers.put_word(CONTROL_PRIVILEGE, privilege)
         self._device.noted(f"{'exclusive ' if self._is_exclusive else ''}control to {_name(peer)}")

@@ -10,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from pipeline.fall import pulse_width_ns
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph
 
@@ -18,6 +19,8 @@ TRIGGER_DELAY_NS = 247_400_000
 TRANSFER_NS = 12_000_000
 """From the end of the exposure to the last packet of a 1.3 MB frame on GigE."""
 TRANSFER_JITTER_NS = 1_000_000
+PULSE_WIDTH_JITTER = 0.003
+"""Greatest deviation of the gate's pulse from the width that follows from the stone."""
 PERIOD_NS = 250_000_000
 FIRST_UTC = datetime(2026, 1, 1, tzinfo=UTC)
 FIRST_NS = 1_000_000_000_000
@@ -48,7 +51,7 @@ def render_bundle(
         received_ns=trigger_ns,
         device_ns=elapsed_ns + 40_000_000,
         utc=_rfc3339(FIRST_UTC + timedelta(microseconds=elapsed_ns / 1000)),
-        pulse_width_ns=None if kind is BundleKind.BACKGROUND else int(rng.integers(4_000_000, 9_000_000)),
+        pulse_width_ns=None if kind is BundleKind.BACKGROUND else _pulse_width_ns(bodies, rng),
         kind=kind,
         name=f"{sequence:06d}-{label or kind.value}",
     )
@@ -84,6 +87,16 @@ def without_views(bundle: FrameBundle, cameras: Sequence[CameraId], reason: str)
         frames={camera: frame for camera, frame in bundle.frames.items() if camera not in lost},
         missing={**bundle.missing, **dict.fromkeys(cameras, reason)},
     )
+
+
+def _pulse_width_ns(bodies: Sequence[PlacedBody], rng: np.random.Generator) -> int | None:
+    """For how long the bodies, let go together at the beam and turned as photographed, close it; never by none."""
+    # of this range because the images of known seeds depend on all that is drawn
+    jitter = PULSE_WIDTH_JITTER * (int(rng.integers(5_000_000)) / 2_500_000 - 1)
+    if not bodies:
+        return None
+    heights_mm = np.concatenate([placed.world_mesh.vertices[:, 2] for placed in bodies])
+    return round(pulse_width_ns(float(np.ptp(heights_mm))) * (1 + jitter))
 
 
 def _zeros_of(position: int) -> tuple[int, int]:

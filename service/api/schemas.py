@@ -53,6 +53,13 @@ class Result(BaseModel):
     angularity: float | None = Field(description="Angularity of the surface; larger is sharper")
     mass_g: float | None = Field(description="Mass at the configured density, g; null without a density")
     center_mm: list[float] | None = Field(description="Centroid in the rig's frame (x, y, z up), mm")
+    gate_extent_mm: float | None = Field(
+        description="Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown"
+    )
+    gate_extent_is_plausible: bool | None = Field(
+        description="Whether the measured body can be what closed the beam; null when there is nothing to compare."
+        " False: two stones in a row, a dirty beam, or a wrong measurement"
+    )
     mesh: str | None = Field(description="Address of the mesh, relative to the base path; null without one")
     view_residuals_px: dict[str, float] = Field(description="Silhouette against the hull, per camera, px")
     timings_ms: dict[str, float] = Field(description="Computing time of each stage, ms")

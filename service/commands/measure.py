@@ -75,7 +75,11 @@ def command(
     if field is not None:
         parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
     context = WorkerContext(
-        rig=calibration, parameters=parameters, is_simulated=source.is_simulated, segmenter=segmenter.value
+        rig=calibration,
+        parameters=parameters,
+        is_simulated=source.is_simulated,
+        speed_at_gate_mm_s=source.speed_at_gate_mm_s,
+        segmenter=segmenter.value,
     )
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     records = _measure_all(source, context, out, workers, save_silhouettes)

@@ -46,7 +46,10 @@ async def test_what_is_unknown_is_null_and_what_is_extra_is_kept(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:
     await add(store, session, 1, measured(roughness_um=3.25))
-    (item,) = (await client.get("/results")).json()["items"]
+    await add(store, session, 2, measured(gate_extent_mm=41.5, gate_extent_is_plausible=False))
+    item, doubtful = (await client.get("/results")).json()["items"]
+    assert (item["gate_extent_mm"], item["gate_extent_is_plausible"]) == (None, None)
+    assert (doubtful["gate_extent_mm"], doubtful["gate_extent_is_plausible"]) == (41.5, False)
     assert item["roughness_um"] == 3.25
     assert item["mass_g"] is None
     assert item["view_residuals_px"] == {}

@@ -1,22 +1,26 @@
 """What every camera and every light gate does, whatever it is made of."""
 
+import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.gige import gige_rig
 from support.pty_gate import serial_gate
 from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
 from support.sinks import Collector
 
-from drivers.errors import DeviceError
+from drivers.errors import CameraUnavailableError, GateUnavailableError
 from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.faults import FaultPlan
-from drivers.interfaces import Camera, LightGate
-from pipeline.frames import Frame, Trigger
+from drivers.gates.firing import FiringGate
+from drivers.interfaces import Camera, CameraVitals, LightGate
+from pipeline.frames import BundleKind, CameraId, Frame, Trigger
 
 N_BUNDLES = 12
 PLANS = {"replay": None, "faulty": FaultPlan(seed=1)}
@@ -24,108 +28,133 @@ PLANS = {"replay": None, "faulty": FaultPlan(seed=1)}
 
 @dataclass(frozen=True)
 class Bench:
-    """A device under test, and a rig around it that can be made to expose."""
+    """Cameras under test, closed, in a rig that can be made to expose."""
 
-    devices: Devices
-    witness: Collector
-    """Sees every exposure after all other cameras, on the last camera."""
-    triggers: Collector
-    fire: Callable[[], None]
-    """One stone falls; returns when it is over."""
+    cameras: Mapping[CameraId, Camera]
+    drop: Callable[[], None]
+    """One stone falls; returns at once. Stone n shows `tagged_image(n, camera)`, from 0."""
+    is_counting_on: bool
+    """Whether frame ids go on while a camera is disarmed; otherwise they begin anew when it is armed."""
+    witness: Collector = field(default_factory=Collector)
+    """Of the last camera; sees every exposure."""
+
+    def fire(self) -> None:
+        """One stone falls; returns when the witness has seen it."""
+        self.drop()
+        assert isinstance(self.witness.next(), Frame)
 
 
-@pytest.fixture(params=PLANS)
-def devices(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Devices]:
-    path = write_recording(tmp_path / "rec", [make_bundle(number) for number in range(N_BUNDLES)])
-    devices = build_devices(ReplayBackend(recording=path, pace="stepped", faults=PLANS[request.param]))
-    yield devices
+@pytest.fixture(params=[*PLANS, "aravis"])
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    with aravis_bench() if request.param == "aravis" else replayed_bench(tmp_path, request.param) as bench:
+        witnessing = bench.cameras[CAMERAS[-1]]
+        witnessing.open()
+        witnessing.arm(bench.witness)
+        yield bench
+
+
+@contextmanager
+def replayed_bench(folder: Path, plan: str) -> Iterator[Bench]:
+    devices = replayed_devices(folder, plan)
+    assert devices.belt is not None
+    devices.gate.open()
+    devices.gate.arm(Collector())
+    yield Bench(devices.cameras, devices.belt.step, is_counting_on=True)
     devices.gate.close()
     for camera in devices.cameras.values():
         camera.close()
 
 
-@pytest.fixture
-def bench(devices: Devices) -> Bench:
-    witness, triggers = Collector(), Collector()
-    last = devices.cameras[CAMERAS[-1]]
-    last.open()
-    last.arm(witness)
-    devices.gate.open()
-    devices.gate.arm(triggers)
-    belt = devices.belt
-    assert belt is not None
+@contextmanager
+def aravis_bench() -> Iterator[Bench]:
+    with gige_rig(CAMERAS) as rig:
+        yield Bench(rig.cameras, rig.fire, is_counting_on=False)
 
-    def fire() -> None:
-        belt.step()
-        assert isinstance(witness.next(), Frame)
 
-    return Bench(devices, witness, triggers, fire)
+def replayed_devices(folder: Path, plan: str) -> Devices:
+    path = write_recording(folder / "rec", [make_bundle(number) for number in range(N_BUNDLES)])
+    return build_devices(ReplayBackend(recording=path, pace="stepped", faults=PLANS[plan]))
 
 
 class TestCameraContract:
     @pytest.fixture
-    def camera(self, devices: Devices) -> Camera:
-        return devices.cameras[CAMERAS[0]]
+    def camera(self, bench: Bench) -> Camera:
+        return bench.cameras[CAMERAS[0]]
 
     def test_it_knows_its_place(self, camera: Camera) -> None:
         assert camera.id == CAMERAS[0]
 
     def test_an_armed_camera_delivers_every_exposure(self, camera: Camera, bench: Bench) -> None:
-        sink = Collector()
         camera.open()
-        camera.arm(sink)
-        for _ in range(3):
+        camera.arm(sink := Collector())
+        frames = []
+        for number in range(3):
             bench.fire()
-        frames = sink.events
-        assert len(frames) == 3
-        for number, frame in enumerate(frames):
-            assert isinstance(frame, Frame)
+            frames.append(frame := next_frame(sink))
             assert frame.camera == camera.id
             assert np.array_equal(frame.image, tagged_image(number, camera.id))
             assert not frame.image.flags.writeable
         assert all(b.frame_id - a.frame_id == 1 for a, b in pairwise(frames))
         assert all(b.received_ns > a.received_ns and b.device_ns > a.device_ns for a, b in pairwise(frames))
+        assert len(sink.events) == 3
 
     def test_after_disarm_nothing_is_delivered(self, camera: Camera, bench: Bench) -> None:
-        sink, second_sink = Collector(), Collector()
         camera.open()
-        camera.arm(sink)
+        camera.arm(sink := Collector())
         bench.fire()
+        first = next_frame(sink)
         camera.disarm()
         camera.disarm()
         bench.fire()
-        assert len(sink.events) == 1
-        camera.arm(second_sink)
+        camera.arm(second_sink := Collector())
         bench.fire()
-        assert len(sink.events) == 1
-        assert [frame.frame_id for frame in second_sink.events] == [sink.events[0].frame_id + 2]
+        third = next_frame(second_sink)
+        assert third.frame_id == (first.frame_id + 2 if bench.is_counting_on else first.frame_id)
+        assert np.array_equal(third.image, tagged_image(2, camera.id))
+        assert (len(sink.events), len(second_sink.events)) == (1, 1)
 
     def test_disarming_is_final_at_any_moment(self, camera: Camera, bench: Bench) -> None:
         camera.open()
-        assert bench.devices.belt is not None
-        bench.devices.belt.permit(N_BUNDLES)
         sinks = []
-        while len(bench.witness.events) < N_BUNDLES:
+        for number in range(N_BUNDLES):
             camera.arm(sink := Collector())
-            bench.witness.next()
+            bench.drop()
+            threading.Event().wait(number * 0.5e-3)  # while the frame is on its way, or just here
             camera.disarm()
             sinks.append((sink, len(sink.events)))
+            bench.witness.next()
         assert all(len(sink.events) == n_when_disarmed for sink, n_when_disarmed in sinks)
 
     def test_a_sink_that_refuses_does_not_stop_it(self, camera: Camera, bench: Bench) -> None:
         camera.open()
         camera.arm(sink := Collector(accepts=False))
-        bench.fire()
-        bench.fire()
+        for _ in range(2):
+            bench.fire()
+            next_frame(sink)
         assert len(sink.events) == 2
 
     def test_it_must_be_open_to_be_armed(self, camera: Camera) -> None:
-        with pytest.raises(DeviceError, match=camera.id):
+        with pytest.raises(CameraUnavailableError, match=camera.id):
             camera.arm(Collector())
         camera.open()
         camera.close()
-        with pytest.raises(DeviceError, match=camera.id):
+        with pytest.raises(CameraUnavailableError, match=camera.id):
             camera.arm(Collector())
+
+    def test_it_tells_how_it_is_while_it_is_open(self, camera: Camera, bench: Bench) -> None:
+        with pytest.raises(CameraUnavailableError, match=camera.id):
+            camera.examine()
+        camera.open()
+        assert camera.examine().frames == 0
+        camera.arm(sink := Collector())
+        bench.fire()
+        next_frame(sink)
+        vitals = camera.examine()
+        assert isinstance(vitals, CameraVitals)
+        assert (vitals.failed_frames, vitals.missing_packets) == (0, 0)
+        camera.close()
+        with pytest.raises(CameraUnavailableError, match=camera.id):
+            camera.examine()
 
     def test_closing_is_always_allowed(self, camera: Camera, bench: Bench) -> None:
         camera.close()
@@ -136,9 +165,16 @@ class TestCameraContract:
         camera.open()
         camera.arm(sink := Collector())
         bench.fire()
+        next_frame(sink)
         camera.close()
         bench.fire()
         assert len(sink.events) == 1
+
+
+def next_frame(sink: Collector) -> Frame:
+    frame = sink.next()
+    assert isinstance(frame, Frame)
+    return frame
 
 
 @dataclass(frozen=True)
@@ -149,19 +185,21 @@ class GateBench:
     drop: Callable[[], None]
     """One stone passes; who listens hears of it soon."""
     clock: Callable[[], int] = time.monotonic_ns
+    can_expose: bool = True
+    """Whether it can trigger the cameras without a stone."""
 
 
-@pytest.fixture(params=[*PLANS, "serial"])
+@pytest.fixture(params=[*PLANS, "serial", "firing"])
 def gate_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GateBench]:
-    if request.param == "serial":
-        with serial_gate(tmp_path / "gate") as (gate, device):
-            yield GateBench(gate, device.edge)
+    if request.param in PLANS:
+        devices = replayed_devices(tmp_path, request.param)
+        assert devices.belt is not None
+        yield GateBench(devices.gate, devices.belt.step, devices.clock, can_expose=False)
+        devices.gate.close()
         return
-    path = write_recording(tmp_path / "rec", [make_bundle(number) for number in range(N_BUNDLES)])
-    devices = build_devices(ReplayBackend(recording=path, pace="stepped", faults=PLANS[request.param]))
-    assert devices.belt is not None
-    yield GateBench(devices.gate, devices.belt.step, devices.clock)
-    devices.gate.close()
+    with serial_gate(tmp_path / "gate") as (gate, device):
+        yield GateBench(FiringGate(gate, lambda: None) if request.param == "firing" else gate, device.edge)
+        gate.close()
 
 
 class TestGateContract:
@@ -195,8 +233,30 @@ class TestGateContract:
         assert len(sink.events) == 1
 
     def test_it_must_be_open_to_be_armed(self, gate: LightGate) -> None:
-        with pytest.raises(DeviceError, match="gate"):
+        with pytest.raises(GateUnavailableError, match="gate"):
             gate.arm(Collector())
+
+    def test_only_an_armed_gate_exposes_the_empty_rig(self, gate: LightGate, gate_bench: GateBench) -> None:
+        with pytest.raises(GateUnavailableError, match="gate"):
+            gate.test_pulse()
+        gate.open()
+        with pytest.raises(GateUnavailableError, match="gate"):
+            gate.test_pulse()
+        gate.arm(sink := Collector())
+        if gate_bench.can_expose:
+            before_ns = gate_bench.clock()
+            gate.test_pulse()
+            trigger = next_trigger(sink)
+            assert trigger.kind is BundleKind.BACKGROUND
+            assert before_ns <= trigger.received_ns <= gate_bench.clock()
+        else:
+            with pytest.raises(GateUnavailableError, match="gate"):
+                gate.test_pulse()
+        gate_bench.drop()
+        assert next_trigger(sink).kind is BundleKind.PARTICLE
+        gate.disarm()
+        with pytest.raises(GateUnavailableError, match="gate"):
+            gate.test_pulse()
 
     def test_closing_is_always_allowed_and_it_can_be_opened_again(
         self, gate: LightGate, gate_bench: GateBench

@@ -14,7 +14,8 @@ from service.record import MEASURED_FIELDS
 
 COMPARED = (
     "bundle", "sequence", "kind", "captured_at", "outcome", "reason", "detail", "quality", "views",
-    "dropped_views", *MEASURED_FIELDS, "view_residuals_px", "calibration_id", "algorithm_version",
+    "dropped_views", *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
+    "view_residuals_px", "calibration_id", "algorithm_version",
     "is_simulated",
 )  # fmt: skip
 
@@ -23,6 +24,9 @@ COMPARED = (
 def test_daemon_equals_offline(tmp_path: Path, slots: int) -> None:
     recording = tmp_path / "recording"
     write_small_recording(recording, n_stones=5)
+    document = json.loads((recording / "recording.json").read_text())
+    document["gate_settings"] = {"speed_at_gate_mm_s": 100.0}
+    (recording / "recording.json").write_text(json.dumps(document))
     header, torn, page = sorted((recording / "bundles").iterdir())[-3:]
     header.write_bytes(header.read_bytes()[:50])  # cannot be read at all
     torn.write_bytes(torn.read_bytes()[:-2000])  # the header is sound, the last pages are not
@@ -43,6 +47,9 @@ def test_daemon_equals_offline(tmp_path: Path, slots: int) -> None:
         assert [record["outcome"] for record in offline] == [*["measured"] * 4, "lost"]
         assert offline[-1]["reason"] == "unreadable"
         assert offline[2]["dropped_views"]
+        for record in offline[:4]:  # the pulses are those of spheres of 15 mm that were let go at the beam
+            assert record["gate_extent_mm"] == pytest.approx(15.0 + 100 * 0.0553, abs=0.2)
+            assert record["gate_extent_is_plausible"] is False
         for ours, theirs in zip(live, offline, strict=True):
             assert {key: ours[key] for key in COMPARED} == {key: theirs[key] for key in COMPARED}
             if ours["mesh"] is None:

@@ -15,7 +15,8 @@ from service.record import MEASURED_FIELDS
 
 COMPARED = (
     "bundle", "sequence", "kind", "outcome", "reason", "quality", "views", "dropped_views",
-    *MEASURED_FIELDS, "view_residuals_px", "calibration_id", "is_simulated",
+    *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
+    "view_residuals_px", "calibration_id", "is_simulated",
 )  # fmt: skip
 N_STONES = 10
 

@@ -4,6 +4,7 @@ import json
 import subprocess
 from pathlib import Path
 
+import pytest
 from support.daemon_process import STONEFALL
 from support.live_rig import eventually, live_section, simulated_rig
 from support.small_recording import write_small_recording
@@ -46,7 +47,8 @@ def test_a_live_rig_is_recorded(tmp_path: Path) -> None:
     assert recorded.rig is not None
     assert recorded.document["camera_settings"]["trigger"] == "Line1"
     assert recorded.document["gate_settings"]["serial"]["port"] == str(tmp_path / "gate")
-    stones = []
+    assert recorded.document["gate_settings"]["speed_at_gate_mm_s"] == 0
+    stones, widths_ns = [], []
     for header in playback_order(recorded):
         bundle = read_bundle(header.path, recorded.camera_ids)
         assert set(bundle.frames) == set(source.camera_ids)
@@ -54,5 +56,7 @@ def test_a_live_rig_is_recorded(tmp_path: Path) -> None:
         assert name.endswith("background") == (header.kind is BundleKind.BACKGROUND)
         if header.kind is not BundleKind.BACKGROUND:
             stones.append(name)
-    names = [header.name for header in source.headers if header.kind is not BundleKind.BACKGROUND]
-    assert stones == names
+            widths_ns.append(header.trigger.pulse_width_ns)
+    fallen = [header for header in source.headers if header.kind is not BundleKind.BACKGROUND]
+    assert stones == [header.name for header in fallen]
+    assert widths_ns == pytest.approx([header.trigger.pulse_width_ns for header in fallen], abs=100_000)

@@ -24,7 +24,13 @@ def own_address(number: int = 0) -> str:
 
 
 def live_section(
-    rig: SimulatedRig, folder: Path, recording: Path, *, more: str = "", by_address: bool = False
+    rig: SimulatedRig,
+    folder: Path,
+    recording: Path,
+    *,
+    more: str = "",
+    by_address: bool = False,
+    at_start: int = 2,
 ) -> str:
     """`[rig]` of a configuration; cameras are found by serial number, by broadcast on loopback."""
     cameras = "\n".join(
@@ -42,7 +48,7 @@ interfaces = ["127.0.0.1"]
 port = "{folder}/gate"
 {cameras}
 [empty_rig]
-at_start = 2
+at_start = {at_start}
 every_s = 0
 """
 

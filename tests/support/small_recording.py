@@ -8,10 +8,10 @@ import numpy as np
 from drivers.recording import RecordingWriter
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
-from pipeline.synthesis.bodies import sphere
+from pipeline.synthesis.bodies import Body, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, simulate_rig
 
 SHRINK = 4
 
@@ -33,17 +33,45 @@ def write_small_recording(path: Path, *, n_stones: int, n_backgrounds: int = 2) 
     """Spheres falling through the rig as built, after some exposures of the empty rig."""
     rig = thumbnail_rig()
     simulated = simulate_rig(rig, stream(1, 0))
-    with RecordingWriter(
-        path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
-        made_by={"test": "small_recording"},
-    ) as writer:
+    with _writer(path, rig) as writer:
         for number in range(1, n_backgrounds + 1):
             writer.add(render_empty(simulated, stream(1, 1, number), sequence=number))
         for number in range(n_backgrounds + 1, n_backgrounds + n_stones + 1):
             rng = stream(1, 2, number)
             placed = tumble(sphere(), rig, rng)
             writer.add(render_bundle([placed], simulated, rng, sequence=number, label="sphere"))
+
+
+def write_odd_recording(path: Path) -> None:
+    """After two exposures of the empty rig: nothing, two stones at once, one cut off, each between whole ones."""
+    rig = thumbnail_rig()
+    simulated = simulate_rig(rig, stream(2, 0))
+    falls = {
+        "whole": [_placed(sphere(), 0, 0, 0)],
+        "empty": [],
+        "small": [_placed(sphere(8.0), 2, -1, 1)],
+        "two": [_placed(sphere(8.0), -12, 0, -3), _placed(sphere(8.0), 12, 3, 4)],
+        "cube": [_placed(cube(12.0), -1, 2, 0)],
+        "cut": [_placed(sphere(), 0, 0, 24)],
+        "last": [_placed(sphere(12.0), 1, 1, -2)],
+    }
+    with _writer(path, rig) as writer:
+        for number in (1, 2):
+            writer.add(render_empty(simulated, stream(2, 1, number), sequence=number))
+        for number, (label, bodies) in enumerate(falls.items(), start=3):
+            writer.add(render_bundle(bodies, simulated, stream(2, 2, number), sequence=number, label=label))
+
+
+def _placed(body: Body, *offset_mm: float) -> PlacedBody:
+    return PlacedBody(body=body, R=np.eye(3), offset_mm=np.array(offset_mm))
+
+
+def _writer(path: Path, rig: RigCalibration) -> RecordingWriter:
+    return RecordingWriter(
+        path,
+        camera_ids=rig.camera_ids,
+        image_size_px=rig.cameras[0].image_size_px,
+        rig=rig,
+        is_simulated=True,
+        made_by={"test": "small_recording"},
+    )

@@ -191,7 +191,7 @@ def test_a_lost_leader_or_trailer_is_resent(simulated: SimulatedCamera, packet_i
             assert simulated.counters.dropped == 3
 
 
-@pytest.mark.parametrize(("name", "value"), [("no_resend", True), ("stall_after", 100)])
+@pytest.mark.parametrize(("name", "value"), [("no_resend", True), ("stall_after", 40)])
 def test_a_frame_that_cannot_be_whole_is_given_up(
     simulated: SimulatedCamera, name: str, value: object
 ) -> None:

@@ -217,10 +217,14 @@ def test_others_that_ask_all_the_time_do_not_keep_a_dead_controller_alive(camera
 def test_a_repeated_command_is_answered_again_but_not_done_again(camera: Session) -> None:
     camera.start(source=3)  # software
     body = struct.pack(">II", camera.address("TriggerSoftware"), 1)
-    for _ in range(2):
-        camera.control.tell(WRITEREG, body, flags=1, request_id=777)
-        assert camera.control.socket.recv(100)[:2] == b"\0\0"
+    with application(ADDRESS) as other:
+        for _ in range(2):
+            camera.control.tell(WRITEREG, body, flags=1, request_id=777)
+            assert camera.control.socket.recv(100)[:2] == b"\0\0"
+            other.read(CCP)
     assert camera.camera.counters.edges == 1
+    camera.control.tell(WRITEREG, body, flags=1, request_id=778)
+    eventually(lambda: camera.camera.counters.edges == 2)
 
 
 def test_heartbeats_of_the_controller_are_counted(camera: Session) -> None:

@@ -35,6 +35,26 @@ def test_a_recording_gives_back_what_was_added(tmp_path: Path) -> None:
         assert_same_bundle(read_bundle(header.path, recording.camera_ids), bundle)
 
 
+def test_how_fast_stones_passed_the_gate(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "rec", [make_bundle(0)])
+    assert open_recording(path).speed_at_gate_mm_s == 0
+    document = json.loads((path / "recording.json").read_text())
+
+    def speed_of(gate_settings: object) -> float:
+        (path / "recording.json").write_text(json.dumps(document | {"gate_settings": gate_settings}))
+        return open_recording(path).speed_at_gate_mm_s
+
+    assert speed_of({"port": "gate"}) == 0
+    assert speed_of({"speed_at_gate_mm_s": 313}) == 313
+    for wrong in (-1, "313", None, float("nan"), float("inf")):
+        with pytest.raises(
+            RecordingError, match=r"recording\.json: gate_settings\.speed_at_gate_mm_s: must be in"
+        ):
+            speed_of({"speed_at_gate_mm_s": wrong})
+    with pytest.raises(RecordingError, match=r"recording\.json: gate_settings: must be an object, not \[\]"):
+        speed_of([])
+
+
 def test_background_comes_before_the_first_stone(tmp_path: Path) -> None:
     empty = BundleKind.BACKGROUND
     late = [

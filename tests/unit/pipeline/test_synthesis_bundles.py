@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from support.synthetic_rigs import QUIET, rig_of, upright
 
+from pipeline.fall import vertical_extent_mm
 from pipeline.frames import BundleKind, CameraId
 from pipeline.measuring import measure_shape
 from pipeline.rig_design import as_built, nominal_rig
-from pipeline.synthesis.bodies import ball, cube, sphere
+from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream, without_views
 from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import SimulatedRig, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
 from pipeline.synthesis.stones import stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
 
@@ -25,11 +26,36 @@ def test_frames_arrive_after_the_fall_the_exposure_and_the_transfer(simulated: S
     bundle = render_bundle([upright(sphere())], moving, stream(0, 1), sequence=9, label="sphere")
     assert bundle.name == "000009-sphere"
     assert bundle.kind is BundleKind.PARTICLE
-    assert bundle.trigger.pulse_width_ns is not None
     assert tuple(bundle.frames) == simulated.rig.camera_ids
     delays_ms = [(f.received_ns - bundle.trigger.received_ns) / 1e6 for f in bundle.frames.values()]
     assert all(abs(delay_ms - (247.4 + 0.5 + 12)) <= 1 for delay_ms in delays_ms)
     assert len(set(delays_ms)) == 3
+
+
+def on_edge(body: Body) -> PlacedBody:
+    turned = np.array([[1, 0, 0], [0, 1, -1], [0, 1, 1]]) / [[1], [np.sqrt(2)], [np.sqrt(2)]]
+    return PlacedBody(body=body, R=turned, offset_mm=np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("bodies", "extent_mm"),
+    [
+        ([upright(sphere(), (0, 0, 3))], 15),
+        ([upright(cube(10))], 10),
+        ([on_edge(cube(10))], 10 * np.sqrt(2)),
+        ([upright(sphere(8), (5, 0, 6)), upright(sphere(6), (-5, 0, -7))], 20),
+    ],
+)
+def test_the_beam_is_closed_while_a_body_falls_by_its_extent(
+    simulated: SimulatedRig, bodies: list[PlacedBody], extent_mm: float
+) -> None:
+    widths_ns = [
+        render_bundle(bodies, simulated, stream(seed), sequence=1).trigger.pulse_width_ns for seed in range(9)
+    ]
+    found_mm = [vertical_extent_mm(width_ns or 0) for width_ns in widths_ns]
+    assert found_mm == pytest.approx([extent_mm] * 9, rel=0.0065)
+    assert np.ptp(found_mm) > 0.002 * extent_mm
+    assert render_bundle([], simulated, stream(0), sequence=1).trigger.pulse_width_ns is None
 
 
 def test_counters_and_clocks_run_on_from_bundle_to_bundle(simulated: SimulatedRig) -> None:

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from drivers.errors import RecordingError
 from drivers.recording import RecordingWriter
+from pipeline.fall import pulse_width_ns
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import rig_to_document
 from pipeline.rig_design import nominal_rig
@@ -59,6 +60,8 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
     for record in records(one):
         assert record["outcome"] == "measured"
         assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
+        assert record["gate_extent_mm"] == pytest.approx(15.0, abs=0.2)
+        assert record["gate_extent_is_plausible"] is True
         assert record["is_simulated"] is True
         mesh = trimesh.load(one / record["mesh"], process=False)
         assert mesh.is_watertight
@@ -91,7 +94,7 @@ def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_pat
 
 
 def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
-    """Of the issue: 14 views, a wrong view, an empty, a double and a cut one, and a ball that is no stone."""
+    """14 views, a wrong view, an empty, a double, a cut one, a ball that is no stone, the gate's time of another."""
     rig = thumbnail_rig()
     simulated = simulate_rig(rig, stream(3, 0))
 
@@ -103,7 +106,7 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
         return render_bundle(bodies, simulated, rng, sequence=number, label=label, kind=BundleKind(kind))
 
     whole = exposed(2, "wrong", at(sphere(), 0, 1, 0))
-    other = exposed(2, "wrong", at(sphere(9.0), 3, -2, 2))
+    other = exposed(7, "swapped", at(sphere(9.0), 3, -2, 2))
     bundles = [
         render_empty(simulated, stream(3, 2), sequence=0),
         without_views(
@@ -114,6 +117,7 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
         exposed(4, "double", at(sphere(8.0), 8, 0, 2), at(sphere(7.0), -8, 1, -2)),
         exposed(5, "cut", at(sphere(), 0, 0, -25)),
         exposed(6, "ball", at(sphere(10.0), 1, 0, 0), kind="ball"),
+        replace(other, trigger=replace(other.trigger, pulse_width_ns=pulse_width_ns(25))),
     ]
     recording = tmp_path / "recording"
     with RecordingWriter(
@@ -135,6 +139,7 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
         "double": ("rejected", "multiple"),
         "cut": ("rejected", "clipped"),
         "ball": ("measured", None),
+        "swapped": ("measured", None),
     }
     assert found["fourteen"]["quality"] == "good"
     assert found["fourteen"]["dropped_views"] == {"c03": "no_frame", "c12": "no_frame"}
@@ -142,8 +147,24 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
     assert list(found["wrong"]["dropped_views"]) == ["c08"]
     for name in ("fourteen", "wrong"):
         assert found[name]["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
+    at_the_gate = {
+        name: (
+            r["gate_extent_mm"] and pytest.approx(r["gate_extent_mm"], rel=0.01),
+            r["gate_extent_is_plausible"],
+        )
+        for name, r in found.items()
+    }
+    assert at_the_gate == {
+        "fourteen": (15.0, True),
+        "wrong": (15.0, True),
+        "empty": (None, None),
+        "double": (11.5, None),
+        "cut": (15.0, None),
+        "ball": (10.0, True),
+        "swapped": (25.0, False),
+    }
     curve = json.loads((tmp_path / "out" / "gradation.json").read_text())
-    assert curve["n_stones"] == 2, "a calibration ball is no stone"
+    assert curve["n_stones"] == 3, "a calibration ball is no stone"
 
 
 def test_a_damaged_bundle_costs_only_itself(tmp_path: Path) -> None:

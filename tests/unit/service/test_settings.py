@@ -7,6 +7,7 @@ import pytest
 from support.recordings import small_rig
 from typer.testing import CliRunner
 
+from drivers.factory import build_devices
 from drivers.gates.serial_gate import SerialGateSettings
 from drivers.recording import RecordingWriter
 from drivers.rig_file import write_rig
@@ -15,6 +16,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig_design import nominal_rig
 from service.cli import build_app
 from service.errors import SettingsError
+from service.recording_live import recording_source
 from service.rig_settings import AravisRigSettings
 from service.settings import Settings, load_settings, problems
 
@@ -216,8 +218,17 @@ def test_a_live_rig_is_described_to_its_devices(tmp_path: Path):
     assert (features["TriggerSource"], features["ExposureTime"], features["A"]) == ("Line1", 20.0, 1)
     names = [name for name, _ in camera.features]
     assert names.index("LineSelector") < names.index("LineSource")
-    assert backend.gate == SerialGateSettings(port="gate")
+    assert backend.gate == SerialGateSettings(port=f"{tmp_path}/gate")
     assert backend.fired_by is None
+
+
+def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: Path):
+    settings = settings_of(tmp_path, LIVE.replace("[rig]", "[rig]\nstart_above_gate_mm = 5"))
+    assert isinstance(settings.rig, AravisRigSettings)
+    devices = build_devices(settings.rig.backend_for(nominal_rig()))
+    source = recording_source(devices, nominal_rig(), settings.model_dump(mode="json")["rig"])
+    assert source.speed_at_gate_mm_s == settings.rig.speed_at_gate_mm_s == pytest.approx(313.2, abs=0.1)
+    assert source.gate_settings["serial"]["port"] == "gate"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,157 @@
+"""What is measured of real packets is what the replay backend measures of the same recording, bit for bit.
+
+One recording with what the fault table wants rejected, played by the replay backend and by a simulated rig to the
+real drivers, on a network that loses every hundredth packet.
+"""
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from support.daemon_process import DaemonProcess
+from support.live_rig import LiveRig, eventually, live_rig, live_section, simulated_rig
+from support.small_recording import write_odd_recording, write_small_recording
+
+from drivers.recording import Recording, open_recording, playback_order, read_bundle
+from pipeline.frames import BundleKind
+from service.record import MEASURED_FIELDS
+
+COMPARED = (
+    "kind", "outcome", "reason", "detail", "quality", "views", "dropped_views", *MEASURED_FIELDS,
+    "view_residuals_px", "gate_extent_is_plausible", "calibration_id", "algorithm_version", "is_simulated",
+)  # fmt: skip
+REASONS = [None, "empty", None, "multiple", None, "clipped", None]
+"""Of the recording's stones, in the order in which they fall."""
+PACKET_LOSS = 0.01
+N_EMPTY = 2
+"""Exposures of the empty rig that the daemon asks for."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a daemon made of the recording; it may still run."""
+
+    daemon: DaemonProcess
+    results: list[dict[str, Any]]
+
+    def kept(self, result: dict[str, Any]) -> dict[str, bytes]:
+        """Return mesh and silhouettes of a stone, by file name."""
+        folder = self.daemon.folder / "state/particles" / result["id"]
+        return {
+            path.name: path.read_bytes() for path in [*folder.glob("*.ply"), *folder.glob("silhouettes/*")]
+        }
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("recorded") / "recording"
+    write_odd_recording(path)
+    return open_recording(path)
+
+
+@pytest.fixture(scope="module")
+def replayed(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    with DaemonProcess(tmp_path_factory.mktemp("replayed"), recording.path) as daemon:
+        daemon.hear("READY=1")
+        return Run(daemon, all_results(daemon))
+
+
+@pytest.fixture(scope="module")
+def live(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Run, LiveRig]]:
+    folder = tmp_path_factory.mktemp("live")
+    with simulated_rig(folder, recording.path, is_looping=False, number=2) as rig:
+        for camera in rig.cameras.values():
+            camera.faults.packet_loss = PACKET_LOSS
+        section = live_section(rig, folder, recording.path, by_address=True, at_start=0)
+        with DaemonProcess(folder, recording.path, rig=section) as daemon:
+            daemon.hear("READY=1")
+            live = LiveRig(rig, daemon)
+            live.wait_until_whole()
+            rig.belt.start()
+            yield Run(daemon, all_results(daemon)), live
+
+
+def all_results(daemon: DaemonProcess) -> list[dict[str, Any]]:
+    daemon.wait_for(
+        "/accounting", lambda now: now["triggers"] == len(REASONS) and now["in_progress"] == now["lost"] == 0
+    )
+    return daemon.results()
+
+
+def test_outcomes_and_measured_numbers_are_equal(replayed: Run, live: tuple[Run, LiveRig]) -> None:
+    run, _ = live
+    assert [result["reason"] for result in replayed.results] == REASONS
+    for ours, theirs in zip(run.results, replayed.results, strict=True):
+        assert {key: ours[key] for key in COMPARED} == {key: theirs[key] for key in COMPARED}
+        # the gate's line tells the width in whole microseconds, of its own clock
+        assert ours["gate_extent_mm"] == pytest.approx(theirs["gate_extent_mm"], rel=1e-3)
+    assert all(result["views"] == replayed.results[0]["views"] for result in run.results if result["views"])
+
+
+def test_meshes_and_silhouettes_are_equal(replayed: Run, live: tuple[Run, LiveRig]) -> None:
+    run, _ = live
+    for ours, theirs in zip(run.results, replayed.results, strict=True):
+        kept = run.kept(ours)
+        assert kept == replayed.kept(theirs)
+        assert len(kept) == 16 + (ours["outcome"] == "measured")
+
+
+def test_the_frames_kept_are_the_recording_pixel_by_pixel(
+    recording: Recording, live: tuple[Run, LiveRig]
+) -> None:
+    run, _ = live
+    stones = [header for header in playback_order(recording) if header.kind is not BundleKind.BACKGROUND]
+    with httpx.Client() as client:
+        for header, result in zip(stones, run.results, strict=True):
+            for camera, frame in read_bundle(header.path, recording.camera_ids).frames.items():
+                url = run.daemon.url(f"/particles/{result['id']}/views/{camera}.png")
+                png = client.get(url).raise_for_status().content
+                seen = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+                assert np.array_equal(seen, frame.image), (header.name, camera)
+
+
+def test_every_trigger_has_an_outcome_and_the_drivers_count_what_the_cameras_count(
+    live: tuple[Run, LiveRig],
+) -> None:
+    run, rig = live
+    counts = run.daemon.get("/accounting")
+    assert counts["is_balanced"], counts
+    assert counts["triggers"] == rig.stones == counts["measured"] + counts["rejected"] + counts["lost"]
+    assert (counts["lost"], counts["backgrounds"]) == (0, 2)
+    assert {key: counts["by_reason"][key] for key in ("empty", "multiple", "clipped")} == Counter(
+        REASONS[1::2]
+    )
+
+    def told(key: str) -> dict[str, int]:
+        return {camera["id"]: camera[key] for camera in run.daemon.get("/cameras")["items"]}
+
+    counters = {camera.id: camera.counters for camera in rig.rig.cameras.values()}
+    assert told("frames") == {camera: each.frames for camera, each in counters.items()}
+    eventually(  # each camera is asked every few seconds
+        lambda: told("resent_packets") == {camera: each.resent for camera, each in counters.items()},
+        f"{counters}",
+    )
+    assert told("failed_frames") == {camera: each.torn for camera, each in counters.items()}
+    assert sum(each.resent for each in counters.values()) > 0
+    assert run.daemon.get("/acquisition")["triggers"] == len(REASONS) + 2
+
+
+@pytest.mark.parametrize("trigger", ["software", "action"])
+def test_without_a_wire_the_host_triggers_and_the_cameras_do_the_timing(tmp_path: Path, trigger: str) -> None:
+    """A stone is seen for 50 ms: what is exposed without the delay, or before the trigger, shows the empty rig."""
+    write_small_recording(tmp_path / "recording", n_stones=4)
+    keys = f"[rig.action]\ndevice_key = {os.getpid()}"  # of no other rig on this machine
+    more = f'trigger = "{trigger}"\n{keys}'
+    with live_rig(tmp_path, tmp_path / "recording", more=more, by_address=True, number=3) as live:
+        results = live.measure(4)
+        assert [(result["outcome"], len(result["views"])) for result in results] == [("measured", 16)] * 4
+        for camera in live.rig.cameras.values():
+            assert camera.counters.frames == camera.counters.triggers == N_EMPTY + 4
+            assert camera.counters.actions == (N_EMPTY + 4 if trigger == "action" else 0)
