@@ -19,7 +19,7 @@ from drivers.inbox import EventInbox
 from drivers.interfaces import DeviceEvent, GateLost, PlaybackEnded
 from pipeline.frames import FrameBundle, Trigger
 from service.bundle_counters import BundlingCounters
-from service.bundling import BundleAssembler, BundlingParameters
+from service.bundling import DISARMED, BundleAssembler, BundlingParameters
 from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, next_state
 from service.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.keeper import Keeper
@@ -236,7 +236,7 @@ class Acquisition:
 
     async def _end_session(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
         self.is_at_work = False
-        await self._hand_over(assembler.flush("disarmed"))
+        await self._hand_over(assembler.flush(DISARMED))
         log.info("disarmed triggers=%d", assembler.counters.triggers)
         if inbox.refused:
             log.error("events lost, the loop was too slow: %s", inbox.refused)

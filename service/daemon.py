@@ -196,7 +196,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         devices,
         session=session,
         triggers=store,
-        bundling=settings.bundling,
+        bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
         on_bundle=on_bundle,

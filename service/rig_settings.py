@@ -60,6 +60,9 @@ class ReplayRigSettings:
     def calibration_path(self) -> Path:
         return self.calibration or self.recording / "rig.json"
 
+    def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
+        return bundling
+
     def backend_for(self, calibration: RigCalibration) -> ReplayBackend:
         return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
 
@@ -198,6 +201,12 @@ class AravisRigSettings:
     def busy_ms(self) -> float:
         """From an edge to the end of its exposure; until then a camera ignores further edges."""
         return self.trigger_delay_ms + self.exposure_us / 1e3
+
+    def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
+        """With the edges that the cameras ignore in the dead time, if the gate's clock can tell which they are."""
+        if self.gate.modem_line is not None:
+            return bundling
+        return replace(bundling, dead_time_ms=max(bundling.dead_time_ms, self.busy_ms))
 
     def backend_for(self, calibration: RigCalibration) -> AravisBackend:
         sizes_px = {camera.id: camera.image_size_px for camera in calibration.cameras}

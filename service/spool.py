@@ -14,6 +14,7 @@ from pathlib import Path
 from drivers.recording import write_bundle
 from drivers.replay_belt import UNREADABLE
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
+from service.bundling import DISARMED
 
 log = logging.getLogger(__name__)
 
@@ -116,4 +117,6 @@ def _without_frames(bundle: FrameBundle) -> Loss:
     causes = sorted(set(bundle.missing.values()))
     if len(causes) == 1 and causes[0].startswith(f"{UNREADABLE}: "):  # in a recording
         return Loss(reason="unreadable", detail=causes[0].removeprefix(f"{UNREADABLE}: "))
+    if causes == [DISARMED]:
+        return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
     return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")

@@ -17,6 +17,8 @@ from pipeline.frames import CameraId, Frame, Image
 
 POP_US = 50_000
 """How long one wait for a frame lasts, and so how long `stop` may take."""
+LATEST_LOSS_NS = 500_000_000
+"""A frame that is not whole by then is given up."""
 OLDEST_NS = 1_000_000_000
 """A frame is not older than this: else the wall clock was set between its leader and now."""
 
@@ -80,10 +82,10 @@ class FrameReader:
     def _event(self, buffer: Any) -> Frame | FrameLost:
         status = buffer.get_status().value_nick
         if status != "success":
-            return self._lost(status)
+            return self._lost(status, buffer)
         image = self._image(buffer)
         if isinstance(image, str):
-            return self._lost(image)
+            return self._lost(image, buffer)
         return Frame(
             camera=self._camera,
             image=image,
@@ -103,8 +105,12 @@ class FrameReader:
         pixels = self._memory[hash(buffer)][: height_px * width_px]
         return pixels.reshape(height_px, width_px).copy()
 
-    def _lost(self, reason: str) -> FrameLost:
-        return FrameLost(camera=self._camera, received_ns=time.monotonic_ns(), reason=reason)
+    def _lost(self, reason: str, buffer: Any) -> FrameLost:
+        """A loss is told when Aravis has waited long enough, but belongs to the moment of its leader."""
+        received_ns, now_ns = _monotonic_ns(buffer.get_system_timestamp()), time.monotonic_ns()
+        if now_ns - received_ns > LATEST_LOSS_NS:  # without a leader there is still the buffer's last one
+            received_ns = now_ns
+        return FrameLost(camera=self._camera, received_ns=received_ns, reason=reason)
 
 
 def _monotonic_ns(wall_ns: int) -> int:

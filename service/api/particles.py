@@ -152,7 +152,8 @@ async def _record(context: ApiContext, key: str) -> Record:
 
 async def _record_seen_by(context: ApiContext, key: str, camera: str) -> Record:
     record = await _record(context, key)
-    if camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
+    is_told = record["outcome"] != "rejected"  # a rejection names only the views that it is about
+    if is_told and camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
         raise Problem(404, "unknown-camera", f"particle {record['id']} has no view of a camera {camera!r}")
     return record
 

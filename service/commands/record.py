@@ -91,7 +91,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
         devices,
         session=0,
         triggers=_Unaccounted(),
-        bundling=settings.bundling,
+        bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
         on_bundle=recording.offer,

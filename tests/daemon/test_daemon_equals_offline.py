@@ -15,8 +15,7 @@ from service.record import MEASURED_FIELDS
 COMPARED = (
     "bundle", "sequence", "kind", "captured_at", "outcome", "reason", "detail", "quality", "views",
     "dropped_views", *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
-    "view_residuals_px", "calibration_id", "algorithm_version",
-    "is_simulated",
+    "view_residuals_px", "calibration_id", "algorithm_version", "is_simulated",
 )  # fmt: skip
 
 

@@ -30,8 +30,6 @@ COMPARED = (
 REASONS = [None, "empty", None, "multiple", None, "clipped", None]
 """Of the recording's stones, in the order in which they fall."""
 PACKET_LOSS = 0.01
-N_EMPTY = 2
-"""Exposures of the empty rig that the daemon asks for."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +52,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("recorded") / "recording"
     write_odd_recording(path)
     return open_recording(path)
+
+
+@pytest.fixture(scope="module")
+def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spheres") / "recording"
+    write_small_recording(path, n_stones=4, n_backgrounds=3)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -90,9 +95,11 @@ def test_outcomes_and_measured_numbers_are_equal(replayed: Run, live: tuple[Run,
     assert [result["reason"] for result in replayed.results] == REASONS
     for ours, theirs in zip(run.results, replayed.results, strict=True):
         assert {key: ours[key] for key in COMPARED} == {key: theirs[key] for key in COMPARED}
-        # the gate's line tells the width in whole microseconds, of its own clock
-        assert ours["gate_extent_mm"] == pytest.approx(theirs["gate_extent_mm"], rel=1e-3)
-    assert all(result["views"] == replayed.results[0]["views"] for result in run.results if result["views"])
+        if (
+            theirs["reason"] != "empty"
+        ):  # the gate's line tells the width in whole microseconds of its own clock
+            assert ours["gate_extent_mm"] == pytest.approx(theirs["gate_extent_mm"], rel=1e-3)
+    assert all(len(result["views"]) == 16 for result in run.results if result["outcome"] == "measured")
 
 
 def test_meshes_and_silhouettes_are_equal(replayed: Run, live: tuple[Run, LiveRig]) -> None:
@@ -144,14 +151,18 @@ def test_every_trigger_has_an_outcome_and_the_drivers_count_what_the_cameras_cou
 
 
 @pytest.mark.parametrize("trigger", ["software", "action"])
-def test_without_a_wire_the_host_triggers_and_the_cameras_do_the_timing(tmp_path: Path, trigger: str) -> None:
+def test_without_a_wire_the_host_triggers_and_the_cameras_do_the_timing(
+    tmp_path: Path, spheres: Path, trigger: str
+) -> None:
     """A stone is seen for 50 ms: what is exposed without the delay, or before the trigger, shows the empty rig."""
-    write_small_recording(tmp_path / "recording", n_stones=4)
     keys = f"[rig.action]\ndevice_key = {os.getpid()}"  # of no other rig on this machine
     more = f'trigger = "{trigger}"\n{keys}'
-    with live_rig(tmp_path, tmp_path / "recording", more=more, by_address=True, number=3) as live:
-        results = live.measure(4)
+    with live_rig(tmp_path, spheres, more=more, by_address=True, number=3) as live:
+        before = live.last_seq()
+        live.fall(4, spacing_s=0.4)  # more than a camera is busy, and what the host is late
+        results = live.wait_for_results(before, 4)
         assert [(result["outcome"], len(result["views"])) for result in results] == [("measured", 16)] * 4
+        n_fired = live.accounting()["backgrounds"] + 4
         for camera in live.rig.cameras.values():
-            assert camera.counters.frames == camera.counters.triggers == N_EMPTY + 4
-            assert camera.counters.actions == (N_EMPTY + 4 if trigger == "action" else 0)
+            assert camera.counters.frames == camera.counters.triggers == n_fired == 2 + 3 + 4
+            assert camera.counters.actions == (n_fired if trigger == "action" else 0)

@@ -66,7 +66,7 @@ def test_c1_what_a_camera_cannot_resend_is_a_missing_view(live: LiveRig):
     live.camera("c05").faults.set("lost_packets", [3])
     results = live.measure(2)
     assert all_measured(results)
-    assert views(results) == [15, 15]
+    assert [result["dropped_views"] for result in results] == [{"c05": "timeout"}] * 2
     assert live.status("c05")["state"] == "armed"
 
 
@@ -106,6 +106,7 @@ def test_c2_another_camera_in_a_place_is_not_used(live: LiveRig):
     live.wait_until_whole(15)
 
 
+@pytest.mark.restarts_cameras
 def test_c2_a_camera_that_was_killed_is_back_within_ten_seconds(live: LiveRig):
     live.camera("c07").stop()
     assert views(live.measure(3)) == [15, 15, 15]
@@ -226,7 +227,7 @@ def test_d6_a_burst_is_counted_stone_by_stone(live: LiveRig):
     assert len(results) + merged == n_fallen >= 20
     measured = [result for result in results if result["outcome"] == "measured"]
     assert len(measured) >= 2
-    assert {result["reason"] for result in results} <= {None, "no_frames"}
+    assert {result["reason"] for result in results} <= {None, "no_frames", "empty"}
     assert live.acquisition()["in_dead_time"] > 0
 
 

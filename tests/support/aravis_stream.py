@@ -37,6 +37,7 @@ class AravisStream:
         self.stream = camera.create_stream(None, None)
         self.stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
         self.stream.set_property("socket-buffer-size", 1 << 20)
+        self.stream.set_property("frame-retention", 1_000_000)  # us: on a busy machine resends come late
         if resend_ratio is not None:
             self.stream.set_property("packet-request-ratio", resend_ratio)
         self.payload_bytes = camera.get_payload()
@@ -52,7 +53,7 @@ class AravisStream:
             self.camera.stop_acquisition()
         self.stream = None
 
-    def pop(self, timeout_s: float = 2.0) -> tuple[str, int, NDArray[np.uint8]] | None:
+    def pop(self, timeout_s: float = 5.0) -> tuple[str, int, NDArray[np.uint8]] | None:
         """Status, frame id and image of the next buffer; nothing when there is none in time."""
         buffer = self.stream.timeout_pop_buffer(round(timeout_s * 1e6))
         if buffer is None:
@@ -69,7 +70,7 @@ class AravisStream:
 
     def pop_chunks(self, *names: str) -> dict[str, int]:
         """Integer chunks of the next buffer."""
-        buffer = self.stream.timeout_pop_buffer(2_000_000)
+        buffer = self.stream.timeout_pop_buffer(5_000_000)
         parser = self.camera.create_chunk_parser()
         values = {name: parser.get_integer_value(buffer, name) for name in names}
         self.stream.push_buffer(buffer)

@@ -25,10 +25,11 @@ dir = "spool"
 max_bundles = 100
 [store]
 dir = "state"
+{store}
 [recordings]
 reserve_gb = 0.1
 [carving]
-n = 64
+n = {voxels}
 [workers]
 slots = {slots}
 [api]
@@ -40,7 +41,15 @@ class DaemonProcess:
     """Started on entering the context, killed at its end if it still runs."""
 
     def __init__(
-        self, folder: Path, recording: Path, *, rig: str = 'pace = "fast"', slots: int = 2, port: int = 0
+        self,
+        folder: Path,
+        recording: Path,
+        *,
+        rig: str = 'pace = "fast"',
+        store: str = "",
+        voxels: int = 64,
+        slots: int = 2,
+        port: int = 0,
     ) -> None:
         """`rig`: what follows `recording` in the section of that name, or all of it with its name."""
         if not rig.startswith("[rig]"):
@@ -48,7 +57,9 @@ class DaemonProcess:
         self.folder = folder
         self.log_path = folder / "daemon.log"
         self.config_path = folder / "stonefall.toml"
-        self.config_path.write_text(CONFIG.format(rig=rig, slots=slots, port=port))
+        self.config_path.write_text(
+            CONFIG.format(rig=rig, store=store, voxels=voxels, slots=slots, port=port)
+        )
         self.heard: list[str] = []
 
     def __enter__(self) -> Self:

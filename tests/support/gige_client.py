@@ -131,7 +131,7 @@ class Receiver:
         except TimeoutError:
             return None
 
-    def frame(self, timeout_s: float = 2.0, quiet_s: float = 0.08) -> ReceivedFrame | None:
+    def frame(self, timeout_s: float = 2.0, quiet_s: float = 0.15) -> ReceivedFrame | None:
         """Collect one block: until it is whole, or nothing more of it came for `quiet_s`."""
         frame: ReceivedFrame | None = None
         while packet := self.packet(timeout_s if frame is None else quiet_s):

@@ -3,7 +3,8 @@
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +26,16 @@ def picture(n: int) -> NDArray[np.uint8]:
     return np.random.default_rng(n).integers(0, 256, (height_px, width_px), np.uint8)
 
 
-def design(**changes: object) -> CameraDesign:
-    settings: dict[str, object] = {
-        "id": CameraId("c01"),
-        "address": ADDRESS,
-        "serial": "SIM01",
-        "user_name": "place 1",
-        "image_size_px": SIZE_PX,
-        "seed": 7,
-    }
-    return CameraDesign(**(settings | changes))  # type: ignore[arg-type]
+def design(**changes: Any) -> CameraDesign:
+    camera = CameraDesign(
+        id=CameraId("c01"),
+        address=ADDRESS,
+        serial="SIM01",
+        user_name="place 1",
+        image_size_px=SIZE_PX,
+        seed=7,
+    )
+    return replace(camera, **changes)
 
 
 @dataclass
@@ -93,7 +94,7 @@ def session(
     show: Callable[[Exposure], NDArray[np.uint8] | None] | None = None,
     *,
     uplink: Uplink | None = None,
-    **changes: object,
+    **changes: Any,
 ) -> Iterator[Session]:
     """Switch a camera on and take control of it; its exposure `n` shows `picture(n)` unless `show` says otherwise."""
     exposures: list[Exposure] = []

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from itertools import pairwise
 
 import pytest
 from support.sinks import Collector
@@ -96,7 +97,7 @@ async def test_a_device_that_does_not_answer_is_asked_less_and_less_often_and_lo
         assert (one.state, one.last_error) == ("lost", "does not answer")
         await until(lambda: device.calls.count("open") >= 4)
         opened_s = [at_s for call, at_s in zip(device.calls, device.at_s, strict=True) if call == "open"]
-        gaps_s = [b - a for a, b in zip(opened_s, opened_s[1:], strict=False)]
+        gaps_s = [b - a for a, b in pairwise(opened_s)]
         assert gaps_s[0] >= 0.1
         assert gaps_s[1] >= 0.2
         device.problem = None

@@ -1,0 +1,239 @@
+"""The daemon on sixteen simulated GigE cameras, four stones a second, measuring: what is lost, and what it takes.
+
+Run: .venv/bin/python tests/benchmarks/live.py [--seconds 300] [--rate 4] [--size-mm 5] [--loss 0] [--keep-raw 0]
+Exits with 1 if a stone is missing that no fault took, the accounts of driver and simulator differ, or memory grows.
+"""
+
+import argparse
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support import rendered
+from support.daemon_process import STONEFALL, DaemonProcess, children_of
+
+from drivers.recording import RecordingWriter
+from pipeline.synthesis.bundles import render_bundle, render_empty, stream
+from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.stones import stone
+
+N_STONES = 20
+N_EMPTY = 2
+ADDRESS = "127.44.0.2"
+WARM_UP_S = 30.0
+MAX_GROWTH_MB = 40.0
+"""Of the daemon's own memory after the warm-up: arenas breathe, a leak of one image a second would be 350 MB."""
+POLL_S = 2.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=300)
+    parser.add_argument("--rate", type=float, default=4)
+    parser.add_argument("--size-mm", type=float, default=5)
+    parser.add_argument("--loss", type=float, default=0, help="probability of losing a packet")
+    parser.add_argument("--keep-raw", type=int, default=0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_recording(folder / "recording", arguments.size_mm)
+        command = [
+            STONEFALL, "simulate", folder / "recording", "--json", "--loop", "--start", "manual",
+            "--rate", str(arguments.rate), "--address", ADDRESS,
+            "--gate-link", folder / "gate", "--control", folder / "control",
+        ]  # fmt: skip
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
+            assert simulator.stdout is not None
+            rig = json.loads(simulator.stdout.readline())
+            try:
+                return soak(folder, rig, simulator, arguments)
+            finally:
+                simulator.terminate()
+
+
+def write_recording(path: Path, size_mm: float) -> None:
+    rig, simulated = rendered.rig(), rendered.simulated()
+    with RecordingWriter(
+        path,
+        camera_ids=rig.camera_ids,
+        image_size_px=rig.cameras[0].image_size_px,
+        rig=rig,
+        is_simulated=True,
+        made_by={"benchmark": "live"},
+    ) as writer:
+        for number in range(1, N_EMPTY + 1):
+            writer.add(render_empty(simulated, stream(11, 0, number), sequence=number))
+        for number in range(N_EMPTY + 1, N_EMPTY + N_STONES + 1):
+            rng = stream(11, 1, number)
+            placed = tumble(stone("round", size_mm, rng), rig, rng)
+            writer.add(render_bundle([placed], simulated, rng, sequence=number, label="round"))
+
+
+def soak(folder: Path, rig: dict[str, Any], simulator: "subprocess.Popen[str]", arguments: Any) -> int:
+    cameras = "\n".join(
+        f'[[rig.cameras]]\nid = "{each["id"]}"\nserial = "{each["serial"]}"\naddress = "{each["address"]}"'
+        for each in rig["cameras"]
+    )
+    section = f"""[rig]
+backend = "aravis"
+is_simulated = true
+calibration = "{folder}/recording/rig.json"
+interfaces = ["127.0.0.1"]
+[rig.gate.serial]
+port = "{folder}/gate"
+{cameras}
+[empty_rig]
+at_start = 2
+every_s = 0
+"""
+    with DaemonProcess(
+        folder, folder, rig=section, voxels=256, store=f"keep_raw = {arguments.keep_raw}"
+    ) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
+        daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
+        time.sleep(1)
+        control(folder, {"do": "fault", "of": "cameras", "set": {"packet_loss": arguments.loss}})
+        samples = watch(folder, daemon, simulator.pid, arguments.seconds)
+        counted = settle(folder, daemon)
+        return report(daemon, samples, counted, arguments)
+
+
+def watch(folder: Path, daemon: DaemonProcess, simulator: int, seconds: float) -> list[dict[str, float]]:
+    samples = []
+    control(folder, {"do": "start"})
+    begin = time.monotonic()
+    while (elapsed_s := time.monotonic() - begin) < seconds:
+        time.sleep(POLL_S)
+        health = daemon.get("/health")["checks"]
+        samples.append(
+            {
+                "at_s": elapsed_s,
+                "rss_mb": rss_mb(daemon.process.pid),
+                "loop_ms": health["loop"]["observed_value"],
+                "waiting": health["queue"]["observed_value"],
+                "daemon_cpu_s": cpu_s([daemon.process.pid]),
+                "workers_cpu_s": cpu_s(children_of(daemon.process.pid)),
+                "simulator_cpu_s": cpu_s([simulator]),
+            }
+        )
+    return samples
+
+
+def settle(folder: Path, daemon: DaemonProcess) -> dict[str, Any]:
+    """Stop the belt, see everything through, and ask both sides what they counted."""
+    control(folder, {"do": "stop"})
+    time.sleep(2)
+    daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=120)
+    time.sleep(6)  # until every camera was examined once more
+    return control(folder, {"do": "counters"})
+
+
+def report(
+    daemon: DaemonProcess, samples: list[dict[str, float]], counted: dict[str, Any], arguments: Any
+) -> int:
+    counts, acquisition = daemon.get("/accounting"), daemon.get("/acquisition")
+    cameras = {each["id"]: each for each in daemon.get("/cameras")["items"]}
+    results: list[dict[str, Any]] = []
+    while page := daemon.get(f"/results?after={len(results)}&limit=1000")["items"]:
+        results += page
+    steady = [each for each in samples if each["at_s"] > min(WARM_UP_S, arguments.seconds / 4)]
+    first, last = steady[0], steady[-1]
+    span_s = last["at_s"] - first["at_s"]
+    growth_mb = last["rss_mb"] - first["rss_mb"]
+    views = [len(result["views"]) for result in results]
+    differing = [
+        camera
+        for camera, seen in counted["cameras"].items()
+        if cameras[camera]["frames"] + cameras[camera]["failed_frames"] != seen["frames"]
+    ]
+    table = Table(
+        "", "", title=f"{arguments.seconds:g} s, {arguments.rate:g} stones/s of {arguments.size_mm:g} mm"
+    )
+    rows = {
+        "stones that fell (simulator)": counted["belt"]["stones"],
+        "triggers = measured + rejected + lost": "{triggers} = {measured} + {rejected} + {lost}".format(
+            **counts
+        ),
+        "by reason": counts["by_reason"],
+        "bundles with 16, 15, fewer views": (
+            f"{views.count(16)}, {views.count(15)}, {sum(n < 15 for n in views)}"
+        ),
+        "views not used": dict(
+            Counter(why for result in results for why in result["dropped_views"].values())
+        ),
+        "edges a camera was too busy for (simulator)": sum(c["missed"] for c in counted["cameras"].values()),
+        "frames sent by the simulator": sum(c["frames"] for c in counted["cameras"].values()),
+        "frames received, failed (driver)": (
+            f"{sum(c['frames'] for c in cameras.values())}, {sum(c['failed_frames'] for c in cameras.values())}"
+        ),
+        "packets resent (simulator, driver)": (
+            f"{sum(c['resent'] for c in counted['cameras'].values())},"
+            f" {sum(c['resent_packets'] for c in cameras.values())}"
+        ),
+        "cameras whose accounts differ": differing or "none",
+        "orphans, unseen, in dead time": "{orphans}, {unseen}, {in_dead_time}".format(**acquisition),
+        "longest hold-up of the loop, ms": max(each["loop_ms"] for each in samples),
+        "bundles waiting, at most": max(each["waiting"] for each in samples),
+        "latency trigger to frame, ms (mean, max)": (
+            f"{sum(c['latency_ms'] for c in cameras.values()) / 16:.1f},"
+            f" {max(c['latency_max_ms'] for c in cameras.values()):.1f}"
+        ),
+        "daemon memory, MB (after the warm-up, at the end)": f"{first['rss_mb']:.0f}, {last['rss_mb']:.0f}",
+        "cores used by daemon, workers, simulator": ", ".join(
+            f"{(last[name] - first[name]) / span_s:.2f}"
+            for name in ("daemon_cpu_s", "workers_cpu_s", "simulator_cpu_s")
+        ),
+        "load of the machine": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+    }
+    for name, value in rows.items():
+        table.add_row(name, str(value))
+    Console(width=130).print(table)
+    problems = {
+        "a stone has no trigger": counts["triggers"] != counted["belt"]["stones"],
+        "the accounts do not add up": not counts["is_balanced"] or counts["in_progress"] != 0,
+        "stones were lost": counts["lost"] > 0,
+        "driver and simulator differ": bool(differing),
+        "memory grows": growth_mb > MAX_GROWTH_MB,
+    }
+    for problem in (name for name, is_so in problems.items() if is_so):
+        Console().print(f"FAILED: {problem}")
+    return int(any(problems.values()))
+
+
+def control(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
+    with closing(socket.socket(socket.AF_UNIX)) as line:
+        line.connect(str(folder / "control"))
+        line.sendall(json.dumps(request).encode() + b"\n")
+        answer = dict(json.loads(line.makefile().readline()))
+    assert answer["ok"], answer
+    return answer
+
+
+def rss_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def cpu_s(pids: list[int]) -> float:
+    total = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""The daemon comes and goes while the rig runs: killed, stopped, and started before all cameras are there."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.daemon_process import DaemonProcess
+from support.live_rig import LiveRig, eventually, live_rig, live_section, simulated_rig
+from support.small_recording import write_small_recording
+
+from drivers.cameras.aravis import AravisCamera
+from drivers.cameras.genicam import GigeCameraSettings
+from service.ledger import Accounting
+from service.store import reads
+from service.store.schema import connect_reader
+
+ARMED_AGAIN_S = 10.0
+"""From the end of a killed daemon to the next one armed with all cameras; their heartbeat takes 3 s of it."""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spheres") / "recording"
+    write_small_recording(path, n_stones=4, n_backgrounds=3)
+    return path
+
+
+def accounting_in(folder: Path, session: int) -> Accounting:
+    """What a daemon has left in its store."""
+    with connect_reader(folder / "state/results.sqlite") as connection:
+        return reads.accounting(connection, session)
+
+
+def test_after_a_kill_the_next_daemon_is_armed_within_ten_seconds(tmp_path: Path, recording: Path) -> None:
+    with simulated_rig(tmp_path, recording, number=4) as rig:
+        section = live_section(rig, tmp_path, recording, by_address=True, at_start=0)
+        with DaemonProcess(tmp_path, recording, rig=section) as daemon:
+            daemon.hear("READY=1")
+            live = LiveRig(rig, daemon)
+            live.wait_until_whole()
+            rig.belt.start()
+            daemon.wait_for("/accounting", lambda now: now["measured"] >= 2 and now["in_progress"] >= 1)
+            daemon.process.kill()
+            daemon.process.wait()
+            killed_s = time.monotonic()
+        before = accounting_in(tmp_path, 1)
+        with DaemonProcess(tmp_path, recording, rig=section) as daemon:
+            daemon.hear("READY=1", ARMED_AGAIN_S)
+            live = LiveRig(rig, daemon)
+            live.wait_until_whole(ARMED_AGAIN_S)
+            assert time.monotonic() - killed_s < ARMED_AGAIN_S
+            after = accounting_in(tmp_path, 1)
+            assert (after.triggers, after.measured, after.in_progress) == (
+                before.triggers,
+                before.measured,
+                0,
+            )
+            assert after.by_reason["crash"] == after.lost - before.lost == before.in_progress >= 1
+            # the recording shows the empty rig itself, which this daemon has not seen yet
+            eventually(
+                lambda: whole_views(live.results(0)[-3:]) == [16] * 3,
+                f"measured again: {live.results(0)[-3:]}",
+            )
+            rig.belt.stop()
+            daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+            counts = daemon.get("/accounting?session=current")
+            assert counts["is_balanced"], counts
+            assert (
+                daemon.get("/accounting")["triggers"]
+                == before.triggers + counts["triggers"]
+                == live.last_seq()
+            )
+
+
+def whole_views(results: list[dict[str, Any]]) -> list[int]:
+    return [len(result["views"]) for result in results if result["outcome"] == "measured"]
+
+
+def test_sigterm_measures_what_fell_and_lets_the_cameras_go(tmp_path: Path, recording: Path) -> None:
+    with live_rig(tmp_path, recording, by_address=True, number=5) as live:
+        n_dropped = live.stones
+        live.rig.belt.start()
+        live.daemon.wait_for("/accounting", lambda now: now["measured"] >= 2)
+        n_fallen = live.stones
+        assert live.daemon.stop() == 0
+        assert all(camera.controller is None for camera in live.rig.cameras.values())
+        counts = accounting_in(tmp_path, 1)
+        assert n_fallen <= counts.triggers + n_dropped <= live.stones
+        assert counts.is_balanced
+        assert counts.measured == counts.triggers
+        camera = live.camera("c01").design
+        settings = GigeCameraSettings(
+            id=camera.id,
+            address=camera.address,
+            interfaces=("127.0.0.1",),
+            image_size_px=camera.image_size_px,
+        )
+        successor = AravisCamera(settings)
+        successor.open()
+        assert successor.examine().serial == camera.serial
+        successor.close()
+
+
+def test_a_camera_that_is_missing_at_the_start_is_admitted_when_it_appears(
+    tmp_path: Path, recording: Path
+) -> None:
+    with simulated_rig(tmp_path, recording, number=6) as rig:
+        missing = rig.cameras[next(reversed(rig.cameras))]
+        missing.stop()
+        section = live_section(rig, tmp_path, recording, by_address=True)
+        with DaemonProcess(tmp_path, recording, rig=section) as daemon:
+            daemon.hear("READY=1")
+            live = LiveRig(rig, daemon)
+            assert live.acquisition()["state"] == "armed"
+            assert live.acquisition()["cameras_armed"] == 15
+            status = live.status(missing.id)
+            assert status["state"] == "lost"
+            assert f"does not answer at {missing.design.address}" in status["last_error"]
+            daemon.wait_for("/accounting", lambda counts: counts["backgrounds"] == 2)
+            (stone,) = live.measure(1)
+            assert (stone["outcome"], len(stone["views"])) == ("measured", 15)
+            assert stone["dropped_views"] == {missing.id: "camera_lost"}
+            missing.start()
+            live.wait_until_whole(15)
+            assert live.status(missing.id)["recoveries"] == 1
+            assert [len(stone["views"]) for stone in live.measure(2)] == [16, 16]
