@@ -141,6 +141,11 @@ class Camera(Protocol):
 class LightGate(Protocol):
     """The light gate; the same life cycle as a camera, armed last and disarmed first."""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What works but should be looked at, with the remedy; never blocks."""
+        ...
+
     def open(self) -> None:
         """Connect; raises `drivers.errors.GateUnavailableError`."""
         ...

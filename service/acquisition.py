@@ -16,7 +16,7 @@ from typing import Protocol
 
 from drivers.factory import Devices
 from drivers.inbox import EventInbox
-from drivers.interfaces import DeviceEvent, GateLost, PlaybackEnded
+from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
 from pipeline.frames import FrameBundle, Trigger
 from service.bundle_counters import BundlingCounters
 from service.bundling import DISARMED, BundleAssembler, BundlingParameters
@@ -130,6 +130,7 @@ class Acquisition:
             cameras=len(self.cameras.ids),
             gate=self.gate.state,
             gate_error=self.gate.last_error,
+            gate_warnings=self._devices.gate.warnings,
             last_trigger_age_s=round(self.last_trigger_age_s, 3),
             triggers=counters.triggers,
             orphans=counters.orphans,
@@ -168,6 +169,9 @@ class Acquisition:
             ending.push_async_callback(self._end_session, inbox, assembler)
             ending.push_async_callback(self.cameras.close)
             await self.cameras.arm(inbox, tasks)
+            for camera in self.cameras.lost:  # no bundle shall wait for it
+                now_ns = self._devices.clock()
+                assembler.feed(CameraLost(camera=camera, received_ns=now_ns, reason="not there at the start"))
             self.gate.start(inbox, tasks)
             ending.push_async_callback(self.gate.end)
             ending.push_async_callback(self._pump_last_frames, inbox, assembler)

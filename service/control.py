@@ -155,6 +155,7 @@ class AcquisitionStatus:
     cameras: int = 0
     gate: str = "closed"
     gate_error: str | None = None
+    gate_warnings: tuple[str, ...] = ()
     last_trigger_age_s: float = 0.0
     triggers: int = 0
     orphans: int = 0  # announced by the frames alone

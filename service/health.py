@@ -93,10 +93,11 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     checks = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
     checks["cameras"] = _all_cameras(facts)
     rig = facts.acquisition
+    is_gate_lost = rig.gate == "lost"
     checks["gate"] = Check(
-        status=_status(fail=rig.gate == "lost"),
+        status=_status(warn=bool(rig.gate_warnings), fail=is_gate_lost),
         value=rig.gate,
-        detail=_if(rig.gate == "lost", rig.gate_error),
+        detail=rig.gate_error if is_gate_lost else "; ".join(rig.gate_warnings) or None,
     )
     is_blind = facts.blind_triggers >= BLIND_TRIGGERS
     checks["trigger_line"] = Check(

@@ -65,6 +65,10 @@ class RigCameras:
     def armed(self) -> int:
         return sum(place.keeper.state == "armed" for place in self._places.values())
 
+    @property
+    def lost(self) -> list[CameraId]:
+        return [camera for camera, place in self._places.items() if place.keeper.state == "lost"]
+
     def count(self, counters: BundlingCounters) -> None:
         """Look on while a new session's assembler counts; what those before it came to is kept."""
         for camera, place in self._places.items():

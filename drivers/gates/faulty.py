@@ -29,6 +29,10 @@ class FaultyGate:
         self._n_triggers = 0
         self._n_doubled = 0
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self._gate.warnings
+
     def open(self) -> None:
         self._gate.open()
         self._is_lost = False

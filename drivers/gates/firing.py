@@ -30,6 +30,10 @@ class FiringGate:
         self._last_sequence = -1
         self._is_lost = False
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self._gate.warnings
+
     def open(self) -> None:
         self._gate.open()
         self._is_lost = False

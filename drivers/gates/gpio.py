@@ -125,6 +125,10 @@ class GpioGate:
         self._last: LineEdge | None = None
         self._echo_ns = range(0)  # edges then are a test pulse's own
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return ()
+
     def open(self) -> None:
         if self._thread.is_running and self._thread.failure is None:
             return

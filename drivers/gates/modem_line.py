@@ -147,6 +147,10 @@ class ModemLineGate:
         self._pulses = LinePulses(settings.debounce_us, self._thread.deliver)
         self._line: ModemLine | None = None
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return ()
+
     def open(self) -> None:
         if self._thread.is_running and self._thread.failure is None:
             return

@@ -12,6 +12,10 @@ class ReplayGate:
         self._belt = belt
         self._is_open = False
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return ()
+
     def open(self) -> None:
         self._is_open = True
 

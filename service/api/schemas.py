@@ -126,6 +126,7 @@ class Acquisition(BaseModel):
     cameras: int
     gate: str = Field(description="closed, armed or lost")
     gate_error: str | None
+    gate_warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
     last_trigger_age_s: float
     triggers: int
     orphans: int = Field(description="Stones that the gate did not announce; measured all the same")

@@ -39,6 +39,8 @@ class HangingGate:
         self.n_signals = n_signals
         self.is_over = threading.Event()
 
+    warnings: tuple[str, ...] = ()
+
     def open(self) -> None:
         for _ in range(self.n_signals):
             os.kill(os.getpid(), signal.SIGTERM)

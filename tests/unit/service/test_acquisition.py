@@ -271,6 +271,8 @@ class DeadGate:
             gate.close,
         )
 
+    warnings: tuple[str, ...] = ()
+
     def open(self) -> None:
         self.n_attempts -= 1
         if self.n_attempts >= 0:

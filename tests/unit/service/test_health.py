@@ -98,6 +98,16 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             "gate: unplugged",
         ),
         (
+            {
+                "acquisition": replace(
+                    rig(AcquisitionState.ARMED), gate_warnings=("the beam has been closed",)
+                )
+            },
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "gate: the beam has been closed",
+        ),
+        (
             {"blind_triggers": 3},
             Ne107.FAILURE,
             False,
