@@ -60,6 +60,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "calibration",
         "store",
         "disk",
+        "recording",
     }
     assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
