@@ -140,6 +140,7 @@ class CameraStatus:
     latency_ms: float | None = None  # mean, from the trigger to the frame's arrival
     latency_min_ms: float | None = None
     latency_max_ms: float | None = None
+    skew_us: float | None = None  # of its exposures beside those of the other cameras
     last_frame_age_s: float | None = None
     warnings: tuple[str, ...] = ()
 

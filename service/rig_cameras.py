@@ -15,12 +15,15 @@ from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.bundle_counters import BundlingCounters, CameraCounters
 from service.bundling import NO_FRAME
 from service.control import CameraStatus
+from service.exposure_skew import ExposureSkew
 from service.keeper import Keeper
 
 FROZEN = "frozen"
 """The image is the camera's previous one, bit for bit: no sensor does that twice."""
 MAX_MISSES = 3
 """So many triggers in a row without an image, and the camera is opened anew although it answers."""
+MAX_SKEW_US = 20.0
+"""A pixel of fall: the views of a stone would contradict each other."""
 FPS_OVER_S = 10.0
 RECENT = 64
 
@@ -54,6 +57,7 @@ class RigCameras:
             )
             for camera, device in cameras.items()
         }
+        self._skew = ExposureSkew()
         self.blind_triggers = 0
         """Triggers in a row for which no camera that answers had an image."""
 
@@ -123,6 +127,7 @@ class RigCameras:
 
     def look_into(self, bundle: FrameBundle) -> None:
         """Learn from a bundle who is in time and who misses; the latter are examined at once."""
+        self._skew.feed({camera: frame.device_ns for camera, frame in bundle.frames.items()})
         silent = []
         for camera, place in self._places.items():
             frame = bundle.frames.get(camera)
@@ -147,7 +152,10 @@ class RigCameras:
     def statuses(self) -> list[CameraStatus]:
         """State, and counters since the start, of all cameras in page order."""
         now_s = time.monotonic()
-        return [_status(camera, place, now_s) for camera, place in self._places.items()]
+        return [
+            _status(camera, place, now_s, self._skew.skew_us(camera))
+            for camera, place in self._places.items()
+        ]
 
     async def snapshot(self, camera: CameraId) -> bytes | None:
         """Return the latest frame as PNG, None while there is none."""
@@ -159,7 +167,7 @@ class RigCameras:
             self._sink.deliver(CameraLost(camera=camera, received_ns=time.monotonic_ns(), reason=reason))
 
 
-def _status(camera: CameraId, place: _Place, now_s: float) -> CameraStatus:
+def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None) -> CameraStatus:
     keeper, vitals, latencies_ms = place.keeper, place.keeper.vitals, place.latencies_ms
     n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in place.received_s)
 
@@ -192,8 +200,15 @@ def _status(camera: CameraId, place: _Place, now_s: float) -> CameraStatus:
         latency_min_ms=None if not latencies_ms else round(min(latencies_ms), 3),
         latency_max_ms=None if not latencies_ms else round(max(latencies_ms), 3),
         last_frame_age_s=None if not place.received_s else round(now_s - place.received_s[-1], 3),
-        warnings=vitals.warnings,
+        skew_us=None if skew_us is None else round(skew_us, 1),
+        warnings=(*vitals.warnings, *_skew_warnings(skew_us)),
     )
+
+
+def _skew_warnings(skew_us: float | None) -> tuple[str, ...]:
+    if skew_us is None or skew_us <= MAX_SKEW_US:
+        return ()
+    return (f"exposes {skew_us:.0f} us beside the other cameras: look at its trigger line and its settings",)
 
 
 def _png(image: Image) -> bytes:

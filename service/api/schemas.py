@@ -173,6 +173,9 @@ class Camera(BaseModel):
     latency_min_ms: float | None
     latency_max_ms: float | None
     last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
+    skew_us: float | None = Field(
+        description="How far its exposures lie beside those of the others; 20 us are a pixel of fall"
+    )
     warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 
 

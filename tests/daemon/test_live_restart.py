@@ -124,7 +124,5 @@ def test_a_camera_that_is_missing_at_the_start_is_admitted_when_it_appears(
             missing.start()
             live.wait_until_whole(15)
             assert live.status(missing.id)["recoveries"] == 1
-            _, whole = live.measure(
-                2
-            )  # nothing says of a camera's first image for which stone it was exposed
-            assert (whole["outcome"], len(whole["views"]), whole["dropped_views"], live.results(0), live.status("c16"), live.daemon.log[-1500:]) == ("measured", 16)
+            *_, whole = live.measure(5)  # in between the empty rig is exposed: the camera had not seen it yet
+            assert (whole["outcome"], len(whole["views"])) == ("measured", 16)
