@@ -48,6 +48,8 @@ STONE_PASSED = "stone_passed"
 UNSEEN = "unseen"
 """The gate counted the trigger and did not announce it, and no camera exposed."""
 
+IN_VIEW_NS = 50_000_000
+"""A stone that passes the gate so soon after a test pulse is in the picture, or its edge: it crosses it in 20 ms."""
 REMEMBERED_TRIGGERS = 16
 
 
@@ -71,8 +73,8 @@ class BundlingParameters:
 
     @property
     def quiet_s(self) -> float:
-        """So long after a trigger nothing of it is in the air or on the way any more."""
-        return (self.expected_delay_ms + 2 * self.window_ms) / 1e3
+        """So long after a trigger its stone is through and the cameras are ready for the next."""
+        return max(self.dead_time_ms, self.expected_delay_ms) / 1e3 + IN_VIEW_NS / 1e9
 
 
 @dataclass(slots=True, kw_only=True)
@@ -193,7 +195,8 @@ class BundleAssembler:
             self._open_window(trigger)
             return
         if self._open and self._open[-1].trigger.kind is BundleKind.BACKGROUND:
-            self._open[-1].is_spoiled = trigger.kind is not BundleKind.BACKGROUND
+            apart_ns = self._spacing_ns(self._open[-1].trigger, trigger)
+            self._open[-1].is_spoiled |= trigger.kind is not BundleKind.BACKGROUND and apart_ns < IN_VIEW_NS
         self.counters.triggers += 1
         self.counters.in_dead_time += 1
         window = _Window(

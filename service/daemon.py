@@ -21,6 +21,7 @@ from service.api.app import create_app
 from service.api.server import server_config
 from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.health import Facts, assess
+from service.kept_background import KeptBackground
 from service.loop_watch import LoopWatch
 from service.processing import Processing, ProcessingContext
 from service.record import ALGORITHM_VERSION
@@ -163,7 +164,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
     heartbeats = Heartbeats(
         {"acquisition": ACQUISITION_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
     )
-    source = recording_source(devices, calibration, settings.model_dump(mode="json")["rig"])
+    rig_settings = settings.model_dump(mode="json")["rig"]
+    source = recording_source(devices, calibration, rig_settings)
     pool = WorkerPool(
         slots=settings.workers.slots,
         deadline_s=settings.workers.deadline_s,
@@ -215,6 +217,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         spool=spool,
         pool=pool,
         results=store,
+        kept=None if devices.belt else KeptBackground(settings.store.dir, rig_settings),
         on_progress=lambda: heartbeats.beat("processing", time.monotonic()),
     )
     return Daemon(

@@ -73,7 +73,12 @@ def assess(facts: Facts) -> Health:
         reasons = (f"acquisition: {state}", *reasons)
     return Health(
         ne107=_ne107(facts, usable, has_failed=has_failed, is_clean=not reasons),
-        ready=state is AcquisitionState.ARMED and not has_failed and usable >= facts.views.min,
+        ready=(
+            state is AcquisitionState.ARMED
+            and not has_failed
+            and usable >= facts.views.min
+            and facts.has_background
+        ),
         reasons=reasons,
         checks=checks,
     )
@@ -82,7 +87,7 @@ def assess(facts: Facts) -> Health:
 def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne107:
     if has_failed or usable < facts.views.min:
         return Ne107.FAILURE
-    if usable < facts.views.reduced or facts.clock_step_s is not None:
+    if usable < facts.views.reduced or facts.clock_step_s is not None or not facts.has_background:
         return Ne107.OUT_OF_SPECIFICATION
     if facts.acquisition.state is not AcquisitionState.ARMED:
         return Ne107.CHECK_FUNCTION
@@ -135,7 +140,9 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     checks["background"] = Check(
         status=_status(warn=not facts.has_background),
         value=facts.has_background,
-        detail=None if facts.has_background else "the empty rig was not seen yet",
+        detail=None
+        if facts.has_background
+        else "the empty rig was not seen yet: let no stone fall for a moment",
     )
     checks["calibration"] = Check(status=CheckStatus.PASS, value=facts.calibration_id)
     # a store that cannot be written ends the daemon, so whoever can still ask finds it working

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from drivers.errors import RecordingError
 from pipeline.frames import CameraId
+from service.kept_background import KeptBackground
 from service.record import lost_record
 from service.spool import Loss, SpooledBundle
 from service.worker_job import LearnJob, MeasureJob, learn_background, measure
@@ -66,6 +67,7 @@ KEPT = ("mesh.ply", "silhouettes", "bundle.tiff")
 
 @dataclass(frozen=True, slots=True)
 class _Learnt:
+    path: Path
     retired: Path | None  # the version that no later job uses
 
 
@@ -82,6 +84,7 @@ class Processing:
         spool: BundleSource,
         pool: WorkerPool,
         results: ResultSink,
+        kept: KeptBackground | None = None,
         on_progress: Callable[[], None],
     ) -> None:
         self._context = context
@@ -91,6 +94,7 @@ class Processing:
         self._on_progress = on_progress
         self._jobs: set[asyncio.Task[_Measured | _Learnt | Loss]] = set()
         self._is_abandoned = False
+        self._kept = kept
         self._background: Path | None = None
         self._started = 0
 
@@ -100,6 +104,9 @@ class Processing:
 
     async def run(self) -> None:
         """Return when the spool is finished and everything from it is committed."""
+        if self._kept is not None:
+            restored = self._context.folder / "00000000.npz"
+            self._background = await asyncio.to_thread(self._kept.restore, restored)
         turns: asyncio.Queue[_Turn | None] = asyncio.Queue()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns))
@@ -131,7 +138,9 @@ class Processing:
 
     async def _commit(self, bundle: SpooledBundle, outcome: _Measured | _Learnt | Loss) -> None:
         match outcome:
-            case _Learnt(retired):
+            case _Learnt(path, retired):
+                if self._kept is not None:
+                    await asyncio.to_thread(self._kept.keep, path)
                 # its turn has come, so all jobs that were given the old version are through
                 if retired is not None:
                     await asyncio.to_thread(retired.unlink)
@@ -177,7 +186,7 @@ class Processing:
         )
         await self._pool.run(learn_background, job)
         retired, self._background = self._background, out_path
-        return _Learnt(retired)
+        return _Learnt(out_path, retired)
 
     async def _measure(self, path: Path, folder: Path) -> _Measured:
         job = MeasureJob(

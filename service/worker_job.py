@@ -197,7 +197,7 @@ COUNTS = ".counts"
 
 def read_background(path: Path) -> BackgroundModel:
     """The background model in a file written by `write_background`."""
-    with np.load(path) as arrays:
+    with path.open("rb") as file, np.load(file) as arrays:
         return {
             CameraId(name): CameraBackground(mean=arrays[name], n_frames=n_frames, n_refused=n_refused)
             for name in arrays.files

@@ -182,14 +182,16 @@ def test_a_flood_of_late_frames_makes_no_stone_of_its_own() -> None:
     assert assembler.counters.orphans == 0
 
 
-def test_a_background_with_a_stone_in_it_shows_nothing() -> None:
+@pytest.mark.parametrize(("after_ms", "is_in_view"), [(30, True), (100, False)])
+def test_a_background_with_a_stone_in_it_shows_nothing(after_ms: int, is_in_view: bool) -> None:
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     empty = trigger(0, 0, BundleKind.BACKGROUND)
     background, stone = feed_all(
-        assembler, [empty, trigger(1, 100 * MS), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)]
+        assembler, [empty, trigger(1, after_ms * MS), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)]
     )
-    assert (background.kind, background.frames) == (BundleKind.BACKGROUND, {})
-    assert set(background.missing.values()) == {"stone_passed"}
+    assert background.kind is BundleKind.BACKGROUND
+    assert set(background.missing.values()) == ({"stone_passed"} if is_in_view else set())
+    assert len(background.frames) == (0 if is_in_view else 3)
     assert set(stone.missing.values()) == {"dead_time"}
 
 

@@ -138,9 +138,9 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
         ({"late": ["processing"]}, Ne107.FAILURE, False, "progress: no progress of processing"),
         (
             {"has_background": False},
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
-            "background: the empty rig was not seen yet",
+            Ne107.OUT_OF_SPECIFICATION,
+            False,
+            "background: the empty rig was not seen yet: let no stone fall for a moment",
         ),
         ({"free_bytes": 5 * 10**8}, Ne107.MAINTENANCE_REQUIRED, True, "disk: 0.5 GB free for results"),
         ({"free_bytes": 10**7}, Ne107.FAILURE, False, "disk: 0.0 GB free for results"),

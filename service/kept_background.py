@@ -1,0 +1,60 @@
+"""The background outlives the daemon: under a running crusher no moment may come to see the rig empty.
+
+Kept for live rigs only, with what the rig was configured to; after a change of cameras or exposure nothing
+is restored. In replay the recording alone decides, or results would depend on what ran before.
+"""
+
+import hashlib
+import json
+import logging
+import shutil
+import time
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.files import replacing
+from service.worker_job import read_background
+
+log = logging.getLogger(__name__)
+
+KEEP_EVERY_S = 600.0
+"""It is 84 MB; dust does not settle faster."""
+
+
+class KeptBackground:
+    """Called from threads, one call at a time."""
+
+    def __init__(self, folder: Path, rig_settings: Mapping[str, Any]) -> None:
+        identity = hashlib.sha256(json.dumps(rig_settings, sort_keys=True).encode()).hexdigest()[:16]
+        self._path = folder / f"background-{identity}.npz"
+        self._kept_at_s: float | None = None
+
+    def restore(self, path: Path) -> Path | None:
+        """Put the kept background where the workers read it; nothing when there is none or it is damaged."""
+        if not self._path.exists():
+            return None
+        try:
+            read_background(self._path)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as err:
+            log.error("the kept background is damaged and not used: %s file=%s", err, self._path)
+            return None
+        shutil.copyfile(self._path, path)
+        log.info("background of before restored file=%s", self._path)
+        return path
+
+    def keep(self, path: Path) -> None:
+        """Keep a background for the next start, unless that was done lately; a full disk costs only this."""
+        now_s = time.monotonic()
+        if self._kept_at_s is not None and now_s - self._kept_at_s < KEEP_EVERY_S:
+            return
+        self._kept_at_s = now_s
+        try:
+            with replacing(self._path) as unfinished:
+                shutil.copyfile(path, unfinished)
+            for other in self._path.parent.glob("background-*.npz"):
+                if other != self._path:
+                    other.unlink()
+        except OSError as err:
+            log.error("the background is not kept for the next start: %s file=%s", err, self._path)

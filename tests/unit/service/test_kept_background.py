@@ -1,0 +1,70 @@
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.frames import CameraId
+from pipeline.segmentation.background import CameraBackground
+from service import kept_background
+from service.kept_background import KeptBackground
+from service.worker_job import read_background, write_background
+
+RIG = {"backend": "aravis", "exposure_us": 20.0}
+
+
+def background(path: Path, grey: float) -> Path:
+    mean = np.full((4, 5), grey, np.float32)
+    write_background(path, {CameraId("c01"): CameraBackground(mean=mean, n_frames=3, n_refused=0)})
+    return path
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    (folder := tmp_path / "store").mkdir()
+    return folder
+
+
+def test_what_was_kept_is_restored_after_a_restart(tmp_path: Path, store: Path):
+    assert KeptBackground(store, RIG).restore(tmp_path / "none.npz") is None
+    KeptBackground(store, RIG).keep(background(tmp_path / "seen.npz", 200))
+    restored = KeptBackground(store, RIG).restore(tmp_path / "restored.npz")
+    assert restored == tmp_path / "restored.npz"
+    assert read_background(restored)[CameraId("c01")].mean[0, 0] == 200
+
+
+def test_another_rig_starts_without_and_replaces_it(tmp_path: Path, store: Path):
+    KeptBackground(store, RIG).keep(background(tmp_path / "seen.npz", 200))
+    other = KeptBackground(store, RIG | {"exposure_us": 10.0})
+    assert other.restore(tmp_path / "restored.npz") is None
+    other.keep(background(tmp_path / "darker.npz", 100))
+    assert KeptBackground(store, RIG).restore(tmp_path / "restored.npz") is None
+    assert len(list(store.iterdir())) == 1
+
+
+def test_it_is_not_written_with_every_exposure(tmp_path: Path, store: Path, monkeypatch: pytest.MonkeyPatch):
+    kept = KeptBackground(store, RIG)
+    for grey, every_s, expected in ((200, 600.0, 200), (150, 600.0, 200), (100, 0.0, 100)):
+        monkeypatch.setattr(kept_background, "KEEP_EVERY_S", every_s)
+        kept.keep(background(tmp_path / f"{grey}.npz", grey))
+        restored = KeptBackground(store, RIG).restore(tmp_path / "restored.npz")
+        assert restored is not None
+        assert read_background(restored)[CameraId("c01")].mean[0, 0] == expected
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * 99]
+)
+def test_a_damaged_one_is_not_used(tmp_path: Path, store: Path, damage, caplog: pytest.LogCaptureFixture):
+    KeptBackground(store, RIG).keep(background(tmp_path / "seen.npz", 200))
+    (file,) = store.iterdir()
+    file.write_bytes(damage(file.read_bytes()))
+    assert KeptBackground(store, RIG).restore(tmp_path / "restored.npz") is None
+    assert not (tmp_path / "restored.npz").exists()
+    assert str(file) in caplog.text
+
+
+def test_a_store_that_cannot_be_written_costs_only_this(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.ERROR)
+    KeptBackground(tmp_path / "gone", RIG).keep(background(tmp_path / "seen.npz", 200))
+    assert "not kept for the next start" in caplog.text
