@@ -29,6 +29,14 @@ class CameraLost:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CameraBack:
+    """The camera is armed again; told by whoever brought it back."""
+
+    camera: CameraId
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GateLost:
     """The light gate no longer answers."""
 
@@ -79,6 +87,7 @@ DeviceEvent = (
     | Frame
     | FrameLost
     | CameraLost
+    | CameraBack
     | PlaybackEnded
 )
 

@@ -75,7 +75,7 @@ class Acquisition:
         self._is_abandoned = False
         self._n_named = 0
         self._last_trigger_s = time.monotonic()
-        self.cameras = RigCameras(devices.cameras, is_live=devices.belt is None)
+        self.cameras = RigCameras(devices.cameras, clock=devices.clock, is_live=devices.belt is None)
         self.gate = Keeper("light gate", devices.gate)
         self.counters = BundlingCounters()
         """Since it was last armed."""

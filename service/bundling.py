@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from drivers.interfaces import (
+    CameraBack,
     CameraLost,
     DeviceEvent,
     FrameLost,
@@ -148,6 +149,8 @@ class BundleAssembler:
                 for window in self._open:
                     if event.camera not in window.frames:
                         window.lost.setdefault(event.camera, CAMERA_LOST)
+            case CameraBack():
+                self._gone.discard(event.camera)
             case TriggersIgnored():
                 self.counters.triggers_ignored += event.count
             case TriggersLost():

@@ -27,7 +27,7 @@ Answer = TypeVar("Answer")
 class Keeper:
     """From `start` to `end` the device is kept; `settle` waits for the end of the first attempt.
 
-    `on_lost` is told of a loss that the device did not report itself.
+    `on_lost` is told of a loss that the device did not report itself, `on_back` of every return from a loss.
     """
 
     def __init__(
@@ -37,6 +37,7 @@ class Keeper:
         *,
         examine: Callable[[], CameraVitals] | None = None,
         on_lost: Callable[[str], None] = lambda reason: None,
+        on_back: Callable[[], None] = lambda: None,
     ) -> None:
         self.name = name
         self.device = device
@@ -50,6 +51,7 @@ class Keeper:
         self._may_close = asyncio.Event()
         self._examine = examine
         self._on_lost = on_lost
+        self._on_back = on_back
         self._lost_at_s = 0.0
         self._wake = asyncio.Event()
         self._is_ending = False
@@ -140,6 +142,7 @@ class Keeper:
         if self.state == "lost":
             self.recoveries += 1
             log.info("device back device=%s after_s=%.1f", self.name, time.monotonic() - self._lost_at_s)
+            self._on_back()
         self.state = "armed"
         self._settled.set()
 

@@ -3,14 +3,14 @@
 import asyncio
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 
 import cv2
 import numpy as np
 
-from drivers.interfaces import Camera, CameraLost, DeviceEvent, EventSink, FrameLost
+from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.bundle_counters import BundlingCounters, CameraCounters
 from service.bundling import NO_FRAME
@@ -48,12 +48,25 @@ class RigCameras:
     `is_live`: two images that are equal bit for bit come from a camera that is stuck, not from a recording.
     """
 
-    def __init__(self, cameras: Mapping[CameraId, Camera], *, is_live: bool = False) -> None:
+    def __init__(
+        self,
+        cameras: Mapping[CameraId, Camera],
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+        is_live: bool = False,
+    ) -> None:
+        self._clock = clock  # what the devices' `received_ns` is read from
         self._is_live = is_live
         self._sink: EventSink | None = None
         self._places = {
             camera: _Place(
-                Keeper(camera, device, examine=device.examine, on_lost=partial(self._tell_lost, camera))
+                Keeper(
+                    camera,
+                    device,
+                    examine=device.examine,
+                    on_lost=partial(self._tell_lost, camera),
+                    on_back=partial(self._tell_back, camera),
+                )
             )
             for camera, device in cameras.items()
         }
@@ -164,7 +177,11 @@ class RigCameras:
 
     def _tell_lost(self, camera: CameraId, reason: str) -> None:
         if self._sink is not None:
-            self._sink.deliver(CameraLost(camera=camera, received_ns=time.monotonic_ns(), reason=reason))
+            self._sink.deliver(CameraLost(camera=camera, received_ns=self._clock(), reason=reason))
+
+    def _tell_back(self, camera: CameraId) -> None:
+        if self._sink is not None:
+            self._sink.deliver(CameraBack(camera=camera, received_ns=self._clock()))
 
 
 def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None) -> CameraStatus:

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.interfaces import (
+    CameraBack,
     CameraLost,
     DeviceEvent,
     FrameLost,
@@ -98,6 +99,16 @@ def test_a_lost_camera_is_not_waited_for_until_it_sends_again() -> None:
     assert dict(first.missing) == {C: "camera_lost"}
     second = [trigger(1, period_ns), *(frame(camera, 1, period_ns + DELAY_NS) for camera in (C, A, B))]
     (bundle,) = feed_all(assembler, second)
+    assert not bundle.missing
+
+
+def test_a_camera_that_is_back_is_waited_for_again() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    assembler.feed(CameraLost(camera=C, received_ns=0, reason="unplugged"))
+    assembler.feed(CameraBack(camera=C, received_ns=5))
+    events = [trigger(0, 10), frame(A, 0, DELAY_NS), frame(B, 0, DELAY_NS)]
+    assert feed_all(assembler, events) == []
+    (bundle,) = assembler.feed(frame(C, 0, DELAY_NS + MS))
     assert not bundle.missing
 
 

@@ -228,7 +228,7 @@ def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: 
     devices = build_devices(settings.rig.backend_for(nominal_rig()))
     source = recording_source(devices, nominal_rig(), settings.model_dump(mode="json")["rig"])
     assert source.speed_at_gate_mm_s == settings.rig.speed_at_gate_mm_s == pytest.approx(313.2, abs=0.1)
-    assert source.gate_settings["serial"]["port"] == "gate"
+    assert source.gate_settings["serial"]["port"] == f"{tmp_path}/gate"
 
 
 @pytest.mark.parametrize(
