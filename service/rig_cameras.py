@@ -137,6 +137,8 @@ class RigCameras:
                 place.received_s.append(time.monotonic())
             case CameraLost():
                 self._places[event.camera].keeper.lose(event.reason)
+            case CameraBack():
+                self._places[event.camera].image = None  # of before; nothing to compare with
 
     def look_into(self, bundle: FrameBundle) -> None:
         """Learn from a bundle who is in time and who misses; the latter are examined at once."""

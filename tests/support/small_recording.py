@@ -1,5 +1,6 @@
 """A small synthetic recording with stones, for tests that need real images."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +18,13 @@ SHRINK = 4
 
 
 def thumbnail_rig() -> RigCalibration:
-    """The rig as built, with a quarter of the pixels in each direction: everything is ten times as fast."""
+    """The rig as built, with a quarter of the pixels in each direction: everything is ten times as fast.
+
+    Serial numbers are this process': another one may simulate cameras at the same time.
+    """
     rig = as_built(nominal_rig(), 1)
-    return replace(rig, cameras=tuple(_shrunk(camera) for camera in rig.cameras))
+    cameras = (replace(_shrunk(camera), serial=f"T{os.getpid()}-{camera.id}") for camera in rig.cameras)
+    return replace(rig, cameras=tuple(cameras))
 
 
 def _shrunk(camera: CameraCalibration) -> CameraCalibration:
