@@ -17,7 +17,7 @@ from typing import Protocol
 from drivers.factory import Devices
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
-from pipeline.frames import FrameBundle, Trigger
+from pipeline.frames import BundleKind, FrameBundle, Trigger
 from service.bundle_counters import BundlingCounters
 from service.bundling import DISARMED, BundleAssembler, BundlingParameters
 from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, next_state
@@ -74,7 +74,7 @@ class Acquisition:
         self._leave = asyncio.Event()
         self._is_abandoned = False
         self._n_named = 0
-        self._last_trigger_s = time.monotonic()
+        self._last_trigger_s = self._last_stone_s = time.monotonic()
         self.cameras = RigCameras(devices.cameras, clock=devices.clock, is_live=devices.belt is None)
         self.gate = Keeper("light gate", devices.gate)
         self.counters = BundlingCounters()
@@ -112,15 +112,11 @@ class Acquisition:
         self.gate.abandon()
         self.cameras.abandon()
 
-    @property
-    def last_trigger_age_s(self) -> float:
-        """Seconds since the last trigger, or since the start."""
-        return time.monotonic() - self._last_trigger_s
-
     def status(self) -> AcquisitionStatus:
         """Return where the rig stands."""
         counters = self.counters
-        is_starved = self.last_trigger_age_s > SUSPENDED_S
+        last_stone_age_s = time.monotonic() - self._last_stone_s
+        is_starved = last_stone_age_s > SUSPENDED_S
         is_armed = self.state is AcquisitionState.ARMED
         return AcquisitionStatus(
             state=self.state,
@@ -131,7 +127,7 @@ class Acquisition:
             gate=self.gate.state,
             gate_error=self.gate.last_error,
             gate_warnings=self._devices.gate.warnings,
-            last_trigger_age_s=round(self.last_trigger_age_s, 3),
+            last_stone_age_s=round(last_stone_age_s, 3),
             triggers=counters.triggers,
             orphans=counters.orphans,
             unseen=counters.unseen,
@@ -169,6 +165,8 @@ class Acquisition:
             ending.push_async_callback(self._end_session, inbox, assembler)
             ending.push_async_callback(self.cameras.close)
             await self.cameras.arm(inbox, tasks)
+            if self._leave.is_set():
+                return
             for camera in self.cameras.lost:  # no bundle shall wait for it
                 now_ns = self._devices.clock()
                 assembler.feed(CameraLost(camera=camera, received_ns=now_ns, reason="not there at the start"))
@@ -209,7 +207,7 @@ class Acquisition:
             return (
                 self.state is AcquisitionState.ARMED
                 and assembler.next_deadline_ns is None
-                and self.last_trigger_age_s > max(for_s, self._bundling.quiet_s)
+                and time.monotonic() - self._last_trigger_s > max(for_s, self._bundling.quiet_s)
             )
 
         await expose_empty_rig(self._empty_rig, fire, is_quiet)
@@ -254,6 +252,7 @@ class Acquisition:
                 )
             self.cameras.look_into(bundle)
             self._on_bundle(bundle)
+            self._on_progress()
 
     def _dated(self, trigger: Trigger) -> Trigger:
         age = timedelta(microseconds=(self._devices.clock() - trigger.received_ns) / 1e3)
@@ -264,6 +263,8 @@ class Acquisition:
     async def _recorded(self, trigger: Trigger) -> Trigger:
         """Make the trigger durable, under a name of its own: a gate may count anew at any time."""
         self._last_trigger_s = time.monotonic()
+        if trigger.kind is not BundleKind.BACKGROUND:
+            self._last_stone_s = self._last_trigger_s
         name = trigger.name
         if name is None:
             self._n_named += 1

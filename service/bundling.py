@@ -119,8 +119,8 @@ class BundleAssembler:
         self._gone: set[CameraId] = set()
         self._gaps: deque[_Gap] = deque()
         self._n_exposing = 0
-        self._n_orphans = 0  # since the gate's last gap
-        self._last_sequence = 0
+        self._n_orphans = 0  # that no gap of the gate has explained yet
+        self._last_sequence = self._last_announced = 0
         self._last_trigger: Trigger | None = None  # that exposed
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
         self._last_used: dict[CameraId, tuple[int, int]] = {}  # frame id, ordinal
@@ -191,7 +191,9 @@ class BundleAssembler:
 
     def _announce(self, trigger: Trigger) -> None:
         """Expect the frames of a trigger, unless another one's are on their way."""
-        self._last_sequence = trigger.sequence
+        if trigger.sequence == self._last_announced + 1 and not self._gaps:
+            self._n_orphans = 0  # the gate missed nothing: they were no stones of its
+        self._last_sequence = self._last_announced = trigger.sequence
         last = self._last_trigger
         if last is None or self._spacing_ns(last, trigger) >= self._dead_time_ns:
             self._last_trigger = trigger
@@ -259,8 +261,9 @@ class BundleAssembler:
 
     def _unseen(self, gap: _Gap) -> list[FrameBundle]:
         """Bundles without frames for what the gate counted beyond the orphans."""
-        count = max(0, gap.n_triggers - self._n_orphans)
-        self._n_orphans = 0
+        n_orphans = min(self._n_orphans, gap.n_triggers)
+        self._n_orphans -= n_orphans
+        count = gap.n_triggers - n_orphans
         self.counters.triggers += count
         self.counters.incomplete += count
         self.counters.unseen += count

@@ -135,6 +135,7 @@ class CameraStatus:
     failed_frames: int = 0  # received in part, since it was opened
     missing_packets: int = 0
     resent_packets: int = 0
+    receive_buffer_bytes: int | None = None
     temperature_c: float | None = None
     ptp_offset_ns: int | None = None
     latency_ms: float | None = None  # mean, from the trigger to the frame's arrival
@@ -157,7 +158,7 @@ class AcquisitionStatus:
     gate: str = "closed"
     gate_error: str | None = None
     gate_warnings: tuple[str, ...] = ()
-    last_trigger_age_s: float = 0.0
+    last_stone_age_s: float = 0.0  # or since the start
     triggers: int = 0
     orphans: int = 0  # announced by the frames alone
     unseen: int = 0  # counted by the gate, announced and photographed by nobody

@@ -217,7 +217,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         spool=spool,
         pool=pool,
         results=store,
-        kept=None if devices.belt else KeptBackground(settings.store.dir, rig_settings),
+        kept=None if devices.belt else KeptBackground(settings.store.dir, calibration_id, rig_settings),
         on_progress=lambda: heartbeats.beat("processing", time.monotonic()),
     )
     return Daemon(

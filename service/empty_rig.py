@@ -11,6 +11,7 @@ from drivers.errors import GateUnavailableError
 log = logging.getLogger(__name__)
 
 POLL_S = 0.1
+RETRY_S = 10.0
 STARVED_S = 5.0
 """Without a stone for so long the next one will hardly fall just now: it would be lost with the exposure."""
 
@@ -34,10 +35,9 @@ async def expose_empty_rig(
 ) -> None:
     """Call `fire` as often as asked for, only while `is_quiet`: nothing in the air, no stone for so many seconds.
 
-    Returns when there is nothing to do, or when the rig has no way to be exposed on purpose.
+    Returns when there is nothing to do. A gate that cannot is asked again now and then, and logged once.
     """
-    n_done = 0
-    due_s = time.monotonic()
+    n_done, due_s, problem = 0, time.monotonic(), ""
     while n_done < parameters.at_start or parameters.every_s:
         await asyncio.sleep(POLL_S)
         if time.monotonic() < due_s or not is_quiet(0 if n_done < parameters.at_start else STARVED_S):
@@ -45,8 +45,10 @@ async def expose_empty_rig(
         try:
             await fire()
         except GateUnavailableError as err:
-            log.warning("the empty rig cannot be exposed: %s", err)
-            if n_done == 0:
-                return
+            if str(err) != problem:
+                log.warning("the empty rig cannot be exposed: %s", err)
+            problem = str(err)
+            due_s = time.monotonic() + RETRY_S
+            continue
         n_done += 1
         due_s = time.monotonic() + (0 if n_done < parameters.at_start else parameters.every_s)

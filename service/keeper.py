@@ -20,6 +20,11 @@ BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 5.0)
 """From one attempt to bring a device back to the next; the last one for ever."""
 EXAMINE_S = 5.0
 """How often a healthy camera is asked how it is."""
+STABLE_S = 10.0
+"""Lost again sooner than this, a device was not really back: it is asked less and less often, and not logged anew."""
+
+CONTROL_THREAD = " control"
+"""How the name of a device's thread goes on after the device's."""
 
 Answer = TypeVar("Answer")
 
@@ -53,6 +58,9 @@ class Keeper:
         self._on_lost = on_lost
         self._on_back = on_back
         self._lost_at_s = 0.0
+        self._armed_at_s = 0.0
+        self._n_losses = 0
+        self._n_relapses = 0  # in a row
         self._wake = asyncio.Event()
         self._is_ending = False
         self._task: asyncio.Task[None] | None = None
@@ -89,20 +97,22 @@ class Keeper:
             self._task.cancel()
 
     async def _keep(self, sink: EventSink) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"{self.name} control")
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=self.name + CONTROL_THREAD)
         failures = 0
         try:
             while not self._is_ending:
+                n_losses = self._n_losses
                 try:
                     await self.call(self.device.open)
                     await self.call(self.device.arm, sink)
                 except DeviceError as err:
                     failures += 1
-                    self.lose(err.problem)
+                    self.lose(err.problem if err.device == self.name else str(err))
                 else:
-                    failures = 0
-                    self._admit()
-                    await self._look_after()
+                    if self._n_losses == n_losses:  # not lost again while it was being armed
+                        self._admit()
+                        await self._look_after()
+                    failures = self._n_relapses
                 self._settled.set()
                 if self.state == "lost":
                     await self.call(self.device.close)
@@ -126,9 +136,17 @@ class Keeper:
 
     def lose(self, reason: str) -> None:
         """Note that the device is lost; the loss is logged once, not every failed attempt to undo it."""
+        self._n_losses += 1
+        now_s = time.monotonic()
+        if self.state == "armed":
+            is_relapse = self.recoveries > 0 and now_s - self._armed_at_s < STABLE_S
+            self._n_relapses = self._n_relapses + 1 if is_relapse else 0
+        is_known = self._n_relapses > 0 and reason == self.last_error
         if self.state != "lost":
-            log.error("device lost: %s device=%s", reason, self.name)
-            self._lost_at_s = time.monotonic()
+            log.log(
+                logging.DEBUG if is_known else logging.ERROR, "device lost: %s device=%s", reason, self.name
+            )
+            self._lost_at_s = now_s
         elif reason != self.last_error:
             log.warning("device still lost: %s device=%s", reason, self.name)
         self.state, self.last_error = "lost", reason
@@ -139,9 +157,13 @@ class Keeper:
         self._wake.set()
 
     def _admit(self) -> None:
+        self._armed_at_s = time.monotonic()
         if self.state == "lost":
             self.recoveries += 1
-            log.info("device back device=%s after_s=%.1f", self.name, time.monotonic() - self._lost_at_s)
+            level = logging.DEBUG if self._n_relapses else logging.INFO
+            log.log(
+                level, "device back device=%s after_s=%.1f", self.name, self._armed_at_s - self._lost_at_s
+            )
             self._on_back()
         self.state = "armed"
         self._settled.set()

@@ -1,6 +1,6 @@
 """The background outlives the daemon: under a running crusher no moment may come to see the rig empty.
 
-Kept for live rigs only, with what the rig was configured to; after a change of cameras or exposure nothing
+Kept for live rigs only, with the calibration and what the cameras are set to; after a change of either nothing
 is restored. In replay the recording alone decides, or results would depend on what ran before.
 """
 
@@ -23,11 +23,16 @@ KEEP_EVERY_S = 600.0
 """It is 84 MB; dust does not settle faster."""
 
 
+OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")
+"""Settings of a rig that change what its cameras see."""
+
+
 class KeptBackground:
     """Called from threads, one call at a time."""
 
-    def __init__(self, folder: Path, rig_settings: Mapping[str, Any]) -> None:
-        identity = hashlib.sha256(json.dumps(rig_settings, sort_keys=True).encode()).hexdigest()[:16]
+    def __init__(self, folder: Path, calibration_id: str, rig_settings: Mapping[str, Any]) -> None:
+        optics = [calibration_id, *(rig_settings.get(name) for name in OPTICAL)]
+        identity = hashlib.sha256(json.dumps(optics).encode()).hexdigest()[:16]
         self._path = folder / f"background-{identity}.npz"
         self._kept_at_s: float | None = None
 
@@ -37,10 +42,11 @@ class KeptBackground:
             return None
         try:
             read_background(self._path)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as err:
-            log.error("the kept background is damaged and not used: %s file=%s", err, self._path)
+            shutil.copyfile(self._path, path)
+        except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as err:
+            log.error("the kept background is not used: %s file=%s", err, self._path)
+            path.unlink(missing_ok=True)
             return None
-        shutil.copyfile(self._path, path)
         log.info("background of before restored file=%s", self._path)
         return path
 

@@ -16,8 +16,6 @@ class LoopWatch:
 
     def __init__(self) -> None:
         self._held_up: deque[tuple[float, float]] = deque()  # when, and for how long
-        self.longest_ms = 0.0
-        """Since the start."""
         self._step_at_s: float | None = None
         self._step_s = 0.0
 
@@ -45,7 +43,6 @@ class LoopWatch:
         return self._step_s
 
     def _note(self, now_s: float, lag_s: float) -> None:
-        self.longest_ms = max(self.longest_ms, lag_s * 1e3)
         while self._held_up and (now_s - self._held_up[0][0] > WINDOW_S):
             self._held_up.popleft()
         while self._held_up and self._held_up[-1][1] <= lag_s:  # only what may still become the worst

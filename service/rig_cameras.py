@@ -151,13 +151,13 @@ class RigCameras:
                 place.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
             elif bundle.missing[camera] in (NO_FRAME, FROZEN) and place.keeper.state == "armed":
                 silent.append((camera, place))
-        if silent and not bundle.frames:  # what all cameras miss is not for each of them to explain
-            self.blind_triggers += 1
-        else:
+        if bundle.frames:
             self.blind_triggers = 0
+        elif silent:  # what all cameras miss is not for each of them to explain
+            self.blind_triggers += 1
         for camera, place in silent:
             place.keeper.look()
-            if self.blind_triggers:
+            if not bundle.frames:
                 continue
             place.misses += 1
             if place.misses % MAX_MISSES == 0:
@@ -213,6 +213,7 @@ def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None
         failed_frames=vitals.failed_frames,
         missing_packets=vitals.missing_packets,
         resent_packets=vitals.resent_packets,
+        receive_buffer_bytes=vitals.receive_buffer_bytes,
         temperature_c=vitals.temperature_c,
         ptp_offset_ns=vitals.ptp_offset_ns,
         latency_ms=None if not latencies_ms else round(sum(latencies_ms) / len(latencies_ms), 3),
@@ -220,7 +221,7 @@ def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None
         latency_max_ms=None if not latencies_ms else round(max(latencies_ms), 3),
         last_frame_age_s=None if not place.received_s else round(now_s - place.received_s[-1], 3),
         skew_us=None if skew_us is None else round(skew_us, 1),
-        warnings=(*vitals.warnings, *_skew_warnings(skew_us)),
+        warnings=(*vitals.warnings, *_skew_warnings(skew_us), *_miss_warnings(place.misses)),
     )
 
 
@@ -228,6 +229,12 @@ def _skew_warnings(skew_us: float | None) -> tuple[str, ...]:
     if skew_us is None or skew_us <= MAX_SKEW_US:
         return ()
     return (f"exposes {skew_us:.0f} us beside the other cameras: look at its trigger line and its settings",)
+
+
+def _miss_warnings(misses: int) -> tuple[str, ...]:
+    if misses < MAX_MISSES:
+        return ()
+    return (f"answers, but had no image for {misses} triggers in a row: look at its trigger line",)
 
 
 def _png(image: Image) -> bytes:

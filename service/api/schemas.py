@@ -127,7 +127,7 @@ class Acquisition(BaseModel):
     gate: str = Field(description="closed, armed or lost")
     gate_error: str | None
     gate_warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
-    last_trigger_age_s: float
+    last_stone_age_s: float = Field(description="Seconds since the last stone, or since the start")
     triggers: int
     orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
     unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
@@ -167,6 +167,7 @@ class Camera(BaseModel):
     failed_frames: int = Field(description="Frames received in part, since it was opened")
     missing_packets: int = Field(description="Packets that never came, since it was opened")
     resent_packets: int = Field(description="Packets that came at the second request, since it was opened")
+    receive_buffer_bytes: int | None = Field(description="Of its socket, as the kernel granted it")
     temperature_c: float | None
     ptp_offset_ns: int | None = Field(description="From the PTP master's clock; null without PTP")
     latency_ms: float | None = Field(description="From trigger to arrival, mean of the latest 64 bundles")

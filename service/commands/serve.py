@@ -4,13 +4,15 @@ import asyncio
 import logging
 import os
 import sys
+import threading
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from service.daemon import run
 from service.errors import SettingsError
+from service.keeper import CONTROL_THREAD
 from service.settings import load_settings, problems
 from service.systemd import configure_logging, service_manager
 
@@ -29,4 +31,14 @@ def command(
         asyncio.run(run(settings, service_manager(os.environ, os.getpid())))
     except BaseExceptionGroup:
         log.critical("fatal, the daemon ends", exc_info=True)
-        sys.exit(1)
+        _end(1)
+    _end(0)
+
+
+def _end(code: int) -> NoReturn:
+    """Exit although a device may still keep a thread: everything else is closed by now."""
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    if any(CONTROL_THREAD in thread.name for thread in others):
+        logging.shutdown()
+        os._exit(code)
+    sys.exit(code)

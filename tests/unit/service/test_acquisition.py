@@ -289,12 +289,15 @@ async def test_a_gate_that_does_not_answer_holds_until_it_does(
     bench.make_acquisition()
     async with armed(bench) as acquisition:
         assert acquisition.state is AcquisitionState.HELD
-        assert acquisition.trouble == "no such device"
+        assert acquisition.trouble == "ttyUSB0: no such device"
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
         await bench.step(1)
     assert gate.n_attempts == -1
     errors = [record.message for record in caplog.records if record.levelname == "ERROR"]
-    assert errors == ["device lost: no such device device=light gate", "held: no such device"]
+    assert errors == [
+        "device lost: ttyUSB0: no such device device=light gate",
+        "held: ttyUSB0: no such device",
+    ]
 
 
 async def test_the_snapshot_is_the_latest_frame(recording: Path):

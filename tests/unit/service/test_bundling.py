@@ -170,6 +170,36 @@ def test_a_stone_that_the_gate_did_not_announce_is_an_orphan_with_a_bundle_of_it
     assert all(each.not_exposed == each.unannounced == 0 for each in counters.cameras.values())
 
 
+def test_an_orphan_explains_one_gap_and_a_spurious_one_none() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns, bundles = 250 * MS, []
+    feed_all(assembler, [frame(camera, 9, DELAY_NS) for camera in CAMERAS])  # a pulse from nowhere
+    for number in range(1, 5):
+        at_ns = (number + 3) * period_ns
+        bundles += feed_all(
+            assembler, [trigger(number, at_ns), *(frame(c, number, at_ns + DELAY_NS) for c in CAMERAS)]
+        )
+    assert assembler.counters.orphans == 1
+    at_ns = 10 * period_ns
+    feed_all(assembler, [trigger(6, at_ns), TriggersLost(received_ns=at_ns, count=1, reason="gap")])
+    assembler.advance(20 * period_ns)
+    assert assembler.counters.unseen == 1
+
+
+def test_three_orphans_explain_gaps_that_are_told_one_by_one() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    feed_all(assembler, [trigger(1, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    for number in range(1, 4):
+        feed_all(assembler, [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS])
+    assembler.advance(8 * period_ns)
+    assert assembler.counters.orphans == 3
+    for count, at_ns in ((1, 8 * period_ns), (2, 12 * period_ns)):
+        assembler.feed(TriggersLost(received_ns=at_ns, count=count, reason="gap"))
+        assembler.advance(at_ns + 3 * period_ns)
+    assert assembler.counters.unseen == 0
+
+
 def test_what_only_the_counter_of_the_gate_knows_is_a_bundle_without_frames() -> None:
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])

@@ -120,6 +120,41 @@ async def test_a_failed_examination_is_told_and_the_device_opened_anew():
     assert device.calls.count("open") >= 2
 
 
+async def test_a_device_that_is_lost_again_and_again_is_one_alarm(caplog: pytest.LogCaptureFixture):
+    device = Device()
+    async with kept(device) as one:
+        for n_opened in range(2, 6):
+            one.lose("no image")
+            await until(lambda n_opened=n_opened: device.calls.count("open") == n_opened)
+            await until(lambda: one.state == "armed")
+        opened_s = [at_s for call, at_s in zip(device.calls, device.at_s, strict=True) if call == "open"]
+        assert opened_s[-1] - opened_s[-2] >= 0.2
+    lost = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert len(lost) == 1
+
+
+async def test_a_loss_while_it_is_being_armed_counts():
+    device = Device()
+    one = Keeper("gate", device)
+
+    def arm_and_lose(sink: EventSink) -> None:
+        device.arm = lambda sink: device.calls.append("arm")  # type: ignore[method-assign]
+        asyncio.run_coroutine_threadsafe(lose(), loop).result()
+
+    async def lose() -> None:
+        one.lose("unplugged")
+
+    loop = asyncio.get_running_loop()
+    device.arm = arm_and_lose  # type: ignore[method-assign]
+    async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
+        one.start(Collector(), tasks)
+        await one.settle()
+        assert one.state == "lost"
+        await until(lambda: one.state == "armed")
+        await one.end()
+    assert device.calls.count("open") == 2
+
+
 async def test_a_loss_that_others_saw_ends_the_session_of_the_device():
     device = Device()
     async with kept(device) as one:
