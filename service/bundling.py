@@ -31,6 +31,7 @@ from drivers.interfaces import (
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundle_counters import BundlingCounters, CameraCounters
 from service.frame_checks import ExposureCheck, id_step
+from service.missed_triggers import MissedTriggers
 
 NO_FRAME = "no_frame"
 """Nothing came from the camera until the deadline."""
@@ -95,12 +96,6 @@ class _Closed(NamedTuple):
     frame_ids: dict[CameraId, int]
 
 
-class _Gap(NamedTuple):
-    due_ns: int  # when all frames of its triggers have come
-    received_ns: int
-    n_triggers: int
-
-
 class BundleAssembler:
     """Single-threaded; feed it every event of the inbox, and the time at `next_deadline_ns`.
 
@@ -117,10 +112,9 @@ class BundleAssembler:
         self._closed: deque[_Closed] = deque(maxlen=REMEMBERED_TRIGGERS)
         self._held: list[Frame | FrameLost] = []
         self._gone: set[CameraId] = set()
-        self._gaps: deque[_Gap] = deque()
+        self._missed = MissedTriggers()
         self._n_exposing = 0
-        self._n_orphans = 0  # that no gap of the gate has explained yet
-        self._last_sequence = self._last_announced = 0
+        self._last_sequence = 0
         self._last_trigger: Trigger | None = None  # that exposed
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
         self._last_used: dict[CameraId, tuple[int, int]] = {}  # frame id, ordinal
@@ -156,7 +150,7 @@ class BundleAssembler:
             case TriggersLost():
                 self.counters.triggers_lost += event.count
                 due_ns = event.received_ns + self._delay_ns + 2 * self._window_ns
-                self._gaps.append(_Gap(due_ns, event.received_ns, event.count))
+                self._missed.missed(event.count, event.received_ns, due_ns)
             case PulseEnded():
                 for window in self._open:
                     if window.trigger.sequence == event.sequence:
@@ -175,9 +169,7 @@ class BundleAssembler:
         bundles = []
         while self._open and (self._is_complete(self._open[0]) or now_ns >= self._deadline_ns(self._open[0])):
             bundles.append(self._close(self._open.popleft()))
-        while self._gaps and now_ns >= self._gaps[0].due_ns:
-            bundles += self._unseen(self._gaps.popleft())
-        return bundles
+        return bundles + self._unseen(self._missed.unseen(now_ns))
 
     def flush(self, reason: str = NO_FRAME) -> list[FrameBundle]:
         """Close everything now; `reason` is that of the frames still expected."""
@@ -185,15 +177,12 @@ class BundleAssembler:
         self._held = []
         bundles = [self._close(window, reason) for window in self._open]
         self._open.clear()
-        while self._gaps:
-            bundles += self._unseen(self._gaps.popleft())
-        return bundles
+        return bundles + self._unseen(self._missed.unseen())
 
     def _announce(self, trigger: Trigger) -> None:
         """Expect the frames of a trigger, unless another one's are on their way."""
-        if trigger.sequence == self._last_announced + 1 and not self._gaps:
-            self._n_orphans = 0  # the gate missed nothing: they were no stones of its
-        self._last_sequence = self._last_announced = trigger.sequence
+        self._missed.announced(trigger.sequence)
+        self._last_sequence = trigger.sequence
         last = self._last_trigger
         if last is None or self._spacing_ns(last, trigger) >= self._dead_time_ns:
             self._last_trigger = trigger
@@ -249,7 +238,7 @@ class BundleAssembler:
         ):
             return False
         self.counters.orphans += 1
-        self._n_orphans += 1
+        self._missed.adopted()
         trigger = self._unannounced(expected_ns - self._delay_ns)
         later = next((window.trigger for window in self._open if window.expected_ns > expected_ns), None)
         if later is not None:
@@ -259,18 +248,15 @@ class BundleAssembler:
         self._open_window(trigger)
         return True
 
-    def _unseen(self, gap: _Gap) -> list[FrameBundle]:
-        """Bundles without frames for what the gate counted beyond the orphans."""
-        n_orphans = min(self._n_orphans, gap.n_triggers)
-        self._n_orphans -= n_orphans
-        count = gap.n_triggers - n_orphans
-        self.counters.triggers += count
-        self.counters.incomplete += count
-        self.counters.unseen += count
+    def _unseen(self, told_ns: list[int]) -> list[FrameBundle]:
+        """Bundles without frames for what only the gate's counter knows."""
+        self.counters.triggers += len(told_ns)
+        self.counters.incomplete += len(told_ns)
+        self.counters.unseen += len(told_ns)
         missing = dict.fromkeys(self._camera_ids, UNSEEN)
         return [
-            FrameBundle(trigger=self._unannounced(gap.received_ns), frames={}, missing=missing)
-            for _ in range(count)
+            FrameBundle(trigger=self._unannounced(received_ns), frames={}, missing=missing)
+            for received_ns in told_ns
         ]
 
     def _unannounced(self, received_ns: int) -> Trigger:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-import numpy as np
 from pydantic import AfterValidator, Discriminator, Tag, ValidationInfo
 
 from drivers.cameras.genicam import (
@@ -27,16 +26,14 @@ from drivers.gates.modem_line import ModemLineSettings
 from drivers.gates.serial_gate import SerialGateSettings
 from drivers.recording import open_recording, require_rig_of
 from drivers.rig_file import read_rig
-from pipeline.fall import blur_px, fall_time_ms, longest_exposure_us, speed_mm_s
+from pipeline.fall import fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from service.bundling import BundlingParameters
 from service.paths import ConfiguredPath, beside_the_file
+from service.rig_checks import blur_problems, timing_problems, transfer_problems
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
-
-BUSY_SLACK_MS = 30.0
-"""A stone may follow the one before by so much less than a camera is busy: it is lost as a stone without frames."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +221,7 @@ class AravisRigSettings:
 
     def problems(self, bundling: BundlingParameters) -> Iterator[str]:
         """Say what cannot work, with the physics of it."""
-        yield from self._timing_problems(bundling)
+        yield from timing_problems(self, bundling)
         try:
             calibration = read_rig(self.calibration)
         except RecordingError as err:
@@ -244,63 +241,14 @@ class AravisRigSettings:
                     f"rig.cameras: {place.id} is camera {place.serial},"
                     f" but {self.calibration} was made with camera {serial} in its place"
                 )
-        yield from self._blur_problems(calibration)
-        yield from self._transfer_problems(calibration, bundling)
+        yield from blur_problems(self, calibration)
+        yield from transfer_problems(self, calibration, bundling)
 
     @property
     def _fired_by(self) -> ActionKeys | Literal["software"] | None:
         if self.trigger == "software":
             return "software"
         return self.action if self.trigger == "action" else None
-
-    def _timing_problems(self, bundling: BundlingParameters) -> Iterator[str]:
-        if bundling.dead_time_ms + BUSY_SLACK_MS < self.busy_ms:
-            yield (
-                f"bundling.dead_time_ms: must be at least {self.busy_ms - BUSY_SLACK_MS:.0f}: cameras ignore an edge"
-                f" for {self.busy_ms:.1f} ms after another, not {bundling.dead_time_ms:g}"
-            )
-        if abs(bundling.expected_delay_ms - self.busy_ms) > bundling.window_ms / 2:
-            yield (
-                f"bundling.expected_delay_ms: frames come {self.busy_ms:.1f} ms after their trigger"
-                f" (fall of {self.fall_height_mm:g} mm), not {bundling.expected_delay_ms:g}"
-            )
-
-    def _blur_problems(self, calibration: RigCalibration) -> Iterator[str]:
-        lit_us = (self.flash_us or self.exposure_us) + self.trigger_skew_us
-        speed = speed_mm_s(self.fall_height_mm, self.speed_at_gate_mm_s)
-        pixel_mm = min(
-            float(np.linalg.norm(camera.center_mm)) / float(camera.K[1, 1]) for camera in calibration.cameras
-        )
-        blur = blur_px(lit_us, speed_mm_s=speed, pixel_mm=pixel_mm)
-        if blur > self.max_blur_px:
-            longest_us = longest_exposure_us(self.max_blur_px, speed_mm_s=speed, pixel_mm=pixel_mm)
-            yield (
-                f"rig.exposure_us: {lit_us:g} us of light and skew blur a stone of {speed / 1e3:.2f} m/s by"
-                f" {blur:.1f} px; rig.max_blur_px = {self.max_blur_px:g} allows {longest_us:.0f} us:"
-                " expose for less, or set rig.flash_us for a short strobe"
-            )
-
-    def _transfer_problems(self, calibration: RigCalibration, bundling: BundlingParameters) -> Iterator[str]:
-        """All frames of a trigger share the uplink, and must be through before the next ones come."""
-        rate_bytes_s = min(self.link_bytes_s, self.throughput_limit_bytes_s or self.link_bytes_s)
-        packet_bytes = 1500 if self.packet_size_bytes == "negotiate" else self.packet_size_bytes
-        per_packet_s = packet_bytes / rate_bytes_s + self.packet_delay_ns / 1e9
-        sum_bytes_s = len(self.cameras) * packet_bytes / per_packet_s
-        if sum_bytes_s > self.uplink_bytes_s:
-            yield (
-                f"rig.throughput_limit_bytes_s: {len(self.cameras)} cameras send {sum_bytes_s / 1e6:.0f} MB/s at once,"
-                f" the uplink takes {self.uplink_bytes_s / 1e6:.0f}: limit each to"
-                f" {self.uplink_bytes_s / len(self.cameras) / 1e6:.1f} MB/s or less, or raise rig.packet_delay_ns"
-            )
-        largest_bytes = max(
-            width * height for width, height in (c.image_size_px for c in calibration.cameras)
-        )
-        transfer_ms = largest_bytes / packet_bytes * per_packet_s * 1e3
-        if transfer_ms > bundling.window_ms:
-            yield (
-                f"rig.throughput_limit_bytes_s: a frame takes {transfer_ms:.0f} ms to arrive,"
-                f" more than bundling.window_ms = {bundling.window_ms:g}"
-            )
 
     def _camera(self, place: CameraPlace, image_size_px: tuple[int, int]) -> GigeCameraSettings:
         source = {"software": "Software", "action": "Action1"}.get(self.trigger, self.trigger)
