@@ -7,12 +7,12 @@ nobody answers blocks all cameras for 2.5 s, and it has no action command. Layou
 
 import array
 import fcntl
-import select
+import selectors
 import socket
 import struct
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 
@@ -60,15 +60,14 @@ def probe(address: str, timeout_s: float = 0.1) -> Device | None:
 
     The question is put twice: one lost datagram does not make a camera dead.
     """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-        try:
-            control.connect((str(IPv4Address(address)), GVCP_PORT))
-            for request_id in (1, 2):
-                control.send(_discovery(request_id))
-                if device := next(_answers([control], timeout_s / 2), None):
-                    return device
-        except OSError:  # refused: a machine without a camera; unreachable: not even that
-            pass
+    peer = (str(IPv4Address(address)), GVCP_PORT)
+    # refused: a machine without a camera; unreachable: not even that
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+        control.connect(peer)
+        for request_id in (1, 2):
+            control.send(_discovery(request_id))
+            if device := next(_answers([control], timeout_s / 2), None):
+                return device
     return None
 
 
@@ -129,12 +128,15 @@ def _discovery(request_id: int) -> bytes:
 def _answers(sockets: Sequence[socket.socket], timeout_s: float) -> Iterator[Device]:
     """Cameras that answer on these sockets until the time is over; what is no answer is passed over."""
     deadline_s = time.monotonic() + timeout_s
-    while (left_s := deadline_s - time.monotonic()) > 0:
-        readable, _, _ = select.select(sockets, [], [], left_s)
-        for each in readable:
-            datagram, (address, _) = each.recvfrom(2048)
-            if device := _device(datagram, address):
-                yield device
+    with selectors.PollSelector() as selector:  # select() knows no descriptor above 1023
+        for each in sockets:
+            selector.register(each, selectors.EVENT_READ, each)
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            for key, _ in selector.select(left_s):
+                with suppress(BlockingIOError):  # what came was damaged, and is gone
+                    datagram, (address, _) = key.data.recvfrom(2048, socket.MSG_DONTWAIT)
+                    if device := _device(datagram, address):
+                        yield device
 
 
 def _device(datagram: bytes, address: str) -> Device | None:

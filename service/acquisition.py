@@ -74,7 +74,8 @@ class Acquisition:
         self._leave = asyncio.Event()
         self._is_abandoned = False
         self._n_named = 0
-        self._last_trigger_s = self._last_stone_s = time.monotonic()
+        self._started_s = self._last_trigger_s = time.monotonic()
+        self._last_stone_s: float | None = None
         self.cameras = RigCameras(devices.cameras, clock=devices.clock, is_live=devices.belt is None)
         self.gate = Keeper("light gate", devices.gate)
         self.counters = BundlingCounters()
@@ -115,8 +116,8 @@ class Acquisition:
     def status(self) -> AcquisitionStatus:
         """Return where the rig stands."""
         counters = self.counters
-        last_stone_age_s = time.monotonic() - self._last_stone_s
-        is_starved = last_stone_age_s > SUSPENDED_S
+        now_s = time.monotonic()
+        is_starved = now_s - (self._last_stone_s or self._started_s) > SUSPENDED_S
         is_armed = self.state is AcquisitionState.ARMED
         return AcquisitionStatus(
             state=self.state,
@@ -125,9 +126,9 @@ class Acquisition:
             cameras_armed=self.cameras.armed,
             cameras=len(self.cameras.ids),
             gate=self.gate.state,
-            gate_error=self.gate.last_error,
+            gate_error=self.gate.last_error if self.gate.state == "lost" else None,
             gate_warnings=self._devices.gate.warnings,
-            last_stone_age_s=round(last_stone_age_s, 3),
+            last_stone_age_s=None if self._last_stone_s is None else round(now_s - self._last_stone_s, 3),
             triggers=counters.triggers,
             orphans=counters.orphans,
             unseen=counters.unseen,
@@ -193,8 +194,10 @@ class Acquisition:
         """Whether the next stone will be measured, and if not why."""
         trouble = self.gate.last_error if self.gate.state == "lost" else None
         trouble = trouble or self.cameras.trouble(self._min_cameras)
-        if trouble != self.trouble:
-            log.log(logging.ERROR if trouble else logging.INFO, "held: %s", trouble or "no longer")
+        if trouble and not self.trouble:  # one alarm a cause: what it does to others is not logged again
+            log.error("held: %s", trouble)
+        elif self.trouble and not trouble:
+            log.info("held no longer")
         self.trouble = trouble
         self._enter(AcquisitionState.HELD if trouble else AcquisitionState.ARMED)
 
@@ -247,8 +250,9 @@ class Acquisition:
         for bundle in bundles:
             if not bundle.trigger.is_announced:
                 bundle = replace(bundle, trigger=await self._recorded(self._dated(bundle.trigger)))
-                log.warning(
-                    "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
+                level = logging.DEBUG if self.gate.state == "lost" else logging.WARNING
+                log.log(
+                    level, "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
                 )
             self.cameras.look_into(bundle)
             self._on_bundle(bundle)

@@ -50,6 +50,8 @@ STONE_PASSED = "stone_passed"
 UNSEEN = "unseen"
 """The gate counted the trigger and did not announce it, and no camera exposed."""
 
+DELIVERY_NS = 300_000_000
+"""So long a frame that arrived in time may take to get here from its camera's thread, on a machine that is busy."""
 IN_VIEW_NS = 50_000_000
 """A stone that passes the gate so soon after a test pulse is in the picture, or its edge: it crosses it in 20 ms."""
 REMEMBERED_TRIGGERS = 16
@@ -149,7 +151,7 @@ class BundleAssembler:
                 self.counters.triggers_ignored += event.count
             case TriggersLost():
                 self.counters.triggers_lost += event.count
-                due_ns = event.received_ns + self._delay_ns + 2 * self._window_ns
+                due_ns = event.received_ns + self._delay_ns + self._window_ns + DELIVERY_NS
                 self._missed.missed(event.count, event.received_ns, due_ns)
             case PulseEnded():
                 for window in self._open:
@@ -375,8 +377,7 @@ class BundleAssembler:
         return abs(event.received_ns - expected_ns) <= self._window_ns
 
     def _deadline_ns(self, window: _Window) -> int:
-        # one half width past the window's end, for what arrived in time and is still on its way
-        return window.expected_ns + 2 * self._window_ns
+        return window.expected_ns + self._window_ns + DELIVERY_NS
 
 
 def _received_ns(event: Frame | FrameLost) -> int:

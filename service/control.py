@@ -158,7 +158,7 @@ class AcquisitionStatus:
     gate: str = "closed"
     gate_error: str | None = None
     gate_warnings: tuple[str, ...] = ()
-    last_stone_age_s: float = 0.0  # or since the start
+    last_stone_age_s: float | None = None  # None before the first
     triggers: int = 0
     orphans: int = 0  # announced by the frames alone
     unseen: int = 0  # counted by the gate, announced and photographed by nobody

@@ -17,6 +17,7 @@ from service.control import (
     Health,
     Ne107,
 )
+from service.parent_alarm import cause_of_all
 
 LOW_DISK_BYTES = 1 << 30
 """Less free space on the store's file system is a warning, a tenth of it a failure."""
@@ -159,15 +160,13 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
 
 
 def _all_cameras(facts: Facts) -> Check:
-    n_lost = sum(camera.state == "lost" for camera in facts.cameras)
-    is_all = n_lost == len(facts.cameras) > 1
+    lost = [camera for camera in facts.cameras if camera.state == "lost"]
+    is_all = len(lost) == len(facts.cameras) > 1
     return Check(
         status=_status(fail=is_all),
-        value=len(facts.cameras) - n_lost,
+        value=len(facts.cameras) - len(lost),
         unit="cameras",
-        detail=_if(
-            is_all, f"all {n_lost} cameras are gone: look at the switch, its power and its uplink first"
-        ),
+        detail=_if(is_all, cause_of_all([camera.last_error for camera in lost])),
     )
 
 

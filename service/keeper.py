@@ -143,12 +143,11 @@ class Keeper:
             self._n_relapses = self._n_relapses + 1 if is_relapse else 0
         is_known = self._n_relapses > 0 and reason == self.last_error
         if self.state != "lost":
-            log.log(
-                logging.DEBUG if is_known else logging.ERROR, "device lost: %s device=%s", reason, self.name
-            )
+            level = logging.DEBUG if is_known else logging.WARNING
+            log.log(level, "device lost: %s device=%s", reason, self.name)
             self._lost_at_s = now_s
         elif reason != self.last_error:
-            log.warning("device still lost: %s device=%s", reason, self.name)
+            log.info("device still lost: %s device=%s", reason, self.name)
         self.state, self.last_error = "lost", reason
         self._wake.set()
 

@@ -97,6 +97,7 @@ class Processing:
         self._kept = kept
         self._background: Path | None = None
         self._started = 0
+        self._last_loss = ("", "")
 
     @property
     def has_background(self) -> bool:
@@ -147,7 +148,10 @@ class Processing:
             case Loss() if bundle.is_background:
                 log.warning("background lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
             case Loss(reason=reason, detail=detail):
-                log.warning("trigger lost: %s (%s) bundle=%s", reason, detail, bundle.name)
+                # a cause that lasts is logged once; every trigger has its record
+                level = logging.DEBUG if (reason, detail) == self._last_loss else logging.WARNING
+                log.log(level, "trigger lost: %s (%s) bundle=%s", reason, detail, bundle.name)
+                self._last_loss = (reason, detail)
                 record = lost_record(
                     bundle.trigger,
                     bundle=bundle.name,
@@ -159,6 +163,7 @@ class Processing:
                 await self._results.finish(self._context.session, bundle.name, record)
             case _Measured(record, folder):
                 files = {path.name: path for name in KEPT if (path := folder / name).exists()}
+                self._last_loss = ("", "")
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)

@@ -209,7 +209,10 @@ class Recordings:
         return await self.find(name)
 
     async def find(self, name: str) -> RecordingStatus | None:
-        return next((status for status in await self.all() if status.name == name), None)
+        """None when there is none of that name."""
+        if self._live is not None and self._live.path.name == name:
+            return self._live.status()
+        return await asyncio.to_thread(_recording_in, self._folder, name) or self._failed.get(name)
 
     async def all(self) -> list[RecordingStatus]:
         """All recordings, by name: on the disk, under way, and those that failed since the start."""
@@ -258,25 +261,33 @@ async def _end(live: LiveRecording) -> None:
 
 
 def _recordings_in(folder: Path) -> list[RecordingStatus]:
-    return [_status_of(path) for path in folder.iterdir() if RECORDING_NAME.fullmatch(path.name)]
+    return [status for path in folder.iterdir() if (status := _recording_in(folder, path.name))]
+
+
+def _recording_in(folder: Path, name: str) -> RecordingStatus | None:
+    path = folder / name
+    return _status_of(path) if RECORDING_NAME.fullmatch(name) and path.exists() else None
 
 
 def _status_of(path: Path) -> RecordingStatus:
     sizes = [file.stat().st_size for file in (path / "bundles").glob("*.tiff")]
-    document: dict[str, Any] = {}
+    document: Any = {}
     reason = None
     try:
         document = read_json(path / "recording.json")
     except RecordingError as err:
         reason = f"recording.json {err.problem}"
+    if not isinstance(document, dict) or not isinstance(document.get("made_by", {}), dict):
+        document, reason = {}, "recording.json is damaged"
     made_by = document.get("made_by", {})
+    ended_by = made_by.get("ended_by")
     return RecordingStatus(
         name=path.name,
         state=RecordingState.FAILED if reason else RecordingState.COMPLETE,
-        created_at=document.get("created_at", UNKNOWN_UTC),
+        created_at=str(document.get("created_at", UNKNOWN_UTC)),
         bundles=len(sizes),
         bytes=sum(sizes),
-        ended_by=made_by.get("ended_by"),
+        ended_by=ended_by if isinstance(ended_by, str) else None,
         reason=reason,
         made_by=made_by,
     )

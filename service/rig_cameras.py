@@ -1,6 +1,7 @@
 """All cameras of the rig: kept at work one by one, watched together, remembered for operators."""
 
 import asyncio
+import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
@@ -13,13 +14,23 @@ import numpy as np
 from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.bundle_counters import BundlingCounters, CameraCounters
-from service.bundling import NO_FRAME
+from service.bundling import CAMERA_LOST, DEAD_TIME, DISARMED, NO_FRAME, STONE_PASSED, UNSEEN
 from service.control import CameraStatus
 from service.exposure_skew import ExposureSkew
 from service.keeper import Keeper
+from service.parent_alarm import cause_of_all
+
+log = logging.getLogger(__name__)
 
 FROZEN = "frozen"
 """The image is the camera's previous one, bit for bit: no sensor does that twice."""
+NOT_ITS_FAULT = frozenset({CAMERA_LOST, DEAD_TIME, DISARMED, STONE_PASSED, UNSEEN})
+"""Why a bundle has no frame of a camera that is well."""
+REOPENED_FOR = {
+    NO_FRAME: "answers, but sends no images: look at its trigger line and its settings",
+    FROZEN: "sends the same image again and again: switch it off and on",
+}
+"""What a new session may cure."""
 MAX_MISSES = 3
 """So many triggers in a row without an image, and the camera is opened anew although it answers."""
 MAX_SKEW_US = 20.0
@@ -38,6 +49,7 @@ class _Place:
     received_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     misses: int = 0  # triggers in a row
+    why: str = ""  # of the latest miss
     counters: CameraCounters = field(default_factory=CameraCounters)  # of the latest session
     earlier: Counter[str] = field(default_factory=Counter)  # the same, of all sessions before
 
@@ -114,7 +126,7 @@ class RigCameras:
             return None
         lost = [place.keeper for place in self._places.values() if place.keeper.state == "lost"]
         if len(lost) == len(self._places) > 1:
-            return f"all {len(lost)} cameras are gone: look at the switch, its power and its uplink first"
+            return cause_of_all([keeper.last_error for keeper in lost])
         names = ", ".join(keeper.name for keeper in lost)
         why = lost[0].last_error if lost else None
         return f"{names}: {why}; {self.armed} cameras are left of {min_cameras} needed"
@@ -149,7 +161,8 @@ class RigCameras:
             if frame is not None:
                 place.misses = 0
                 place.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
-            elif bundle.missing[camera] in (NO_FRAME, FROZEN) and place.keeper.state == "armed":
+            elif place.keeper.state == "armed" and bundle.missing[camera] not in NOT_ITS_FAULT:
+                place.why = bundle.missing[camera]
                 silent.append((camera, place))
         if bundle.frames:
             self.blind_triggers = 0
@@ -160,9 +173,10 @@ class RigCameras:
             if not bundle.frames:
                 continue
             place.misses += 1
-            if place.misses % MAX_MISSES == 0:
-                reason = f"answers, but had no image for {place.misses} triggers in a row"
-                self._tell_lost(camera, reason)
+            if place.misses == MAX_MISSES:
+                log.warning("%s camera=%s", _miss_warnings(place)[0], camera)
+            if place.misses % MAX_MISSES == 0 and place.why in REOPENED_FOR:
+                self._tell_lost(camera, REOPENED_FOR[place.why])
 
     def statuses(self) -> list[CameraStatus]:
         """State, and counters since the start, of all cameras in page order."""
@@ -221,7 +235,7 @@ def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None
         latency_max_ms=None if not latencies_ms else round(max(latencies_ms), 3),
         last_frame_age_s=None if not place.received_s else round(now_s - place.received_s[-1], 3),
         skew_us=None if skew_us is None else round(skew_us, 1),
-        warnings=(*vitals.warnings, *_skew_warnings(skew_us), *_miss_warnings(place.misses)),
+        warnings=(*vitals.warnings, *_skew_warnings(skew_us), *_miss_warnings(place)),
     )
 
 
@@ -231,10 +245,10 @@ def _skew_warnings(skew_us: float | None) -> tuple[str, ...]:
     return (f"exposes {skew_us:.0f} us beside the other cameras: look at its trigger line and its settings",)
 
 
-def _miss_warnings(misses: int) -> tuple[str, ...]:
-    if misses < MAX_MISSES:
+def _miss_warnings(place: _Place) -> tuple[str, ...]:
+    if place.misses < MAX_MISSES:
         return ()
-    return (f"answers, but had no image for {misses} triggers in a row: look at its trigger line",)
+    return (f"answers, but {place.misses} images in a row could not be used ({place.why})",)
 
 
 def _png(image: Image) -> bytes:

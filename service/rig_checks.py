@@ -18,10 +18,11 @@ BUSY_SLACK_MS = 30.0
 
 def timing_problems(rig: "AravisRigSettings", bundling: BundlingParameters) -> Iterator[str]:
     """Say which times of the bundling do not fit the fall."""
-    if bundling.dead_time_ms + BUSY_SLACK_MS < rig.busy_ms:
+    if rig.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < rig.busy_ms:
         yield (
-            f"bundling.dead_time_ms: must be at least {rig.busy_ms - BUSY_SLACK_MS:.0f}: cameras ignore an edge"
-            f" for {rig.busy_ms:.1f} ms after another, not {bundling.dead_time_ms:g}"
+            f"bundling.dead_time_ms: cameras ignore an edge for {rig.busy_ms:.1f} ms after another; a gate without a"
+            f" clock is given {BUSY_SLACK_MS:g} ms of slack, {rig.busy_ms - BUSY_SLACK_MS:.0f} are needed,"
+            f" not {bundling.dead_time_ms:g}"
         )
     if abs(bundling.expected_delay_ms - rig.busy_ms) > bundling.window_ms / 2:
         yield (

@@ -172,9 +172,10 @@ class AravisRigSettings:
             )
         if self.trigger_delay_ms <= 0:
             raise ValueError(f"delay_correction_ms leaves a trigger delay of {self.trigger_delay_ms:.1f} ms")
-        ids = [camera.id for camera in self.cameras]
-        if twice := {camera for camera in ids if ids.count(camera) > 1}:
-            raise ValueError(f"cameras: {', '.join(sorted(twice))} is there twice")
+        for name in ("id", "serial", "address", "user_name"):
+            values = [value for camera in self.cameras if (value := getattr(camera, name))]
+            if twice := sorted({value for value in values if values.count(value) > 1}):
+                raise ValueError(f"cameras: {name} {', '.join(twice)} is there twice")
         for camera in self.cameras:
             try:
                 self._camera(camera, (1, 1))

@@ -6,16 +6,15 @@ first whether it is there; what may block all the same holds this camera's lock 
 
 import math
 import threading
-import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import gvcp
-from drivers.cameras.aravis_library import explained, load_aravis
+from drivers.cameras.aravis_library import explained, forgetful, load_aravis
 from drivers.cameras.feature_access import Applied, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import FrameReader
@@ -44,7 +43,7 @@ class AravisCamera:
         self._settings = settings
         self._control = threading.RLock()
         self._device: gvcp.Device | None = None  # as it was found the last time
-        self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see _forgetful
+        self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see forgetful
         self._stream: Any = None
         self._reader: FrameReader | None = None
         self._memory: dict[int, NDArray[np.uint8]] = {}
@@ -68,7 +67,7 @@ class AravisCamera:
         with self._control:
             self.close()
             try:
-                with _forgetful():
+                with forgetful(), explained(self.id, "be opened"):
                     self._device = find_camera(self._settings, self._device)
                     self._connect(self._device.address)
                     self._configure()
@@ -85,7 +84,7 @@ class AravisCamera:
             self._reader.start(sink)
             self._is_acquiring = True
             try:
-                with _forgetful(), explained(self.id, "start the acquisition"):
+                with forgetful(), explained(self.id, "start the acquisition"):
                     self._camera.start_acquisition()
             except CameraUnavailableError:
                 self.disarm()
@@ -102,14 +101,14 @@ class AravisCamera:
         if seen.serial != device.serial:
             problem = f"another camera, serial {seen.serial}, has the address {device.address}"
             raise CameraUnavailableError(self.id, problem)
-        with self._control, _forgetful():
+        with self._control, forgetful(), explained(self.id, "be examined"):
             self._require_control()
             self._features().verify(self._applied)
             return self._vitals(device)
 
     def software_trigger(self) -> None:
         """Expose now, if `TriggerSource` is `Software`."""
-        with self._control, _forgetful():
+        with self._control, forgetful():
             if self._camera is None:
                 raise CameraUnavailableError(self.id, "is not open")
             with explained(self.id, "trigger by software"):
@@ -205,7 +204,7 @@ class AravisCamera:
         local = (host, self._stream.get_port())
         try:
             self._receive_buffer_bytes = widen_receive_buffer(local, settings.receive_buffer_bytes)
-        except LookupError as err:
+        except (LookupError, OSError) as err:
             raise CameraUnavailableError(self.id, f"cannot widen its receive buffer: {err}") from err
         self._warnings = tuple(self._opening_warnings())
         for _ in range(settings.n_buffers):
@@ -288,13 +287,3 @@ class AravisCamera:
 
     def _features(self) -> FeatureAccess:
         return FeatureAccess(load_aravis(self.id), self.id, self._camera.get_device())
-
-
-@contextmanager
-def _forgetful() -> Iterator[None]:
-    """Clear the local variables an error's traceback keeps: it would keep the camera, and our control of it."""
-    try:
-        yield
-    except CameraUnavailableError as err:
-        traceback.clear_frames(err.__traceback__)
-        raise

@@ -26,7 +26,10 @@ def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -
         return there
     if last is not None and (there := gvcp.probe(last.address)) and _agrees(there, settings):
         return there
-    seen = gvcp.discover(settings.interfaces or None)
+    try:
+        seen = gvcp.discover(settings.interfaces or None)
+    except OSError as err:  # an address of this machine comes and goes with its network port
+        raise CameraUnavailableError(settings.id, str(err)) from err
     matching = [device for device in seen if _agrees(device, settings)]
     if len(matching) == 1:
         return matching[0]

@@ -44,6 +44,14 @@ UNNEEDED: frozenset[Feature] = frozenset(
 WRITE_ONLY = frozenset({"ActionDeviceKey"})
 """SFNC: whoever may trigger the camera knows the key already."""
 
+_LIMITS = {
+    "packet_size_bytes": (576, 9000),
+    "packet_delay_ns": (0, 1_000_000_000),
+    "throughput_limit_bytes_s": (1, 1 << 40),
+    "receive_buffer_bytes": (1, (1 << 31) - 1),  # what the kernel can be told
+    "n_buffers": (2, 1000),
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GigeCameraSettings:
@@ -76,16 +84,15 @@ class GigeCameraSettings:
                 IPv4Address(address)
             except ValueError as err:
                 raise ValueError(f"{where}: {err}") from None
-        lows = {"packet_delay_ns": 0, "receive_buffer_bytes": 1, "n_buffers": 2}
-        for name, low in lows.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"{where}: {name} must be {low} or more, not {getattr(self, name)}")
+        for name, (low, high) in _LIMITS.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ValueError(f"{where}: {name} must be in {low}..{high}, not {value}")
+        for name, value in self.features:
+            if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+                raise ValueError(f"{where}: feature {name} must have 64 bits, not {value}")
         if min(self.image_size_px) < 1:
             raise ValueError(f"{where}: image_size_px must be positive, not {self.image_size_px}")
-        if self.packet_size_bytes is not None and not 576 <= self.packet_size_bytes <= 9000:
-            raise ValueError(f"{where}: packet_size_bytes must be 576 to 9000, not {self.packet_size_bytes}")
-        if self.throughput_limit_bytes_s is not None and self.throughput_limit_bytes_s <= 0:
-            raise ValueError(f"{where}: throughput_limit_bytes_s must be positive")
 
 
 def trigger_features(*, source: str, activation: str = "RisingEdge", delay_us: float) -> tuple[Feature, ...]:

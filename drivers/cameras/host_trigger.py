@@ -6,11 +6,14 @@ at worst, and each is 2.4 mm of fall.
 
 import itertools
 import socket
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 from drivers.gvcp import GVCP_PORT, action_command, local_addresses
+
+EVERYBODY = "255.255.255.255"
+"""Has no route of its own: it leaves by the interface it is sent out of."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,7 +23,7 @@ class ActionKeys:
     device_key: int = 1
     group_key: int = 1
     group_mask: int = 1
-    targets: tuple[str, ...] = ("255.255.255.255",)  # or addresses of cameras: unicast
+    targets: tuple[str, ...] = (EVERYBODY,)  # or addresses of cameras: unicast
 
     def __post_init__(self) -> None:
         for name in ("device_key", "group_key", "group_mask"):
@@ -33,7 +36,8 @@ class ActionKeys:
 class ActionTrigger:
     """One datagram for all cameras, or one for each: no answer is waited for.
 
-    Raises `OSError` when called while the network is down.
+    Raises `OSError` when called while the network is down: nothing, or nothing out of an interface that was
+    named, could be sent.
     """
 
     def __init__(self, keys: ActionKeys, interfaces: Sequence[str] = ()) -> None:
@@ -49,22 +53,48 @@ class ActionTrigger:
             group_mask=keys.group_mask,
             request_id=next(self._request_ids),
         )
-        for interface in self._interfaces or local_addresses():
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-                sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-                sender.bind((interface, 0))
-                for target in keys.targets:
-                    sender.sendto(datagram, (target, GVCP_PORT))
+        is_sent, is_down, problems = False, False, []
+        for source, target in self._ways():
+            try:
+                _send(datagram, source, target)
+                is_sent = True
+            except OSError as err:
+                is_down |= source in self._interfaces
+                problems.append(f"{target}{source and ' out of ' + source}: {err.strerror}")
+        if is_down or not is_sent:
+            raise OSError(f"no action command to {'; '.join(problems)}")
+
+    def _ways(self) -> Iterator[tuple[str, str]]:
+        """Yield from which address, empty for any, to which."""
+        for target in self._keys.targets:
+            if target == EVERYBODY:
+                for interface in self._interfaces or local_addresses():
+                    yield interface, target
+            else:
+                yield "", target
+
+
+def _send(datagram: bytes, source: str, target: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        sender.bind((source, 0))
+        sender.sendto(datagram, (target, GVCP_PORT))
 
 
 class SoftwareTrigger:
-    """`TriggerSoftware` of every camera at once, each on a thread of its own: a dead one delays nobody."""
+    """`TriggerSoftware` of every camera at once, each on a thread of its own: a dead one delays nobody.
+
+    A camera that still does not answer the last one is left out.
+    """
 
     def __init__(self, fire: Sequence[Callable[[], None]]) -> None:
         self._fire = tuple(fire)
-        self._threads = ThreadPoolExecutor(max_workers=len(self._fire), thread_name_prefix="software trigger")
+        self._threads = [ThreadPoolExecutor(1, f"software trigger {n}") for n in range(len(self._fire))]
+        self._calls: list[Future[None] | None] = [None] * len(self._fire)
 
     def __call__(self) -> None:
-        for fire in self._fire:
-            # what goes wrong is seen where it matters: the camera's frame is missing
-            self._threads.submit(fire)
+        for n, (fire, thread) in enumerate(zip(self._fire, self._threads, strict=True)):
+            call = self._calls[n]
+            if call is None or call.done():
+                # what goes wrong is seen where it matters: the camera's frame is missing
+                self._calls[n] = thread.submit(fire)

@@ -1,7 +1,7 @@
 """The socket a stream comes in by, which Aravis hides and gives enough room only when it is too late.
 
 Aravis applies its own `socket-buffer-size` when the first packet is in: the default buffer loses two
-frames in three, theirs one to three of the first (aravis.md). This sets it before the camera sends.
+frames in three, theirs one to three of the first (measured). This sets it before the camera sends.
 """
 
 import os

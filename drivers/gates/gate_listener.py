@@ -43,7 +43,10 @@ class GateCounters:
 
 
 class GateListener:
-    """Feed it what was read, in order; it keeps what it knows of the gate when the port is opened again."""
+    """Feed it what was read, in order; it keeps what it knows of the gate when the port is opened again.
+
+    Then it may be another gate: nothing counts until it has said who it is.
+    """
 
     def __init__(self, *, baud: int, debounce_ns: int) -> None:
         self._byte_ns = BITS_A_BYTE * 1_000_000_000 // baud
@@ -56,6 +59,7 @@ class GateListener:
         self._ignored: int | None = None
         self._blocked_since_ns: int | None = None
         self._counters = GateCounters()
+        self._is_recognised = True
         self.identity: Identity | None = None
         self.n_statuses = 0
 
@@ -70,6 +74,7 @@ class GateListener:
         self._clock.restart()
         self._filter.reset()
         self._blocked_since_ns = None
+        self._is_recognised = False
 
     def blocked_s(self, now_ns: int) -> float:
         """For how long the beam has been closed, by the statuses."""
@@ -97,6 +102,8 @@ class GateListener:
         return [self._event(pulse, now_ns, self._sequence) for pulse in pulses]
 
     def _take(self, record: Record, latest_ns: int) -> list[DeviceEvent]:
+        if not self._is_recognised and not isinstance(record, Identity):
+            return []
         match record:
             case Edge() | TestPulse():
                 return self._take_edge(record, latest_ns)
@@ -108,7 +115,11 @@ class GateListener:
             case Status():
                 return self._take_status(record, latest_ns)
             case Identity():
-                self.identity = record
+                if self.identity not in (None, record):
+                    log.warning("light gate: now it is %s, before it was %s", record, self.identity)
+                    self._counter.forget()
+                    self._begin_anew(ignored=None)
+                self.identity, self._is_recognised = record, True
                 return []
 
     def _take_edge(self, record: Edge | TestPulse, latest_ns: int) -> list[DeviceEvent]:
@@ -143,14 +154,19 @@ class GateListener:
         self.n_statuses += 1
         return events
 
+    def _begin_anew(self, *, ignored: int | None) -> None:
+        """Forget what another gate, or the same one before it restarted, has said."""
+        self._clock.restart()
+        self._filter.reset()
+        self._edge = None
+        self._ignored = ignored
+
     def _account(self, step: Step, latest_ns: int) -> list[DeviceEvent]:
         if step.has_restarted:
             self._counters.restarts += 1
-            self._clock.restart()
-            self._filter.reset()
-            self._edge = None
-            self._ignored = 0
-            log.warning("light gate restarted, missed=%d since: check its power supply", step.missed)
+            self._begin_anew(ignored=None if step.missed is None else 0)
+            missed = "nobody knows how many" if step.missed is None else step.missed
+            log.warning("light gate counts anew, missed: %s; check its power supply", missed)
         if not step.missed:
             return []
         self._counters.missed += step.missed

@@ -12,12 +12,14 @@ from the gate
 ``$S,<us>,<last>,<ignored>,<0|1>``    every second: last sequence number sent, edges merged, beam blocked now
 ``$I,<name>,<serial>,<version>``      who I am
 to the gate, without checksum
-``?\n``                               identify: `I` and at once an `S`
+``?\n``                               identify: `I` and at once an `S`; asked when the port is opened, and
+                                      nothing counts until it is answered
 ``T\n``                               pulse the cameras' trigger line once
 ====================================  ========================================================================
 
 - `seq` counts what triggered the cameras, edges and test pulses alike: the first after power-on is 1,
-  4294967295 is followed by 0. Never repeat, never skip a number: a jump tells the host what it lost.
+  4294967295 is followed by 0. Never repeat, never skip a number: a jump tells the host what it lost, unless it is
+  further than stones can have fallen.
 - `us` is the gate's own microseconds since power-on, 64 bits, of the edge itself (of the status: of its
   sending); from a crystal (200 ppm), as the host finds the latency of every line by comparing clocks.
 - Lines leave in the order of what they tell: a status counts no edge whose line comes after it.

@@ -5,6 +5,7 @@ A second line, an output in parallel with the sensor on the cameras' trigger lin
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import NamedTuple, Protocol
@@ -15,6 +16,7 @@ from drivers.gates.line_pulses import LinePulses
 from drivers.interfaces import EventSink
 
 WAIT_S = 0.02
+MAX_SETTLING_US = 1_000_000
 EVENT_BUFFER = 1024
 """Edges the kernel keeps for us; when more come it drops the oldest, and their numbers are missing."""
 ECHO_NS = 1_000_000
@@ -38,8 +40,12 @@ class GpioGateSettings:
             raise ValueError("chip must be named, such as /dev/gpiochip0")
         if self.test_line == self.line:
             raise ValueError(f"test_line must be another line than {self.line}")
-        if self.debounce_us < 0 or self.glitch_us < 0:
-            raise ValueError("debounce_us and glitch_us must not be negative")
+        for name in ("debounce_us", "glitch_us"):
+            if not 0 <= getattr(self, name) <= MAX_SETTLING_US:
+                raise ValueError(f"{name} must be in 0..{MAX_SETTLING_US}, not {getattr(self, name)}")
+        for line in (self.line, self.test_line):
+            if isinstance(line, int) and not 0 <= line < 1 << 16:
+                raise ValueError(f"a line's offset must be in 0..65535, not {line}")
         if not 1 <= self.test_pulse_us <= 100_000:
             raise ValueError(f"test_pulse_us must be in 1..100000, not {self.test_pulse_us}")
 
@@ -138,7 +144,7 @@ class GpioGate:
         except (OSError, ValueError) as err:
             raise self._thread.error(
                 f"cannot be had: {err}; the chip must be there, the line free, "
-                "and the service's user in the group gpio"
+                "and the service's user in the group dialout"
             ) from err
         self._pulses.reset()
         self._last = None
@@ -170,7 +176,8 @@ class GpioGate:
     def close(self) -> None:
         self._thread.stop()
         if self._lines is not None:
-            self._lines.close()
+            with suppress(OSError):
+                self._lines.close()
             self._lines = None
 
     def _turn(self, lines: GpioLines) -> None:

@@ -16,6 +16,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
@@ -156,12 +157,12 @@ class ModemLineGate:
             return
         self.close()
         try:
-            line = self._open_line(self._settings)
+            line = self._line = self._open_line(self._settings)
             first = line.look()
-        except OSError as err:
-            problem = "has no modem lines" if err.errno == errno.ENOTTY else port_problem(err)
-            raise self._thread.error(problem) from err
-        self._line = line
+        except (OSError, ValueError) as err:
+            self.close()
+            is_no_port = isinstance(err, OSError) and err.errno == errno.ENOTTY
+            raise self._thread.error("has no modem lines" if is_no_port else port_problem(err)) from err
         self._pulses.reset()
         between = EdgesBetween(first)
         self._thread.start(lambda: self._turn(line, between))
@@ -179,7 +180,8 @@ class ModemLineGate:
     def close(self) -> None:
         self._thread.stop()
         if self._line is not None:
-            self._line.close()
+            with suppress(OSError):
+                self._line.close()
             self._line = None
 
     def _turn(self, line: ModemLine, between: EdgesBetween) -> None:

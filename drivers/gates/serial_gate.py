@@ -4,6 +4,7 @@ import termios
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import serial
@@ -36,8 +37,8 @@ class SerialGateSettings:
     def __post_init__(self) -> None:
         if not self.port:
             raise ValueError("port must be named, as under /dev/serial/by-id/")
-        if self.baud < 300:
-            raise ValueError(f"baud must be at least 300, not {self.baud}")
+        if not 300 <= self.baud <= 12_000_000:
+            raise ValueError(f"baud must be in 300..12000000, not {self.baud}")
         if self.debounce_us < 0:
             raise ValueError(f"debounce_us must not be negative, not {self.debounce_us}")
         if self.answer_timeout_s <= 0 or self.blocked_s <= 0:
@@ -105,7 +106,7 @@ class SerialGate:
                     raise self._thread.error(self._thread.failure)
                 if time.monotonic() > deadline_s:
                     raise self._thread.error(
-                        f"sends no status within {self._settings.answer_timeout_s:g} s, but "
+                        f"sends no identity and status within {self._settings.answer_timeout_s:g} s, but "
                         f"{self.counters.garbage} damaged lines: check port, baud rate and firmware"
                     )
         except BaseException:
@@ -142,7 +143,8 @@ class SerialGate:
         self.disarm()
         self._thread.stop()
         if self._port is not None:
-            self._port.close()
+            with suppress(OSError):  # it may be gone
+                self._port.close()
             self._port = None
 
     def _connect(self) -> serial.Serial:

@@ -72,6 +72,7 @@ class SimulatedRig:
             fall_ns=round(design.fall_ms * 1e6),
             exposure_us=design.exposure_us or _recorded_exposure_us(recording),
             gain_db=design.gain_db,
+            seed=design.seed,
         )
         self._scene = scene
         uplink = None

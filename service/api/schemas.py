@@ -127,13 +127,15 @@ class Acquisition(BaseModel):
     gate: str = Field(description="closed, armed or lost")
     gate_error: str | None
     gate_warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
-    last_stone_age_s: float = Field(description="Seconds since the last stone, or since the start")
+    last_stone_age_s: float | None = Field(description="Seconds since the last stone; null before the first")
     triggers: int
     orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
     unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
     in_dead_time: int = Field(description="Triggers too soon after another; lost")
     triggers_ignored: int = Field(description="Bounces and doubles of one stone, merged by the gate")
-    triggers_lost: int = Field(description="Gaps in the gate's own counter; orphans and unseen ones")
+    triggers_lost: int = Field(
+        description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen"
+    )
     events_refused: int = Field(description="Frames that the daemon was too slow for")
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from drivers.cameras.description import genicam_xml
 from drivers.gvcp import Device, discover, local_addresses
@@ -59,5 +60,6 @@ def _table(devices: list[Device]) -> Table:
         table.add_column(title, overflow="fold")
     for device in devices:
         model = f"{device.vendor} {device.model} {device.version}"
-        table.add_row(device.address, device.serial, device.user_name, model, device.mac)
+        cells = (device.address, device.serial, device.user_name, model, device.mac)
+        table.add_row(*map(Text, cells))  # a MAC with :cd: in it is no picture of a disc
     return table

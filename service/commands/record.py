@@ -37,7 +37,7 @@ def command(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Record from the rig of a configuration; Ctrl-C ends it and keeps what is there."""
+    """Record from the rig of a configuration; Ctrl-C ends it and keeps what is there, once more waits for no device."""
     settings = load_settings(config)
     if wrong := "; ".join(problems(settings)):
         raise SettingsError(f"{config}: {wrong}")
@@ -97,8 +97,14 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
         on_bundle=recording.offer,
         on_progress=lambda: None,
     )
+
+    def end() -> None:
+        if rig.state is AcquisitionState.STOPPING:  # asked again: the devices take too long
+            rig.abandon()
+        rig.stop()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, rig.stop)
+        asyncio.get_running_loop().add_signal_handler(number, end)
     recording.start()
     acquiring = asyncio.create_task(rig.run())
     rig.request(AcquisitionTarget.ARMED)
@@ -134,9 +140,15 @@ async def _follow(
 
 
 def _why(rig: Acquisition) -> str | None:
-    """Why the rig is held, None when it is not; of several cameras one speaks for all."""
-    causes = [f"; {camera.id}: {camera.last_error}" for camera in rig.cameras.statuses() if camera.last_error]
-    return rig.trouble and rig.trouble + "".join(causes[:1])
+    """Why the rig is held, None when it is not; of several lost cameras one speaks for all."""
+    trouble = rig.trouble
+    if trouble is None or rig.gate.state == "lost":
+        return trouble
+    lost = [camera for camera in rig.cameras.statuses() if camera.state == "lost"]
+    causes = [
+        f"; {camera.id}: {camera.last_error}" for camera in lost[:1] if str(camera.last_error) not in trouble
+    ]
+    return trouble + "".join(causes)
 
 
 def _whose_rig(state_dir: Path) -> str:

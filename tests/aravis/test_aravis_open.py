@@ -9,6 +9,7 @@ from support.gige import NET, SIZE_PX, design, powered, settings_for
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
+from drivers.cameras.feature_access import FeatureAccess
 from drivers.cameras.genicam import (
     Feature,
     GigeCameraSettings,
@@ -111,6 +112,28 @@ def test_a_second_application_is_refused_and_told_when_to_try_again(simulated: S
     second = AravisCamera(settings_for(design()))
     second.open()
     second.close()
+
+
+def test_an_address_this_machine_has_no_longer_is_a_camera_that_is_not_there() -> None:
+    settings = settings_for(design(), address=None, serial="SIM02", interfaces=("198.51.100.7",))
+    assert "c02: no camera can be looked for out of 198.51.100.7" in refusal(settings)
+
+
+def test_whatever_aravis_says_is_said_of_the_camera(
+    simulated: SimulatedCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = AravisCamera(settings_for(design()))
+    camera.open()
+
+    def fail(features: FeatureAccess, _: object) -> None:
+        features._device.get_integer_feature_bounds("NoSuchFeature")
+
+    monkeypatch.setattr(FeatureAccess, "verify", fail)
+    with pytest.raises(CameraUnavailableError, match=r"c02: cannot be examined: .*NoSuchFeature"):
+        camera.examine()
+    camera.close()
+    assert "c02: cannot be opened: " in refusal(settings_for(design()))
+    assert simulated.controller is None
 
 
 # --- what it is set to ---
@@ -274,6 +297,10 @@ def test_a_receive_buffer_the_kernel_cuts_is_a_warning_with_the_remedy() -> None
         ({"throughput_limit_bytes_s": 0}, "throughput_limit_bytes_s"),
         ({"n_buffers": 1}, "n_buffers"),
         ({"receive_buffer_bytes": 0}, "receive_buffer_bytes"),
+        ({"receive_buffer_bytes": 1 << 31}, "receive_buffer_bytes must be in 1..2147483647"),
+        ({"packet_delay_ns": 1 << 63}, "packet_delay_ns"),
+        ({"throughput_limit_bytes_s": 1 << 63}, "throughput_limit_bytes_s"),
+        ({"features": (("Width", 1 << 63),)}, "feature Width must have 64 bits"),
     ],
 )
 def test_settings_are_checked_before_any_camera(changes: dict[str, object], problem: str) -> None:

@@ -1,5 +1,7 @@
 """Discovery and action commands, over our own datagrams."""
 
+import os
+import resource
 import socket
 import struct
 import time
@@ -46,6 +48,20 @@ def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
         assert time.monotonic() - start_s < 0.3
     assert probe(f"{NET}.9") is None  # refused
     assert probe("240.0.0.1") is None  # unreachable
+
+
+@pytest.mark.usefixtures("camera")
+def test_a_process_with_many_files_open_may_ask() -> None:
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(2000, limits[1]), limits[1]))
+    descriptors = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
+    try:
+        assert probe(f"{NET}.2") is not None
+        assert [device.serial for device in ours(discover([INTERFACE]))] == ["SIM02"]
+    finally:
+        for descriptor in descriptors:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 def test_a_lost_datagram_is_no_dead_camera() -> None:

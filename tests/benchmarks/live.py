@@ -46,7 +46,7 @@ def main() -> int:
     parser.add_argument("--loss", type=float, default=0, help="probability of losing a packet")
     parser.add_argument("--keep-raw", type=int, default=0)
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
         write_recording(folder / "recording", arguments.size_mm)
         command = [
@@ -58,7 +58,7 @@ def main() -> int:
             assert simulator.stdout is not None
             rig = json.loads(simulator.stdout.readline())
             try:
-                return soak(folder, rig, simulator, arguments)
+                return soak(folder, spool, rig, simulator, arguments)
             finally:
                 simulator.terminate()
 
@@ -81,7 +81,9 @@ def write_recording(path: Path, size_mm: float) -> None:
             writer.add(render_bundle([placed], simulated, rng, sequence=number, label="round"))
 
 
-def soak(folder: Path, rig: dict[str, Any], simulator: "subprocess.Popen[str]", arguments: Any) -> int:
+def soak(
+    folder: Path, spool: str, rig: dict[str, Any], simulator: "subprocess.Popen[str]", arguments: Any
+) -> int:
     cameras = "\n".join(
         f'[[rig.cameras]]\nid = "{each["id"]}"\nserial = "{each["serial"]}"\naddress = "{each["address"]}"'
         for each in rig["cameras"]
@@ -99,7 +101,7 @@ at_start = 2
 every_s = 0
 """
     with DaemonProcess(
-        folder, folder, rig=section, voxels=256, store=f"keep_raw = {arguments.keep_raw}"
+        folder, folder, rig=section, voxels=256, spool=spool, store=f"keep_raw = {arguments.keep_raw}"
     ) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)

@@ -21,7 +21,7 @@ STONEFALL = Path(sys.executable).with_name("stonefall")
 CONFIG = """
 {rig}
 [spool]
-dir = "spool"
+dir = "{spool}"
 max_bundles = 100
 [store]
 dir = "state"
@@ -47,6 +47,7 @@ class DaemonProcess:
         *,
         rig: str = 'pace = "fast"',
         store: str = "",
+        spool: str = "spool",
         voxels: int = 64,
         slots: int = 2,
         port: int = 0,
@@ -58,7 +59,7 @@ class DaemonProcess:
         self.log_path = folder / "daemon.log"
         self.config_path = folder / "stonefall.toml"
         self.config_path.write_text(
-            CONFIG.format(rig=rig, store=store, voxels=voxels, slots=slots, port=port)
+            CONFIG.format(rig=rig, store=store, spool=spool, voxels=voxels, slots=slots, port=port)
         )
         self.heard: list[str] = []
 

@@ -234,6 +234,49 @@ class TestCounter:
         step = counter.edge(1, 3_000_000)
         assert (step.sequence, step.is_repeated, step.has_restarted) == (2, False, True)
 
+    def test_no_more_is_missed_than_can_have_fallen(self) -> None:
+        counter = EdgeCounter()
+        counter.edge(7, 10_000_000)
+        step = counter.status(67, 11_000_000)  # 50 in a second, and 10 at once
+        assert (step.sequence, step.missed, step.has_restarted) == (67, 60, False)
+        step = counter.edge(1_000_000, 12_000_000)
+        assert (step.sequence, step.missed, step.has_restarted) == (68, None, True)
+        step = counter.edge(900_000, 2_000_000)  # a restart, two seconds ago
+        assert (step.sequence, step.missed, step.has_restarted) == (69, None, True)
+        step = counter.edge(900_002, 3_000_000)
+        assert (step.sequence, step.missed, step.has_restarted) == (71, 1, False)
+
+
+def test_a_counter_that_jumps_is_a_warning_and_no_loss(caplog: pytest.LogCaptureFixture) -> None:
+    wire = Wire()
+    wire.edge(5, 1000)
+    (trigger,) = wire.edge(5_000_000, 2000)
+    assert isinstance(trigger, Trigger)
+    assert trigger.sequence == 6
+    assert "nobody knows how many" in caplog.text
+    assert (wire.listener.counters.missed, wire.listener.counters.restarts) == (0, 1)
+
+
+def test_another_gate_on_the_same_port_owes_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    wire = Wire()
+    wire.hear(0, Identity(name="gate", serial="1", version="1"))
+    wire.edge(5, 1000)
+    wire.listener.reopen()
+    assert wire.status(86_400_000, 300_000, ignored=70_000) == []  # before it said who it is
+    assert wire.listener.n_statuses == 0
+    assert wire.hear(86_400_001, Identity(name="gate", serial="2", version="1")) == []
+    assert wire.status(86_400_002, 300_000, ignored=70_000) == []
+    assert "serial='2'" in caplog.text
+    (trigger,) = wire.edge(300_001, 86_400_500)
+    assert isinstance(trigger, Trigger)
+    assert trigger.sequence == 6
+    assert wire.listener.counters.missed == 0
+    wire.listener.reopen()
+    wire.hear(86_401_000, Identity(name="gate", serial="2", version="1"))
+    assert kinds(wire.status(86_402_000, 300_004, ignored=70_000)) == [
+        ("TriggersLost", 3)
+    ]  # the same: what it counted is lost
+
 
 def test_the_gap_of_a_restart_says_so() -> None:
     wire = Wire()

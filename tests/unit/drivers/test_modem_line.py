@@ -133,6 +133,19 @@ def test_it_delivers_nothing_while_disarmed_but_counts_on(make_gate: MakeGate) -
     assert trigger.sequence == 1
 
 
+def test_a_line_that_dies_while_it_is_opened_or_closed_is_let_go(make_gate: MakeGate) -> None:
+    class Dying(FakeLine):
+        def close(self) -> None:
+            super().close()
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    line = Dying()
+    line.is_gone = True
+    with pytest.raises(GateUnavailableError, match="light gate /dev/ttyX CTS"):
+        make_gate(line)
+    assert line.is_closed
+
+
 def test_it_cannot_trigger_the_cameras(make_gate: MakeGate) -> None:
     gate, _ = make_gate(FakeLine())
     with pytest.raises(GateUnavailableError, match="cannot trigger the cameras"):

@@ -5,6 +5,7 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,22 @@ def test_a_test_pulse_shows_the_empty_rig(recording_path: Path, design: RigDesig
         assert [trigger.kind for trigger in triggers] == [BundleKind.BACKGROUND] * 3
         assert rig.gate.counters.test_pulses == 3
         assert rig.belt.counters.empty == 0
+
+
+@pytest.mark.parametrize("n_backgrounds", [0, 1])
+def test_one_exposure_of_the_empty_rig_is_never_sent_twice(
+    tmp_path: Path, design: RigDesign, n_backgrounds: int
+) -> None:
+    bundles = [make_bundle(number, kind=BundleKind.BACKGROUND) for number in range(1, n_backgrounds + 1)]
+    recording = open_recording(write_recording(tmp_path / "rec", [*bundles, make_bundle(7)]))
+    small = replace(design, n_cameras=1)
+    with SimulatedRig(small, recording) as rig, hosted(rig, small) as host:
+        for n in range(1, 4):
+            host.gate.test_pulse()
+            eventually(lambda n=n: len(host.images(CAMERAS[0])) == n)
+        images = [image.astype(int) for image in host.images(CAMERAS[0])]
+    for before, after in pairwise(images):
+        assert 1 <= np.abs(after - before).sum() <= 2
 
 
 def test_faults_by_socket(

@@ -19,7 +19,7 @@ from drivers.interfaces import (
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundle_counters import CameraCounters
-from service.bundling import BundleAssembler, BundlingParameters
+from service.bundling import DELIVERY_NS, BundleAssembler, BundlingParameters
 
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 4))
 A, B, C = CAMERAS
@@ -67,7 +67,7 @@ def test_a_bundle_leaves_as_soon_as_it_is_complete() -> None:
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     assert assembler.next_deadline_ns is None
     assert feed_all(assembler, [trigger(0, 0), frame(B, 0, DELAY_NS), frame(A, 0, DELAY_NS)]) == []
-    assert assembler.next_deadline_ns == DELAY_NS + 2 * WINDOW_NS
+    assert assembler.next_deadline_ns == DELAY_NS + WINDOW_NS + DELIVERY_NS
     (bundle,) = assembler.feed(frame(C, 0, DELAY_NS))
     assert list(bundle.frames) == list(CAMERAS)
     assert not bundle.missing
@@ -194,9 +194,9 @@ def test_three_orphans_explain_gaps_that_are_told_one_by_one() -> None:
         feed_all(assembler, [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS])
     assembler.advance(8 * period_ns)
     assert assembler.counters.orphans == 3
-    for count, at_ns in ((1, 8 * period_ns), (2, 12 * period_ns)):
+    for count, at_ns in ((1, 8 * period_ns), (2, 13 * period_ns)):
         assembler.feed(TriggersLost(received_ns=at_ns, count=count, reason="gap"))
-        assembler.advance(at_ns + 3 * period_ns)
+        assembler.advance(at_ns + 4 * period_ns)
     assert assembler.counters.unseen == 0
 
 
@@ -206,7 +206,7 @@ def test_what_only_the_counter_of_the_gate_knows_is_a_bundle_without_frames() ->
     gap = TriggersLost(received_ns=1000 * MS, count=2, reason="gap")
     assert feed_all(assembler, [trigger(3, 1000 * MS), gap]) == []
     bundles = feed_all(assembler, [frame(camera, 3, 1000 * MS + DELAY_NS) for camera in CAMERAS])
-    bundles += assembler.advance(1000 * MS + DELAY_NS + 2 * WINDOW_NS)
+    bundles += assembler.advance(1000 * MS + DELAY_NS + WINDOW_NS + DELIVERY_NS)
     assert [len(bundle.frames) for bundle in bundles] == [3, 0, 0]
     assert set(bundles[1].missing.values()) == {"unseen"}
     assert assembler.counters.triggers == 4 == assembler.counters.complete + assembler.counters.incomplete

@@ -13,7 +13,7 @@ def cameras(lost: int = 0) -> list[CameraStatus]:
         CameraStatus(
             id=CameraId(f"c{number:02d}"),
             state="lost" if number <= lost else "armed",
-            last_error="unplugged" if number <= lost else None,
+            last_error="does not answer" if number <= lost else None,
         )
         for number in range(1, 17)
     ]
@@ -79,7 +79,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
 def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne107, is_ready: bool):
     health = assess(replace(HEALTHY, cameras=cameras(lost)))
     assert (health.ne107, health.ready) == (state, is_ready)
-    assert health.reasons[0] == "camera:c01: unplugged"
+    assert health.reasons[0] == "camera:c01: does not answer"
     assert len(health.reasons) == lost
 
 
@@ -157,7 +157,7 @@ def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():
     assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
     (reason,) = health.reasons
     assert reason.startswith("cameras: all 16 cameras are gone: look at the switch")
-    assert health.checks["camera:c07"].detail == "unplugged"
+    assert health.checks["camera:c07"].detail == "does not answer"
 
 
 def test_what_a_camera_warns_of_is_maintenance():
@@ -165,3 +165,9 @@ def test_what_a_camera_warns_of_is_maintenance():
     health = assess(replace(HEALTHY, cameras=[*warned, *cameras()[1:]]))
     assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
     assert health.reasons == ("camera:c01: receive buffer is small",)
+
+
+def test_cameras_that_answer_and_belong_to_someone_else_are_not_the_switch():
+    taken = [replace(camera, last_error="is in use by another application") for camera in cameras(16)]
+    (reason,) = assess(replace(HEALTHY, cameras=taken)).reasons
+    assert reason == "cameras: all 16 cameras are lost, the first one: is in use by another application"

@@ -2,16 +2,20 @@
 
 import fcntl
 import json
+import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.daemon_process import STONEFALL
+from support.eventually import eventually
 from support.recordings import CAMERAS, make_bundle, write_recording
 
 from drivers.cameras.replay import ReplayCamera
@@ -97,6 +101,62 @@ def test_cameras_that_are_not_to_be_had(
             record.command(tmp_path / "out", config)
     assert ("POST /api/v1/recordings" in str(caught.value)) == daemon_runs
     assert not list(tmp_path.glob("*out*"))
+
+
+def test_one_cause_is_told_once():
+    def status(camera: str, state: str, last_error: str | None) -> SimpleNamespace:
+        return SimpleNamespace(id=camera, state=state, last_error=last_error)
+
+    def rig(trouble: str | None, gate: str = "armed") -> SimpleNamespace:
+        cameras = [
+            status("c01", "armed", "of the past"),
+            status("c02", "lost", "dead"),
+            status("c03", "lost", "x"),
+        ]
+        return SimpleNamespace(
+            trouble=trouble,
+            gate=SimpleNamespace(state=gate),
+            cameras=SimpleNamespace(statuses=lambda: cameras),
+        )
+
+    assert record._why(rig(None)) is None
+    assert record._why(rig("all are gone")) == "all are gone; c02: dead"
+    assert record._why(rig("c02, c03: dead; 1 left")) == "c02, c03: dead; 1 left"
+    assert record._why(rig("light gate /dev/x: is gone", "lost")) == "light gate /dev/x: is gone"
+
+
+def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    closing, release, closed = threading.Event(), threading.Event(), threading.Event()
+
+    class Stuck(ReplayCamera):
+        def close(self) -> None:
+            closing.set()
+            release.wait(10)
+            closed.set()
+            super().close()
+
+    def build_stuck(backend: ReplayBackend) -> Devices:
+        devices = build_devices(backend)
+        assert devices.belt is not None
+        first = {CAMERAS[0]: Stuck(CAMERAS[0], devices.belt)}
+        return replace(devices, cameras={**devices.cameras, **first})
+
+    def insist() -> None:
+        eventually(lambda: len(list(tmp_path.glob(".out.*.unfinished/bundles/*.tiff"))) >= 2)
+        os.kill(os.getpid(), signal.SIGINT)
+        assert closing.wait(20)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(record, "build_devices", build_stuck)
+    insisting = threading.Thread(target=insist)
+    insisting.start()
+    try:
+        record.command(tmp_path / "out", configuration(tmp_path, "loop = true"))
+        assert not closed.is_set()
+        assert len(list(bundles_in(tmp_path / "out"))) >= 2
+    finally:
+        release.set()
+        insisting.join()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -141,6 +141,34 @@ async def test_the_next_start_finds_what_is_complete_and_removes_what_is_not(
 
 
 @pytest.mark.parametrize(
+    "document", ["[]", "7", '{"made_by": []}', '{"made_by": {"ended_by": 3}, "created_at": 1}']
+)
+async def test_a_strange_document_hides_no_other(tmp_path: Path, document: str):
+    for name in ("strange", "other"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "strange" / "recording.json").write_text(document)
+    (tmp_path / "other" / "recording.json").write_text("{}")
+    recordings = opened(tmp_path)
+    other, strange = await recordings.all()
+    assert other.state is RecordingState.COMPLETE
+    assert (strange.state is RecordingState.FAILED) == ("ended_by" not in document)
+    assert all(value is None or isinstance(value, str) for value in (strange.created_at, strange.ended_by))
+    assert await recordings.find("strange") == strange
+
+
+async def test_one_recording_is_found_without_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    (tmp_path.parent / "c").mkdir(exist_ok=True)
+    looked_at = []
+    monkeypatch.setattr("service.recordings._status_of", looked_at.append)
+    recordings = opened(tmp_path)
+    for name in ("a", "d", "../c", "*"):
+        await recordings.find(name)
+    assert looked_at == [tmp_path / "a"]
+
+
+@pytest.mark.parametrize(
     ("plan", "field"),
     [
         ({"name": "../escape"}, "name"),

@@ -99,7 +99,8 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (LIVE.replace("[rig]", '[rig]\ntrigger = "radio"'), ["rig: trigger must be an input"]),
         (LIVE.replace("[rig]", "[rig]\nflash_us = 30"), ["rig: flash_us must be in 0.1..exposure_us"]),
         (LIVE.replace("[rig]", "[rig]\npacket_size_bytes = 12000"), ["camera c01: packet_size_bytes"]),
-        (LIVE.replace('id = "c02"', 'id = "c01"'), ["rig: cameras: c01 is there twice"]),
+        (LIVE.replace('id = "c02"', 'id = "c01"'), ["rig: cameras: id c01 is there twice"]),
+        (LIVE.replace("SIM0002", "SIM0003"), ["rig: cameras: serial SIM0003 is there twice"]),
         (LIVE.replace('serial = "SIM0002"', ""), ["rig: cameras: camera c02: serial, address or user_name"]),
         (LIVE.replace("SIM0003", "1").replace('serial = "1"', "serial = 1"), ["rig.cameras.2.serial: "]),
         (LIVE + '[rig.gate.gpio]\nchip = "/dev/gpiochip0"\nline = 4\n', ["rig.gate: exactly one of"]),
@@ -242,7 +243,7 @@ def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: 
         (("[rig]", "[rig]\ntrigger_skew_us = 60"), "rig.exposure_us: 80 us of light and skew"),
         (
             ("[rig]", "[rig]\nfall_height_mm = 600"),
-            "bundling.dead_time_ms: must be at least 320: cameras ignore an edge for 349.8 ms",
+            "bundling.expected_delay_ms: frames come 349.8 ms after their trigger (fall of 600 mm)",
         ),
         (
             ("[rig]", "[rig]\nuplink_bytes_s = 125e6"),
@@ -260,6 +261,14 @@ def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: 
 def test_what_physics_does_not_allow_is_named(tmp_path: Path, change: tuple[str, str], problem: str | None):
     found = live_problems(tmp_path, change)
     assert any(problem in each for each in found) if problem else found == []
+
+
+def test_a_gate_without_a_clock_needs_a_dead_time_like_the_cameras(tmp_path: Path):
+    modem = ("[rig.gate.serial]", "[rig.gate.modem_line]")
+    short = ("[spool]", "[bundling]\ndead_time_ms = 205\n[spool]")
+    assert live_problems(tmp_path, short) == []
+    (problem,) = live_problems(tmp_path, modem, short)
+    assert problem.startswith("bundling.dead_time_ms: cameras ignore an edge for 247.4 ms after another")
 
 
 def test_a_shared_gigabit_uplink_needs_throttled_cameras_and_a_wide_window(tmp_path: Path):
