@@ -60,7 +60,7 @@ def test_after_a_kill_the_next_daemon_is_armed_within_ten_seconds(tmp_path: Path
                 f"measured again: {live.results(0)[-3:]}",
             )
             rig.belt.stop()
-            daemon.wait_for("/acquisition", lambda now: now["last_trigger_age_s"] > 2 * SPACING_S)
+            daemon.wait_for("/acquisition", lambda now: (now["last_stone_age_s"] or 0) > 2 * SPACING_S)
             daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
             counts = daemon.get("/accounting?session=current")
             assert counts["is_balanced"], counts

@@ -153,7 +153,10 @@ def live_rig(
             live.wait_until_whole()
             daemon.wait_for("/accounting", lambda counts: counts["backgrounds"] == 2)
             daemon.wait_for("/health", lambda health: health["checks"]["background"]["status"] == "pass")
-            daemon.wait_for("/acquisition", lambda now: (now["last_stone_age_s"] or 9) > 3 * SPACING_S)
+            eventually(
+                lambda: all(camera.counters.frames >= 2 for camera in rig.cameras.values()),
+                "both exposures of the empty rig are over",
+            )
             yield live
 
 
