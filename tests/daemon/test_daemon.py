@@ -202,7 +202,7 @@ def wait_until_gone(pids: list[int]) -> None:
 def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")
-        assert daemon.get("/health/ready") == {"ready": True}
+        daemon.wait_for("/health/ready", lambda answer: answer == {"ready": True})  # the empty rig was seen
         daemon.wait_for("/accounting", lambda now: now["triggers"] >= 1)
         assert daemon.put("/acquisition", {"state": "disarmed"})["state"] in ("disarming", "disarmed")
         daemon.wait_for("/acquisition", lambda answer: answer["state"] == "disarmed")
