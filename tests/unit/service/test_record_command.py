@@ -97,7 +97,9 @@ def test_cameras_that_are_not_to_be_had(
     with (tmp_path / "state" / "store.lock").open("w") as lock:
         if daemon_runs:
             fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(ServiceError, match="the first one: is controlled by another application") as caught:
+        with pytest.raises(
+            ServiceError, match="the first one: is controlled by another application"
+        ) as caught:
             record.command(tmp_path / "out", config)
     assert ("POST /api/v1/recordings" in str(caught.value)) == daemon_runs
     assert not list(tmp_path.glob("*out*"))
