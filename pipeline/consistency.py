@@ -1,5 +1,9 @@
 """Whether the views show one rigid body, and which view does not.
 
+Two tests. Epipolar tangency (`pipeline.calibration.tangency`) compares views in pairs: it sees a tenth of a
+pixel, names the one view that is wrong whatever its error does to the hull, and needs no hull. What it cannot
+see, such as a bay that one view fills, the hull shows:
+
 Every point of a silhouette's edge is the image of a point of the body: the viewing ray through it
 must touch the body, hence the hull of the other views. For a ray of view k the largest value along
 it of the other views' field is its signed clearance: about zero or a little above for a consistent view
@@ -13,6 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.calibration.tangency import (
+    EpipolarTangents,
+    epipolar_tangents,
+    image_shifts_px,
+    outlines_of,
+    tangency_scores_px,
+)
 from pipeline.carving import View, distances_mm, smallest, usable_views
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
@@ -31,12 +42,16 @@ class ConsistencyParameters:
     max_suspect_views: int = 2  # views that may be dropped for that; more mean a bundle to reject
     max_residual_px: float = 4.0  # rms by which an outline may leave the hull of the others
     max_denied_share: float = 0.1  # of the body's diameter: median clearance of a view that sees too little
+    max_tangency_px: float = 1.5  # median epipolar residual of a view; below it, losing the view costs more
+    max_tangency_ratio: float = 5.0  # of that residual to the median of the other views'
 
     def __post_init__(self) -> None:
         if self.max_suspect_views < 0:
             raise ValueError("max_suspect_views must not be negative")
         if not (self.max_residual_px > 0 and self.max_denied_share > 0):
             raise ValueError("max_residual_px and max_denied_share must be positive")
+        if not (self.max_tangency_px > 0 and self.max_tangency_ratio > 1):
+            raise ValueError("max_tangency_px must be positive and max_tangency_ratio above 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,24 +61,35 @@ class Consistency:
     residuals_px: Mapping[CameraId, float]  # rms by which a view's outline leaves the hull of the others
     suspects: Mapping[CameraId, str]  # views to drop, worst first, with what is wrong with them
     is_consistent: bool  # what is left after dropping them agrees
+    tangency_px: Mapping[CameraId, float]  # median epipolar residual of a view, dropped ones included
+    image_shifts_px: Mapping[CameraId, tuple[float, float]]  # of a view against where the others expect it
 
 
 def check_consistency(
     silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, parameters: ConsistencyParameters
 ) -> Consistency:
-    """Residual of every usable view, and the views that contradict the rest.
+    """Residuals of every usable view, and the views that contradict the rest.
 
-    The worst view is dropped and the rest judged again, until all agree or `max_suspect_views` are
-    exceeded. While r more views may be dropped, r votes against a point are not counted, so that a
-    bad view does not condemn the good ones.
+    Views that tangency names are dropped first. Of the rest, the worst is dropped and the others judged again,
+    until all agree or `max_suspect_views` are exceeded. While r more views may be dropped, r votes against a
+    point are not counted, so that a bad view does not condemn the good ones.
     """
     views = usable_views(silhouettes, rig)
-    suspects: dict[CameraId, str] = {}
+    tangents = epipolar_tangents(outlines_of(silhouettes), rig)
+    tangency_px, shifts_px = tangency_scores_px(tangents), image_shifts_px(tangents)
+    suspects, is_consistent = displaced_views(tangents, parameters)
+    views = [view for view in views if view[0].id not in suspects]
     while True:
         overruled = max(min(parameters.max_suspect_views - len(suspects), len(views) - 3), 0)
         sphere = _body_sphere(views, overruled)
         if sphere is None:
-            return Consistency(residuals_px={}, suspects=suspects, is_consistent=False)
+            return Consistency(
+                residuals_px={},
+                suspects=suspects,
+                is_consistent=False,
+                tangency_px=tangency_px,
+                image_shifts_px=shifts_px,
+            )
         clearances = _clearances_px(views, sphere, overruled)
         worst, score = None, 1.0
         for (camera, _), clearance in zip(views, clearances, strict=True):
@@ -85,7 +111,32 @@ def check_consistency(
     residuals_px = {
         camera.id: _rms_outside(clearance) for (camera, _), clearance in zip(views, clearances, strict=True)
     }
-    return Consistency(residuals_px=residuals_px, suspects=suspects, is_consistent=worst is None)
+    return Consistency(
+        residuals_px=residuals_px,
+        suspects=suspects,
+        is_consistent=is_consistent and worst is None,
+        tangency_px=tangency_px,
+        image_shifts_px=shifts_px,
+    )
+
+
+def displaced_views(
+    tangents: EpipolarTangents, parameters: ConsistencyParameters
+) -> tuple[dict[CameraId, str], bool]:
+    """Views whose tangents alone are far off, worst first, and whether these are all of them."""
+    suspects: dict[CameraId, str] = {}
+    while scores_px := tangency_scores_px(tangents, without=suspects):
+        worst = max(scores_px, key=lambda camera: scores_px[camera])
+        score_px = scores_px.pop(worst)
+        if not scores_px or score_px <= max(
+            parameters.max_tangency_px,
+            parameters.max_tangency_ratio * float(np.median(list(scores_px.values()))),
+        ):
+            break
+        if len(suspects) == parameters.max_suspect_views:
+            return suspects, False
+        suspects[worst] = f"contradicts the other views: its tangents miss theirs by {score_px:.1f} px"
+    return suspects, True
 
 
 def _rms_outside(clearance_px: NDArray[np.float64]) -> float:

@@ -5,12 +5,18 @@
     PipelineError
     ├── RigError            a rig document that cannot be a rig; names the field
     ├── MeshError           a mesh that has no volume to measure; names the defect
+    ├── CalibrationError    drops that no calibration can be made from; carries the problems
     └── RejectedError       this bundle shows no measurable stone; the reason becomes the outcome
 
 Wrong arguments of a public function are plain `ValueError`.
 """
 
+from collections.abc import Sequence
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pipeline.calibration.problem import Problem
 
 
 class RejectReason(StrEnum):
@@ -53,6 +59,17 @@ class RigError(PipelineError):
 
 class MeshError(PipelineError):
     """A mesh is not a closed, consistently oriented surface around a volume."""
+
+
+class CalibrationError(PipelineError):
+    """Nothing can be solved from these drops; `problems` say why and what to do."""
+
+    def __init__(self, problems: "Sequence[Problem]") -> None:
+        super().__init__(tuple(problems))
+        self.problems = tuple(problems)
+
+    def __str__(self) -> str:
+        return "; ".join(problem.detail for problem in self.problems if problem.is_fatal)
 
 
 class RejectedError(PipelineError):

@@ -60,7 +60,7 @@ def gradation(
         raise ValueError("sieve sizes and volumes must be positive")
     total_mm3 = float(volumes.sum())
     passing = [
-        float(100 * volumes[sizes <= sieve].sum() / total_mm3) if total_mm3 else 0.0 for sieve in sieves_mm
+        float(100 * (volumes[sizes <= sieve].sum() / total_mm3)) if total_mm3 else 0.0 for sieve in sieves_mm
     ]
     return LotGradation(
         n_stones=len(sizes),

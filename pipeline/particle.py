@@ -1,19 +1,23 @@
-"""The chain for one bundle: segment, judge the views, carve, mesh, measure."""
+"""The chain for one bundle: segment, judge the views, carve, mesh, estimate the body, measure."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 import trimesh
 
 from pipeline.carving import CarvingParameters, carve
-from pipeline.consistency import ConsistencyParameters, check_consistency
+from pipeline.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.errors import MeshError, RejectedError, RejectReason
+from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
+from pipeline.measuring.solid import solid_of
+from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, ViewStatus, segment_all
@@ -47,11 +51,22 @@ class ViewsParameters:
             raise ValueError("max_unusable must not be negative")
 
 
+BodyKind = Literal["estimate", "hull"]
+
+
+@dataclass(frozen=True, slots=True)
+class BodyParameters:
+    """Which body the mesh and the figures of the shape describe."""
+
+    kind: BodyKind = "estimate"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuringParameters:
     """What turns a shape into a stone."""
 
     density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
+    volume_model: VolumeModel = SYNTHETIC
 
     def __post_init__(self) -> None:
         if self.density_g_cm3 is not None and not 0.1 < self.density_g_cm3 < 25:
@@ -66,30 +81,48 @@ class PipelineParameters:
     views: ViewsParameters = field(default_factory=ViewsParameters)
     consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     carving: CarvingParameters = field(default_factory=CarvingParameters)
+    body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HullMeasurement:
+    """The visual hull itself, uncorrected, whatever body was measured."""
+
+    volume_mm3: float
+    surface_area_mm2: float
+
+    @property
+    def equivalent_diameter_mm(self) -> float:
+        return _sphere_diameter_mm(self.volume_mm3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticleMeasurement:
     """One measured particle."""
 
+    body: BodyKind
+    """What `shape` describes; the hull also where no better body could be estimated."""
     shape: ShapeMeasurement
-    """Of the mesh as carved, uncorrected."""
-    hull_excess: float
-    """Volume of the visual hull of a sphere of this size, seen by the same cameras, over the sphere's."""
+    hull: HullMeasurement
+    volume_mm3: float
+    """The corrected volume; mass and equivalent diameter follow from it."""
+    volume_model: str
+    """Id of the correction."""
+    volume_estimate_mm3: float
+    """Of the estimated body's mesh; how far it is from the hull's is what the correction goes by."""
     angularity: float | None
     """AIMS-type gradient angularity, mean over the views."""
     mass_g: float | None
 
     @property
-    def volume_mm3(self) -> float:
-        """Volume corrected for the least excess that any body's hull has, that of a sphere."""
-        return self.shape.volume_mm3 / self.hull_excess
-
-    @property
     def equivalent_diameter_mm(self) -> float:
         """Diameter of the sphere of the corrected volume."""
-        return float(np.cbrt(6 * self.volume_mm3 / np.pi))
+        return _sphere_diameter_mm(self.volume_mm3)
+
+
+def _sphere_diameter_mm(volume_mm3: float) -> float:
+    return float(np.cbrt(6 * volume_mm3 / np.pi))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,8 +133,10 @@ class ParticleResult:
     views: tuple[CameraId, ...] = ()  # that carved
     dropped: Mapping[CameraId, str] = field(default_factory=dict)
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
+    consistency: Consistency | None = None  # `None` when it was rejected before the views were compared
     quality: Quality | None = None
-    mesh: ParticleMesh | None = None
+    mesh: ParticleMesh | None = None  # of the body that was measured
+    hull: ParticleMesh | None = None
     measurement: ParticleMeasurement | None = None
     rejection: RejectedError | None = None
 
@@ -126,6 +161,7 @@ def measure_bundle(
     silhouettes = segment_all(bundle.frames, background, segmenter)
     on_stage("segment")
     dropped = dict(bundle.missing)
+    consistency = None
     try:
         _judge_views(silhouettes, dropped, rig, parameters)
         consistency = check_consistency(silhouettes, rig, parameters.consistency)
@@ -142,21 +178,28 @@ def measure_bundle(
         on_stage("carve")
         if hull.touches_border:
             raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
-        mesh = mesh_hull(hull)
+        hull_mesh = mesh_hull(hull)
         on_stage("mesh")
-        if mesh is None:
+        if hull_mesh is None:
             raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
-        measurement = _measure(mesh, carving, rig, parameters.measuring)
+        estimate = estimate_body(hull_mesh, carving, rig)
+        on_stage("estimate")
+        mesh = hull_mesh if parameters.body.kind == "hull" else estimate.mesh
+        measurement = _measure(mesh, hull_mesh, estimate, carving, rig, parameters)
         on_stage("measure")
     except RejectedError as rejection:
-        return ParticleResult(silhouettes=silhouettes, dropped=dropped, rejection=rejection)
+        return ParticleResult(
+            silhouettes=silhouettes, dropped=dropped, consistency=consistency, rejection=rejection
+        )
     return ParticleResult(
         silhouettes=silhouettes,
         views=rig.subset(carving).camera_ids,
         dropped=dropped,
         residuals_px=consistency.residuals_px,
+        consistency=consistency,
         quality=quality,
         mesh=mesh,
+        hull=hull_mesh,
         measurement=measurement,
     )
 
@@ -215,26 +258,50 @@ def _elevations_deg(rig: RigCalibration) -> np.ndarray:
 
 
 def _measure(
-    mesh: ParticleMesh, carving: SilhouetteSet, rig: RigCalibration, parameters: MeasuringParameters
+    mesh: ParticleMesh,
+    hull: ParticleMesh,
+    estimate: BodyEstimate,
+    carving: SilhouetteSet,
+    rig: RigCalibration,
+    parameters: PipelineParameters,
 ) -> ParticleMeasurement:
     try:
-        shape = measure_shape(trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False))
+        shape = measure_shape(_trimesh(mesh))
+        solid = solid_of(_trimesh(hull))
     except MeshError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
-    centers_mm = np.array([camera.center_mm for camera in rig.subset(carving).cameras])
-    try:
-        excess = sphere_hull_excess(centers_mm, np.array(shape.center_mm), shape.equivalent_diameter_mm / 2)
-    except ValueError as err:  # so few views that even a sphere's hull is open
-        raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
+    model = parameters.measuring.volume_model
+    if estimate.fallback is None:
+        volume_model = model.id
+        volume_mm3 = model.volume_mm3(estimate.hull_volume_mm3, estimate.volume_mm3)
+    else:  # the least excess that any body's hull has
+        volume_model = "sphere"
+        volume_mm3 = solid.volume_mm3 / _sphere_excess(shape, carving, rig)
     angularities = [
         gradient_angularity(silhouette.outline_uv)
         for silhouette in carving.values()
         if len(silhouette.outline_uv) >= 64
     ]
-    density = parameters.density_g_cm3
+    density = parameters.measuring.density_g_cm3
     return ParticleMeasurement(
+        body=parameters.body.kind if estimate.fallback is None else "hull",
         shape=shape,
-        hull_excess=excess,
+        hull=HullMeasurement(volume_mm3=solid.volume_mm3, surface_area_mm2=solid.surface_area_mm2),
+        volume_mm3=volume_mm3,
+        volume_model=volume_model,
+        volume_estimate_mm3=estimate.volume_mm3,
         angularity=float(np.mean(angularities)) if angularities else None,
-        mass_g=None if density is None else density * shape.volume_mm3 / excess / 1000,
+        mass_g=None if density is None else density * volume_mm3 / 1000,
     )
+
+
+def _trimesh(mesh: ParticleMesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False)
+
+
+def _sphere_excess(shape: ShapeMeasurement, carving: SilhouetteSet, rig: RigCalibration) -> float:
+    centers_mm = np.array([camera.center_mm for camera in rig.subset(carving).cameras])
+    try:
+        return sphere_hull_excess(centers_mm, np.array(shape.center_mm), shape.equivalent_diameter_mm / 2)
+    except ValueError as err:  # so few views that even a sphere's hull is open
+        raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err

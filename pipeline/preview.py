@@ -20,22 +20,31 @@ LIGHTS = (
     ((0.80, -0.10, -0.59), 0.22),
 )
 AMBIENT = 0.16
+EVEN_LIGHT = 0.6
+"""Of what lights vertices whose colours mean something: shade must not change them much."""
 STONE_RGB = (0.80, 0.75, 0.68)
 TOP_RGB, BOTTOM_RGB = (0.965, 0.97, 0.975), (0.87, 0.88, 0.895)
 INK_RGB = (70, 74, 80)
 BAR_LENGTHS_MM = (10.0, 1.0, 0.1)
 
 
-def render_preview(vertices_mm: ArrayLike, faces: ArrayLike, size_px: int = 480) -> NDArray[np.uint8]:
+def render_preview(
+    vertices_mm: ArrayLike,
+    faces: ArrayLike,
+    size_px: int = 480,
+    *,
+    colors_rgb: ArrayLike = STONE_RGB,
+    view_direction: tuple[float, float, float] = VIEW_DIRECTION,
+) -> NDArray[np.uint8]:
     """RGB image (size, size, 3) of a closed mesh, vertices (N, 3) in mm and faces (M, 3).
 
-    Parallel projection along `VIEW_DIRECTION`, z up, scaled to fill the picture; a bar of 10 mm (1 mm
-    for a tiny body) shows the scale.
+    Parallel projection along `view_direction`, z up, scaled to fill the picture; a bar of 10 mm (1 mm
+    for a tiny body) shows the scale. `colors_rgb` (3,) or (N, 3), 0..1, of all vertices or of each.
     """
     triangles = np.asarray(faces, dtype=np.int32)
     if len(triangles) == 0:
         raise ValueError("a mesh without faces has no picture")
-    points_mm = np.asarray(vertices_mm, dtype=np.float64) @ _picture_frame().T
+    points_mm = np.asarray(vertices_mm, dtype=np.float64) @ _picture_frame(view_direction).T
     used_mm = points_mm[triangles.ravel()]
     low, high = used_mm.min(axis=0), used_mm.max(axis=0)
     points_mm -= (low + high) / 2
@@ -47,16 +56,23 @@ def render_preview(vertices_mm: ArrayLike, faces: ArrayLike, size_px: int = 480)
     columns, rows = np.abs(axis_mm) <= half_width_mm, np.abs(axis_mm) <= half_height_mm
     canvas = np.linspace(TOP_RGB, BOTTOM_RGB, n_samples, dtype=np.float32)[:, None].repeat(n_samples, axis=1)
     body = np.ix_(rows, columns)
-    canvas[body] = _shaded(points_mm, triangles, axis_mm[columns], axis_mm[rows], half_depth_mm, canvas[body])
+    colors = np.asarray(colors_rgb, dtype=np.float32)
+    brightness = _vertex_brightness(points_mm, triangles)[:, None]
+    if colors.ndim == 2:
+        brightness = EVEN_LIGHT + (1 - EVEN_LIGHT) * brightness
+    lit_rgb = brightness * colors
+    canvas[body] = _shaded(
+        points_mm, triangles, lit_rgb, axis_mm[columns], axis_mm[rows], half_depth_mm, canvas[body]
+    )
     picture = cv2.resize(canvas, (size_px, size_px), interpolation=cv2.INTER_AREA)
     image = np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
     _draw_scale_bar(image, px_per_mm)
     return image
 
 
-def _picture_frame() -> Array:
+def _picture_frame(view_direction: tuple[float, float, float]) -> Array:
     """World-to-picture rotation (3, 3); rows right, down, away from the viewer."""
-    away = np.array(VIEW_DIRECTION) / np.linalg.norm(VIEW_DIRECTION)
+    away = np.array(view_direction) / np.linalg.norm(view_direction)
     right = np.cross(away, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(away, right), away])
@@ -65,12 +81,13 @@ def _picture_frame() -> Array:
 def _shaded(
     points_mm: Array,
     triangles: NDArray[np.int32],
+    lit_rgb: FloatArray,
     u_mm: Array,
     v_mm: Array,
     half_depth_mm: float,
     behind: FloatArray,
 ) -> FloatArray:
-    """The body (rows, columns, 3) in front of `behind`, sampled at every u of every v."""
+    """The body (rows, columns, 3), vertices coloured `lit_rgb` (N, 3), in front of `behind`; at every u of every v."""
     scene = EmbreeScene()
     TriangleMesh(scene, points_mm.astype(np.float32), triangles)
     origins = np.empty((len(v_mm), len(u_mm), 3), dtype=np.float32)
@@ -80,11 +97,10 @@ def _shaded(
     hits = scene.run(origins.reshape(-1, 3), directions, output=1)
     is_hit = hits["primID"] >= 0
 
-    grey = _vertex_brightness(points_mm, triangles)[triangles[hits["primID"][is_hit]]]
-    u, v = hits["u"][is_hit], hits["v"][is_hit]
-    brightness = (1 - u - v) * grey[:, 0] + u * grey[:, 1] + v * grey[:, 2]
+    corners_rgb = lit_rgb[triangles[hits["primID"][is_hit]]]
+    u, v = hits["u"][is_hit, None], hits["v"][is_hit, None]
     shaded = behind.reshape(-1, 3).copy()
-    shaded[is_hit] = brightness[:, None] * np.array(STONE_RGB, dtype=np.float32)
+    shaded[is_hit] = (1 - u - v) * corners_rgb[:, 0] + u * corners_rgb[:, 1] + v * corners_rgb[:, 2]
     return shaded.reshape(behind.shape)
 
 

@@ -238,7 +238,7 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
         if not (np.allclose(K[2], [0, 0, 1]) and K[1, 0] == 0):
             raise RigError(f"{path}.K", "must be upper triangular with last row [0, 0, 1]")
     else:
-        K, R, t_mm = _decompose(_numbers(members, "projection", (3, 4), path), path)
+        K, R, t_mm = decomposed(_numbers(members, "projection", (3, 4), path), path)
     serial, rms_px = members.get("serial"), members.get("rms_px")
     if rms_px is not None and (
         isinstance(rms_px, bool) or not isinstance(rms_px, int | float) or not 0 <= rms_px < 1e6
@@ -288,8 +288,14 @@ def _require_agreement(camera: CameraCalibration, projection: Array, path: str) 
         raise RigError(f"{path}.projection", f"contradicts K, R and t_mm by {difference_px:.3g} px")
 
 
-def _decompose(projection: Array, path: str) -> tuple[Array, Array, Array]:
-    """K, R, t of a bare 3x4 matrix, up to whose scale and sign it is given."""
+def decomposed(projection: Array, path: str) -> tuple[Array, Array, Array]:
+    """K, R, t of a bare 3x4 matrix, up to whose scale and sign it is given; `path` names it in the error.
+
+    Raises
+    ------
+    RigError
+        The matrix is no camera's.
+    """
     M = projection[:, :3]
     if not abs(np.linalg.det(M)) > 1e-12 * np.linalg.norm(M) ** 3:
         raise RigError(f"{path}.projection", "has no optical centre (its left 3x3 part is singular)")

@@ -19,7 +19,9 @@ from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
 from pipeline.frames import BundleKind, FrameBundle, Trigger
 from service.bundle_counters import BundlingCounters
-from service.bundling import DISARMED, BundleAssembler, BundlingParameters
+from service.bundle_windows import DISARMED
+from service.bundling import BundleAssembler
+from service.bundling_parameters import BundlingParameters
 from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, next_state
 from service.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.keeper import Keeper
@@ -47,7 +49,7 @@ class Acquisition:
     """`run` is its task; `request` arms and disarms, `stop` ends it in order.
 
     Bundles go to `on_bundle`, in the order of their triggers; `on_progress` is called at every turn of
-    the pump.
+    the pump. What falls is a ball instead of a stone while `is_ball` says so.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Acquisition:
         bundling: BundlingParameters,
         min_cameras: int,
         empty_rig: EmptyRigParameters = EmptyRigParameters(at_start=0, every_s=0),  # noqa: B008 - frozen
+        is_ball: Callable[[], bool] = lambda: False,
         on_bundle: Callable[[FrameBundle], None],
         on_progress: Callable[[], None],
     ) -> None:
@@ -68,6 +71,7 @@ class Acquisition:
         self._bundling = bundling
         self._min_cameras = min(min_cameras, len(devices.cameras))
         self._empty_rig = empty_rig
+        self._is_ball = is_ball
         self._on_bundle = on_bundle
         self._on_progress = on_progress
         self._arm_requested = asyncio.Event()
@@ -269,6 +273,8 @@ class Acquisition:
         self._last_trigger_s = time.monotonic()
         if trigger.kind is not BundleKind.BACKGROUND:
             self._last_stone_s = self._last_trigger_s
+            if self._is_ball():
+                trigger = replace(trigger, kind=BundleKind.BALL)
         name = trigger.name
         if name is None:
             self._n_named += 1

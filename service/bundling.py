@@ -2,8 +2,9 @@
 
 A trigger at time T opens a window of T + expected delay +- `window_ms`; a frame belongs to the trigger in
 whose window it arrived, whatever its number. Windows are disjoint because the gate's dead time exceeds
-their width. Every trigger leaves as exactly one bundle, in order: complete, or at its deadline with
-what is missing. Frame ids only count what was lost.
+their width. One that arrives after its window, on a machine that is busy, is its trigger's all the same as
+long as that waits, if its camera's own clock says so. Every trigger leaves as exactly one bundle, in order:
+complete, or at its deadline with what is missing. Frame ids only count what was lost.
 
 Events may come in any order within one window's half width; a frame that comes before its trigger waits.
 When none comes and most cameras exposed, the frames are a stone that the gate failed to announce: an
@@ -14,8 +15,8 @@ without frames.
 from bisect import insort
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import replace
+from operator import itemgetter
 
 from drivers.interfaces import (
     CameraBack,
@@ -30,72 +31,14 @@ from drivers.interfaces import (
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundle_counters import BundlingCounters, CameraCounters
-from service.frame_checks import ExposureCheck, id_step
+from service.bundle_windows import AMBIGUOUS, CAMERA_LOST, DEAD_TIME, NO_FRAME, UNSEEN, Window
+from service.bundling_parameters import IN_VIEW_NS, BundlingParameters
+from service.frame_account import FrameAccount
+from service.frame_checks import ExposureCheck
 from service.missed_triggers import MissedTriggers
-
-NO_FRAME = "no_frame"
-"""Nothing came from the camera until the deadline."""
-CAMERA_LOST = "camera_lost"
-"""The camera does not answer."""
-AMBIGUOUS = "ambiguous"
-"""Two different frames came for one trigger."""
-OTHER_EXPOSURE = "other_exposure"
-"""By its camera's clock the frame was exposed for another trigger."""
-DEAD_TIME = "dead_time"
-"""The trigger followed another within the gate's dead time; the frames belong to the first."""
-DISARMED = "disarmed"
-"""The session ended before the frame came."""
-STONE_PASSED = "stone_passed"
-"""The empty rig was exposed while a stone fell."""
-UNSEEN = "unseen"
-"""The gate counted the trigger and did not announce it, and no camera exposed."""
 
 DELIVERY_NS = 300_000_000
 """So long a frame that arrived in time may take to get here from its camera's thread, on a machine that is busy."""
-IN_VIEW_NS = 50_000_000
-"""A stone that passes the gate so soon after a test pulse is in the picture, or its edge: it crosses it in 20 ms."""
-REMEMBERED_TRIGGERS = 16
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BundlingParameters:
-    """When frames are expected, and how close triggers may follow one another."""
-
-    expected_delay_ms: float = 259.4  # trigger delay 247.4, exposure, transfer
-    window_ms: float = 100.0  # half width; more than jitter and packet resends take
-    dead_time_ms: float = 220.0  # least time between two triggers, as the gate enforces it
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.expected_delay_ms <= 10_000:
-            raise ValueError(f"expected_delay_ms must be in 0..10000, not {self.expected_delay_ms:g}")
-        if not 1 <= self.window_ms <= 5_000:
-            raise ValueError(f"window_ms must be in 1..5000, not {self.window_ms:g}")
-        if not self.dead_time_ms > 2 * self.window_ms:
-            raise ValueError(
-                f"dead_time_ms must exceed twice window_ms, {2 * self.window_ms:g}, not {self.dead_time_ms:g}"
-            )
-
-    @property
-    def quiet_s(self) -> float:
-        """So long after a trigger its stone is through and the cameras are ready for the next."""
-        return max(self.dead_time_ms, self.expected_delay_ms) / 1e3 + IN_VIEW_NS / 1e9
-
-
-@dataclass(slots=True, kw_only=True)
-class _Window:
-    trigger: Trigger
-    ordinal: int  # among triggers that expose
-    expected_ns: int
-    frames: dict[CameraId, Frame] = field(default_factory=dict)
-    lost: dict[CameraId, str] = field(default_factory=dict)
-    in_dead_time: bool = False
-    is_spoiled: bool = False  # a background with a stone in it
-    refused: set[CameraId] = field(default_factory=set)
-
-
-class _Closed(NamedTuple):
-    expected_ns: int
-    frame_ids: dict[CameraId, int]
 
 
 class BundleAssembler:
@@ -110,8 +53,7 @@ class BundleAssembler:
         self._delay_ns = round(parameters.expected_delay_ms * 1e6)
         self._window_ns = round(parameters.window_ms * 1e6)
         self._dead_time_ns = round(parameters.dead_time_ms * 1e6)
-        self._open: deque[_Window] = deque()
-        self._closed: deque[_Closed] = deque(maxlen=REMEMBERED_TRIGGERS)
+        self._open: deque[Window] = deque()
         self._held: list[Frame | FrameLost] = []
         self._gone: set[CameraId] = set()
         self._missed = MissedTriggers()
@@ -119,8 +61,8 @@ class BundleAssembler:
         self._last_sequence = 0
         self._last_trigger: Trigger | None = None  # that exposed
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
-        self._last_used: dict[CameraId, tuple[int, int]] = {}  # frame id, ordinal
         self.counters = BundlingCounters(cameras={camera: CameraCounters() for camera in self._camera_ids})
+        self._account = FrameAccount(self.counters.cameras, self._window_ns)
 
     @property
     def next_deadline_ns(self) -> int | None:
@@ -167,15 +109,18 @@ class BundleAssembler:
         """Close what is complete or past its deadline."""
         while self._held and now_ns - self._held[0].received_ns > self._window_ns:
             if not self._adopt_orphans():
-                self._count_unplaced([self._held.pop(0)])
+                self._give_up([self._held.pop(0)])
         bundles = []
-        while self._open and (self._is_complete(self._open[0]) or now_ns >= self._deadline_ns(self._open[0])):
+        n_cameras = len(self._camera_ids)
+        while self._open and (
+            self._open[0].is_complete(n_cameras) or now_ns >= self._deadline_ns(self._open[0])
+        ):
             bundles.append(self._close(self._open.popleft()))
         return bundles + self._unseen(self._missed.unseen(now_ns))
 
     def flush(self, reason: str = NO_FRAME) -> list[FrameBundle]:
         """Close everything now; `reason` is that of the frames still expected."""
-        self._count_unplaced(self._held)
+        self._give_up(self._held)
         self._held = []
         bundles = [self._close(window, reason) for window in self._open]
         self._open.clear()
@@ -190,17 +135,11 @@ class BundleAssembler:
             self._last_trigger = trigger
             self._open_window(trigger)
             return
+        self.counters.in_dead_time += 1
         if self._open and self._open[-1].trigger.kind is BundleKind.BACKGROUND:
             apart_ns = self._spacing_ns(self._open[-1].trigger, trigger)
             self._open[-1].is_spoiled |= trigger.kind is not BundleKind.BACKGROUND and apart_ns < IN_VIEW_NS
-        self.counters.triggers += 1
-        self.counters.in_dead_time += 1
-        window = _Window(
-            trigger=trigger, ordinal=self._n_exposing, expected_ns=trigger.received_ns + self._delay_ns
-        )
-        window.in_dead_time = True
-        window.lost = dict.fromkeys(self._camera_ids, DEAD_TIME)
-        self._open.append(window)
+        self._open_window(trigger, in_dead_time=True)
 
     def _spacing_ns(self, earlier: Trigger, later: Trigger) -> int:
         """By the gate's own clock, which knows no latency, unless that was set anew in between."""
@@ -209,15 +148,23 @@ class BundleAssembler:
         has_clock = earlier.device_ns and later.device_ns
         return by_gate_ns if has_clock and abs(by_gate_ns - by_host_ns) < self._window_ns else by_host_ns
 
-    def _open_window(self, trigger: Trigger) -> None:
+    def _open_window(self, trigger: Trigger, *, in_dead_time: bool = False) -> None:
         self.counters.triggers += 1
         expected_ns = trigger.received_ns + self._delay_ns
         later = [window for window in self._open if window.expected_ns > expected_ns]
-        for window in later:
-            window.ordinal += 1
-        window = _Window(trigger=trigger, ordinal=self._n_exposing - len(later), expected_ns=expected_ns)
-        window.lost = dict.fromkeys(self._gone, CAMERA_LOST)
+        window = Window(
+            trigger=trigger,
+            ordinal=self._n_exposing - sum(not window.in_dead_time for window in later),
+            expected_ns=expected_ns,
+            in_dead_time=in_dead_time,
+        )
         self._open.insert(len(self._open) - len(later), window)
+        if in_dead_time:
+            window.lost = dict.fromkeys(self._camera_ids, DEAD_TIME)
+            return
+        window.lost = dict.fromkeys(self._gone, CAMERA_LOST)
+        for each in later:
+            each.ordinal += 1
         self._n_exposing += 1
         self._held = [event for event in self._held if not self._place(event)]
 
@@ -228,13 +175,10 @@ class BundleAssembler:
             event.camera
             for event in self._held
             if isinstance(event, Frame)
-            and self._is_within(event, expected_ns)
+            and abs(event.received_ns - expected_ns) <= self._window_ns
             and not self._exposures[event.camera].contradicts(event.device_ns, expected_ns - self._delay_ns)
         }
-        announced = [
-            *(window.expected_ns for window in self._open),
-            *(past.expected_ns for past in self._closed),
-        ]
+        announced = [*(window.expected_ns for window in self._open), *self._account.closed_ns]
         if 2 * len(exposed) <= len(self._camera_ids) or any(
             abs(expected_ns - other_ns) < self._dead_time_ns for other_ns in announced
         ):
@@ -269,20 +213,22 @@ class BundleAssembler:
     def _place(self, event: Frame | FrameLost) -> bool:
         """Give the event to the trigger in whose window it came; false when there is none yet."""
         for window in self._open:
-            if not window.in_dead_time and self._is_within(event, window.expected_ns):
+            # a camera's first frame has no earlier one to be compared with: it may come until the next window opens
+            late_ns = self._dead_time_ns - self._window_ns if window.ordinal == 0 else self._window_ns
+            is_within = -self._window_ns <= event.received_ns - window.expected_ns <= late_ns
+            if not window.in_dead_time and is_within:
                 if isinstance(event, Frame):
                     self._take(window, event)
                 elif event.camera not in window.frames:
                     window.lost.setdefault(event.camera, event.reason)
                 return True
-        for expected_ns, frame_ids in self._closed:
-            if self._is_within(event, expected_ns):
-                if isinstance(event, Frame):
-                    self._count_after_close(event, frame_ids)
-                return True
-        return False
+        if isinstance(event, Frame) and (owner := self._owner(event)) is not None:
+            self._take(owner, event)
+            return True
+        frame = event if isinstance(event, Frame) else None
+        return self._account.comes_after_close(event.camera, event.received_ns, frame)
 
-    def _take(self, window: _Window, frame: Frame) -> None:
+    def _take(self, window: Window, frame: Frame) -> None:
         counters = self.counters.cameras[frame.camera]
         if window.lost.get(frame.camera) == AMBIGUOUS:
             counters.extra += 1
@@ -294,6 +240,10 @@ class BundleAssembler:
         if not self._exposures[frame.camera].belongs(
             frame.device_ns, window.trigger.received_ns, is_first_trigger=window.ordinal == 0
         ):
+            owner = self._owner(frame)
+            if owner is not None and owner is not window:
+                self._take(owner, frame)
+                return
             counters.other_exposure += 1
             window.refused.add(frame.camera)
             return
@@ -305,78 +255,31 @@ class BundleAssembler:
         window.lost.pop(frame.camera, None)
         window.frames[frame.camera] = frame
 
-    def _close(self, window: _Window, reason: str = NO_FRAME) -> FrameBundle:
-        missing = {}
-        for camera in self._camera_ids:
-            if window.is_spoiled:
-                missing[camera] = STONE_PASSED
-                continue
-            if camera in window.frames:
-                self._verify_id(camera, window.frames[camera].frame_id, window.ordinal)
-                self.counters.cameras[camera].used += 1
-                continue
-            self.counters.cameras[camera].missing += 1
-            unexplained = OTHER_EXPOSURE if camera in window.refused else reason
-            missing[camera] = window.lost.get(camera, unexplained)
-        if missing:
+    def _owner(self, frame: Frame) -> Window | None:
+        """The trigger that a frame which comes too late was exposed for, while it waits; by the camera's clock."""
+        check = self._exposures[frame.camera]
+        owners = [
+            (distance_ns, window)
+            for window in self._open
+            if not window.in_dead_time and window.expected_ns < frame.received_ns
+            if (distance_ns := check.distance_ns(frame.device_ns, window.trigger.received_ns)) is not None
+        ]
+        return min(owners, key=itemgetter(0))[1] if owners else None
+
+    def _close(self, window: Window, reason: str = NO_FRAME) -> FrameBundle:
+        bundle = window.bundle(self._camera_ids, reason)
+        self._account.close(window, bundle)
+        if bundle.missing:
             self.counters.incomplete += 1
         else:
             self.counters.complete += 1
-        if not window.in_dead_time:
-            frame_ids = {camera: frame.frame_id for camera, frame in window.frames.items()}
-            self._closed.append(_Closed(window.expected_ns, frame_ids))
-        frames = {
-            camera: window.frames[camera]
-            for camera in self._camera_ids
-            if camera in window.frames and camera not in missing
-        }
-        return FrameBundle(trigger=window.trigger, frames=frames, missing=missing)
+        return bundle
 
-    def _verify_id(self, camera: CameraId, frame_id: int, ordinal: int) -> None:
-        """Compare how far the camera's counter went with how many triggers there were."""
-        last = self._last_used.get(camera)
-        self._last_used[camera] = (frame_id, ordinal)
-        if last is None:
-            return
-        counters = self.counters.cameras[camera]
-        n_exposed = id_step(last[0], frame_id)
-        if n_exposed is None:
-            counters.id_restarts += 1
-            return
-        n_triggers = ordinal - last[1]
-        counters.not_exposed += max(0, n_triggers - n_exposed)
-        counters.unannounced += max(0, n_exposed - n_triggers)
+    def _give_up(self, events: Iterable[Frame | FrameLost]) -> None:
+        """Let go of what came without a trigger."""
+        self._account.unplaced([event for event in events if isinstance(event, Frame)], self._open)
 
-    def _count_after_close(self, frame: Frame, frame_ids: dict[CameraId, int]) -> None:
-        counters = self.counters.cameras[frame.camera]
-        used_id = frame_ids.get(frame.camera)
-        if used_id is None:
-            counters.late += 1
-        elif used_id == frame.frame_id:
-            counters.duplicates += 1
-        else:
-            counters.extra += 1
-
-    def _count_unplaced(self, events: Iterable[Frame | FrameLost]) -> None:
-        """Count frames outside of every window: late when the last trigger before lacks it, else strays."""
-        before = [*self._closed, *(_Closed(w.expected_ns, dict.fromkeys(w.frames, 0)) for w in self._open)]
-        for event in events:
-            if not isinstance(event, Frame):
-                continue
-            counters = self.counters.cameras[event.camera]
-            earlier = [window for window in before if window.expected_ns < event.received_ns]
-            if earlier and event.camera not in earlier[-1].frame_ids:
-                counters.late += 1
-            else:
-                counters.strays += 1
-
-    def _is_complete(self, window: _Window) -> bool:
-        return len(window.frames.keys() | window.lost.keys()) == len(self._camera_ids)
-
-    def _is_within(self, event: Frame | FrameLost, expected_ns: int) -> bool:
-        return abs(event.received_ns - expected_ns) <= self._window_ns
-
-    def _deadline_ns(self, window: _Window) -> int:
+    def _deadline_ns(self, window: Window) -> int:
         return window.expected_ns + self._window_ns + DELIVERY_NS
 
 

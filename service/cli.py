@@ -16,13 +16,17 @@ COMMANDS = {
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.import_images",
     "export": "service.commands.export_images",
+    "calibrate": "service.commands.calibrate",
+    "calibration": "service.commands.calibration",
     "measure": "service.commands.measure",
     "record": "service.commands.record",
     "shape": "service.commands.shape",
+    "fit-volume": "service.commands.fit_volume",
     "simulate": "service.commands.simulate",
     "cameras": "service.commands.cameras",
+    "benchmark": "service.commands.benchmark",
 }
-"""Each module has one function `command`, whose docstring is its help."""
+"""Each module has one function `command`, whose docstring is its help; or several of them in a `typer.Typer`."""
 
 
 def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
@@ -36,8 +40,11 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
     )
     app.callback()(lambda: None)  # a single command stays a subcommand
     for name in names:
-        command: Callable[..., Any] = import_module(COMMANDS[name]).command
-        app.command(name)(command)
+        command: typer.Typer | Callable[..., Any] = import_module(COMMANDS[name]).command
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name)(command)
     return app
 
 
@@ -52,5 +59,5 @@ def main() -> None:
     try:
         build_app(wanted or COMMANDS)()
     except (DriverError, PipelineError, ServiceError, OSError) as err:
-        print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201
+        print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201 - a command's one line for people
         sys.exit(1)

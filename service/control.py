@@ -7,11 +7,14 @@ device must be asked for is asked by the daemon's own tasks, and the answer is r
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from pipeline.frames import CameraId
 from service.errors import ServiceError
 from service.recordings import Recordings
+
+if TYPE_CHECKING:
+    from service.calibrations import Calibrations  # which needs the words of this module
 
 
 class AcquisitionState(StrEnum):
@@ -109,7 +112,7 @@ class Health:
     reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
     checks: Mapping[str, Check] = field(default_factory=dict)
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `calibration`, `clock`, `store`, `disk`, `recording`."""
+    `calibration`, `clock`, `store`, `disk`, `recording`, `rig`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,6 +146,10 @@ class CameraStatus:
     latency_max_ms: float | None = None
     skew_us: float | None = None  # of its exposures beside those of the other cameras
     last_frame_age_s: float | None = None
+    tangency_px: float | None = None  # its outlines against those of the others, see rig_watch.CameraScore
+    tangency_drift_px: float | None = None
+    residual_px: float | None = None
+    residual_drift_px: float | None = None
     warnings: tuple[str, ...] = ()
 
 
@@ -173,6 +180,9 @@ class Control(Protocol):
 
     @property
     def recordings(self) -> Recordings: ...
+
+    @property
+    def calibrations(self) -> "Calibrations": ...
 
     def acquisition(self) -> AcquisitionStatus: ...
 

@@ -10,15 +10,19 @@ import shutil
 import signal
 import time
 from contextlib import AsyncExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from drivers.factory import build_devices
 from drivers.rig_file import read_rig
+from pipeline.fall import speed_mm_s
 from pipeline.frames import CameraId, FrameBundle
+from pipeline.rig import RigCalibration
 from service.acquisition import Acquisition
 from service.api.app import create_app
 from service.api.server import server_config
+from service.calibration_start import find_calibrations
+from service.calibrations import Calibrations, image_sizes_px
 from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.health import Facts, assess
 from service.kept_background import KeptBackground
@@ -28,11 +32,13 @@ from service.record import ALGORITHM_VERSION
 from service.recording_live import recording_source
 from service.recordings import Recordings, open_recordings
 from service.rest_server import RestServer, listen
+from service.rig_watch import CameraScore, RigWatch, WatchedResults
 from service.settings import Settings
 from service.spool import Spool
 from service.store import Store, open_store
 from service.supervision import Heartbeats
 from service.systemd import ServiceManager, feed_watchdog
+from service.verifications import open_verifications
 from service.worker_job import WorkerContext, initialize
 from service.workers import WorkerPool
 
@@ -77,7 +83,7 @@ class Daemon:
     settings: Settings
     store: Store
     session: int
-    calibration_id: str
+    calibrations: Calibrations
     folder: Path  # on tmpfs, for bundles and for the workers' files
     pool: WorkerPool
     spool: Spool
@@ -86,6 +92,7 @@ class Daemon:
     processing: Processing
     heartbeats: Heartbeats
     loop_watch: LoopWatch
+    rig_watch: RigWatch
 
     def acquisition(self) -> AcquisitionStatus:
         return self.rig.status()
@@ -96,7 +103,11 @@ class Daemon:
         return state
 
     def cameras(self) -> list[CameraStatus]:
-        return self.rig.cameras.statuses()
+        scores = self.rig_watch.scores()
+        return [
+            replace(status, **asdict(scores.get(status.id, CameraScore())))
+            for status in self.rig.cameras.statuses()
+        ]
 
     async def snapshot(self, camera: CameraId) -> bytes | None:
         return await self.rig.cameras.snapshot(camera)
@@ -118,10 +129,11 @@ class Daemon:
                 clock_step_s=self.loop_watch.clock_step_s(),
                 late=self.late(),
                 has_background=self.processing.has_background,
-                calibration_id=self.calibration_id,
+                calibration=self.calibrations.facts(),
                 last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
                 recording_trouble=self.recordings.trouble,
+                suspicions=self.rig_watch.suspicions(),
             )
         )
 
@@ -144,14 +156,30 @@ class Daemon:
 
 async def build(settings: Settings, store: Store) -> Daemon:
     """Put the parts together; nothing runs yet, but what a killed predecessor left behind is settled."""
-    calibration = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
-    calibration_id = calibration.calibration_id
-    devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(calibration))
+    configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
+    devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
+    rig_settings = settings.model_dump(mode="json")["rig"]
+    source = recording_source(devices, configured, rig_settings)
+    pool = WorkerPool(
+        slots=settings.workers.slots,
+        deadline_s=settings.workers.deadline_s,
+        initialize=initialize,
+        context=WorkerContext(
+            parameters=settings.pipeline,
+            is_simulated=devices.is_simulated,
+            speed_at_gate_mm_s=source.speed_at_gate_mm_s,
+        ),
+    )
+    verifications = await asyncio.to_thread(
+        open_verifications, settings.store.dir / "verifications", settings.verification
+    )
+    found = await asyncio.to_thread(find_calibrations, settings.store.dir / "calibrations", configured)
+    calibrations = Calibrations(found, pool, verifications)
     is_simulated = devices.is_simulated
     camera_ids = tuple(devices.cameras)
     session = await store.begin_session(
         {
-            "calibration_id": calibration_id,
+            "calibration_id": calibrations.rig.calibration_id,
             "algorithm_version": ALGORITHM_VERSION,
             "is_simulated": is_simulated,
             **settings.rig.describe(),
@@ -164,19 +192,6 @@ async def build(settings: Settings, store: Store) -> Daemon:
     heartbeats = Heartbeats(
         {"acquisition": ACQUISITION_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
     )
-    rig_settings = settings.model_dump(mode="json")["rig"]
-    source = recording_source(devices, calibration, rig_settings)
-    pool = WorkerPool(
-        slots=settings.workers.slots,
-        deadline_s=settings.workers.deadline_s,
-        initialize=initialize,
-        context=WorkerContext(
-            rig=calibration,
-            parameters=settings.pipeline,
-            is_simulated=is_simulated,
-            speed_at_gate_mm_s=source.speed_at_gate_mm_s,
-        ),
-    )
     spool = Spool(folder, max_bundles=settings.spool.max_bundles, camera_ids=camera_ids)
     if devices.belt is not None:
         # in fast pace a new bundle comes for each that is through: enough to keep the workers busy
@@ -185,10 +200,20 @@ async def build(settings: Settings, store: Store) -> Daemon:
     recordings = await asyncio.to_thread(
         open_recordings,
         settings.store.dir / "recordings",
-        source,
+        replace(source, rig=calibrations.calibration),
         settings.recordings,
         {"command": "serve", "instance_id": store.instance_id, "session": session},
     )
+
+    fall_height_mm = rig_settings.get("fall_height_mm", 300.0)
+    rig_watch = RigWatch(calibrations.calibration, speed_mm_s(fall_height_mm, source.speed_at_gate_mm_s))
+
+    async def on_activated(calibration: RigCalibration) -> None:
+        rig_watch.restart(calibration)
+        recordings.use_rig(calibration)
+        await store.note_calibration(session, calibration.calibration_id)
+
+    calibrations.on_activated = on_activated
 
     def on_bundle(bundle: FrameBundle) -> None:
         recordings.offer(bundle)
@@ -201,6 +226,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
+        is_ball=lambda: devices.belt is None and calibrations.wants_balls,
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat("acquisition", time.monotonic()),
     )
@@ -208,7 +234,6 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ProcessingContext(
             session=session,
             camera_ids=camera_ids,
-            calibration_id=calibration_id,
             is_simulated=is_simulated,
             archive_raw=settings.store.keep_raw > 0,
             save_silhouettes=settings.store.save_silhouettes,
@@ -216,15 +241,18 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         spool=spool,
         pool=pool,
-        results=store,
-        kept=None if devices.belt else KeptBackground(settings.store.dir, calibration_id, rig_settings),
+        results=WatchedResults(store, rig_watch),
+        calibration=calibrations,
+        kept=None
+        if devices.belt
+        else KeptBackground(settings.store.dir, image_sizes_px(configured), rig_settings),
         on_progress=lambda: heartbeats.beat("processing", time.monotonic()),
     )
     return Daemon(
         settings=settings,
         store=store,
         session=session,
-        calibration_id=calibration_id,
+        calibrations=calibrations,
         folder=folder,
         pool=pool,
         spool=spool,
@@ -233,6 +261,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         processing=processing,
         heartbeats=heartbeats,
         loop_watch=LoopWatch(),
+        rig_watch=rig_watch,
     )
 
 
@@ -269,6 +298,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             tasks.create_task(daemon.spool.write())
             watching_loop = tasks.create_task(daemon.loop_watch.run())
             processing = tasks.create_task(daemon.processing.run())
+            calibrating = tasks.create_task(daemon.calibrations.run())
             acquiring = tasks.create_task(daemon.rig.run())
             watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
             await server.is_serving.wait()
@@ -296,6 +326,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             await processing
             daemon.pool.close()
             log.info("stopped %s", await store.accounting(daemon.session))
+            calibrating.cancel()
             watching.cancel()
             watching_loop.cancel()
             store.release_waiters()

@@ -5,6 +5,7 @@
     ServiceError
     ├── SettingsError       a configuration file; names the file and every wrong field
     ├── StoreError          the result store cannot be opened or written; fatal for the daemon
+    ├── VolumeModelError    a file of volume coefficients; names the file and the field
     └── UsageError          a command's arguments contradict each other or the files they name
 """
 
@@ -19,6 +20,10 @@ class SettingsError(ServiceError):
 
 class StoreError(ServiceError):
     """The result store cannot be opened, or a write did not become durable."""
+
+
+class VolumeModelError(ServiceError):
+    """Coefficients of the volume's correction cannot be used, or cannot be fitted from what was given."""
 
 
 class UsageError(ServiceError):

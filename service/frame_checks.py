@@ -1,7 +1,8 @@
 """What a camera's own clock and counter tell about frames that were matched by time.
 
-Neither ever matches a frame to a trigger. The clock can refuse one that arrived a whole period late,
-exactly when the next was due; the counter reveals what was lost and where.
+The clock can refuse a frame that arrived a whole period late, exactly when the next was due, and, compared with
+an earlier frame, tell which trigger it was exposed for. The counter never matches a frame to a trigger: it
+reveals what was lost and where.
 """
 
 from dataclasses import dataclass
@@ -42,6 +43,15 @@ class ExposureCheck:
             self._candidate = here
         return fits
 
+    def distance_ns(self, device_ns: int, trigger_ns: int) -> int | None:
+        """How far from a trigger's exposure this frame's was; None when it was not that one, or nobody can tell."""
+        if device_ns == 0 or self._reference is None:
+            return None
+        here = (device_ns, trigger_ns)
+        return (
+            _disagreement_ns(self._reference, here) if self._misfit_ns(self._reference, here) == 0 else None
+        )
+
     def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
         """Whether a trusted frame proves that this one was not exposed for a trigger at that time."""
         if device_ns == 0 or self._reference is None:
@@ -50,9 +60,13 @@ class ExposureCheck:
 
     def _misfit_ns(self, earlier: tuple[int, int], later: tuple[int, int]) -> float:
         """How far the two durations differ beyond what jitter and drift explain; 0 when they agree."""
-        by_camera_ns, by_triggers_ns = later[0] - earlier[0], later[1] - earlier[1]
-        allowed_ns = self.tolerance_ns + CLOCK_DRIFT * abs(by_triggers_ns)
-        return max(0.0, abs(by_camera_ns - by_triggers_ns) - allowed_ns)
+        allowed_ns = self.tolerance_ns + CLOCK_DRIFT * abs(later[1] - earlier[1])
+        return max(0.0, _disagreement_ns(earlier, later) - allowed_ns)
+
+
+def _disagreement_ns(earlier: tuple[int, int], later: tuple[int, int]) -> int:
+    """How far the time between two frames by their camera's clock is from that between their triggers."""
+    return abs((later[0] - earlier[0]) - (later[1] - earlier[1]))
 
 
 def id_step(earlier: int, later: int) -> int | None:

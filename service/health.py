@@ -18,6 +18,7 @@ from service.control import (
     Ne107,
 )
 from service.parent_alarm import cause_of_all
+from service.rig_watch import Suspicion
 
 LOW_DISK_BYTES = 1 << 30
 """Less free space on the store's file system is a warning, a tenth of it a failure."""
@@ -25,6 +26,17 @@ BLIND_TRIGGERS = 3
 """So many triggers in a row without any image: the cameras are well, the line between them and the gate is not."""
 LOOP_MS = 250.0
 """A loop held up for longer matches frames late."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationFacts:
+    """What stones are measured with now."""
+
+    calibration_id: str
+    method: str
+    used_since: str  # RFC 3339
+    at_work: str | None = None  # who has balls dropped
+    trouble: str | None = None  # why its results are not to be trusted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,10 +57,11 @@ class Facts:
     clock_step_s: float | None  # by which the wall clock was set lately
     late: Sequence[str]  # parts without progress, see supervision.Heartbeats
     has_background: bool
-    calibration_id: str
+    calibration: CalibrationFacts
     last_seq: int  # the newest durable result
     free_bytes: int  # on the store's file system
     recording_trouble: str | None = None  # why a recording ended early
+    suspicions: Sequence[Suspicion] = ()  # cameras that are not where their calibration says, see rig_watch
 
 
 def assess(facts: Facts) -> Health:
@@ -88,9 +101,15 @@ def assess(facts: Facts) -> Health:
 def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne107:
     if has_failed or usable < facts.views.min:
         return Ne107.FAILURE
-    if usable < facts.views.reduced or facts.clock_step_s is not None or not facts.has_background:
+    if (
+        usable < facts.views.reduced
+        or facts.clock_step_s is not None
+        or not facts.has_background
+        or any(suspicion.is_dropped for suspicion in facts.suspicions)
+        or facts.calibration.trouble is not None
+    ):
         return Ne107.OUT_OF_SPECIFICATION
-    if facts.acquisition.state is not AcquisitionState.ARMED:
+    if facts.acquisition.state is not AcquisitionState.ARMED or facts.calibration.at_work is not None:
         return Ne107.CHECK_FUNCTION
     return Ne107.GOOD if is_clean else Ne107.MAINTENANCE_REQUIRED
 
@@ -145,7 +164,7 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
         if facts.has_background
         else "the empty rig was not seen yet: let no stone fall for a moment",
     )
-    checks["calibration"] = Check(status=CheckStatus.PASS, value=facts.calibration_id)
+    checks["calibration"] = _calibration(facts.calibration)
     # a store that cannot be written ends the daemon, so whoever can still ask finds it working
     checks["store"] = Check(status=CheckStatus.PASS, value=facts.last_seq, unit="results")
     checks["disk"] = Check(
@@ -156,6 +175,7 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     )
     trouble = facts.recording_trouble
     checks["recording"] = Check(status=_status(warn=trouble is not None), detail=trouble)
+    checks["rig"] = _rig(facts)
     return checks
 
 
@@ -174,6 +194,28 @@ def _camera(camera: CameraStatus) -> Check:
     is_lost = camera.state == "lost"
     detail = camera.last_error if is_lost else "; ".join(camera.warnings) or None
     return Check(status=_status(warn=bool(camera.warnings), fail=is_lost), value=camera.state, detail=detail)
+
+
+def _rig(facts: Facts) -> Check:
+    """What the stones say about the cameras."""
+    scores_px = [camera.tangency_px for camera in facts.cameras if camera.tangency_px is not None]
+    scores_px += [suspicion.score_px for suspicion in facts.suspicions]
+    return Check(
+        status=_status(warn=bool(facts.suspicions)),
+        value=round(max(scores_px), 2) if scores_px else None,
+        unit="px",
+        detail="; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in facts.suspicions)
+        or None,
+    )
+
+
+def _calibration(facts: CalibrationFacts) -> Check:
+    wrong = [each for each in (facts.trouble, facts.at_work) if each is not None]
+    return Check(
+        status=_status(warn=bool(wrong)),
+        value=facts.calibration_id,
+        detail="; ".join(wrong) or f"{facts.method}, in use since {facts.used_since}",
+    )
 
 
 def _queue(facts: Facts) -> Check:

@@ -1,7 +1,8 @@
 """The background outlives the daemon: under a running crusher no moment may come to see the rig empty.
 
-Kept for live rigs only, with the calibration and what the cameras are set to; after a change of either nothing
-is restored. In replay the recording alone decides, or results would depend on what ran before.
+Kept for live rigs only, with what the cameras are and are set to; after a change of that nothing is restored. A
+new calibration changes nothing of what they see. In replay the recording alone decides, or results would
+depend on what ran before.
 """
 
 import hashlib
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files import replacing
+from pipeline.frames import CameraId
 from service.worker_job import read_background
 
 log = logging.getLogger(__name__)
@@ -30,8 +32,13 @@ OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "feat
 class KeptBackground:
     """Called from threads, one call at a time."""
 
-    def __init__(self, folder: Path, calibration_id: str, rig_settings: Mapping[str, Any]) -> None:
-        optics = [calibration_id, *(rig_settings.get(name) for name in OPTICAL)]
+    def __init__(
+        self,
+        folder: Path,
+        image_sizes_px: Mapping[CameraId, tuple[int, int]],
+        rig_settings: Mapping[str, Any],
+    ) -> None:
+        optics = [image_sizes_px, *(rig_settings.get(name) for name in OPTICAL)]
         identity = hashlib.sha256(json.dumps(optics).encode()).hexdigest()[:16]
         self._path = folder / f"background-{identity}.npz"
         self._kept_at_s: float | None = None

@@ -1,24 +1,27 @@
 """From the spool to the store: measured on any worker, committed strictly in the order of the triggers.
 
 An exposure of the empty rig becomes a new version of the background before any later bundle is started,
-and every job names the version it needs, so a result does not depend on the number of workers.
+and every job names the version it needs, so a result does not depend on the number of workers. So does the
+calibration: the one in use when a bundle's turn begins is the one it is measured with.
 Every trigger that comes out of the spool ends here in exactly one outcome.
 """
 
 import asyncio
 import logging
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from drivers.errors import RecordingError
-from pipeline.frames import CameraId
+from pipeline.frames import BundleKind, CameraId
+from service.drop_files import ObservedDrop
+from service.drop_job import ObserveJob, observe
 from service.kept_background import KeptBackground
 from service.record import lost_record
 from service.spool import Loss, SpooledBundle
-from service.worker_job import LearnJob, MeasureJob, learn_background, measure
+from service.worker_job import LearnJob, MeasureJob, RigFile, learn_background, measure
 from service.workers import JobLostError, WorkerPool
 
 log = logging.getLogger(__name__)
@@ -32,6 +35,34 @@ class BundleSource(Protocol):
     async def take(self) -> SpooledBundle | None: ...
 
     async def release(self, bundle: SpooledBundle) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropCollector:
+    """Somebody who waits for balls, or for stones."""
+
+    kind: BundleKind
+    diameters_mm: tuple[float, ...]  # of the balls
+    add: Callable[[ObservedDrop, Mapping[str, Any], Path | None], Awaitable[None]]
+    """Takes a drop, its result, and the file of its outlines if there is one."""
+
+
+class CalibrationInUse(Protocol):
+    """Says what the next bundle is measured with, and who wants its outlines."""
+
+    @property
+    def rig(self) -> RigFile: ...
+
+    @property
+    def collector(self) -> DropCollector | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class FixedCalibration:
+    """One calibration for all bundles."""
+
+    rig: RigFile
+    collector: DropCollector | None = None
 
 
 class ResultSink(Protocol):
@@ -48,7 +79,6 @@ class ProcessingContext:
 
     session: int
     camera_ids: tuple[CameraId, ...]
-    calibration_id: str
     is_simulated: bool
     archive_raw: bool
     save_silhouettes: bool
@@ -59,8 +89,11 @@ class ProcessingContext:
 class _Measured:
     record: dict[str, Any]
     folder: Path
+    drop: ObservedDrop | None
 
 
+OUTLINES = "outlines.npz"
+"""In a worker's folder, of a drop that somebody collects."""
 KEPT = ("mesh.ply", "silhouettes", "bundle.tiff")
 """What the store wants of a worker's folder; a worker that crashed may have left more."""
 
@@ -69,6 +102,21 @@ KEPT = ("mesh.ply", "silhouettes", "bundle.tiff")
 class _Learnt:
     path: Path
     retired: Path | None  # the version that no later job uses
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    bundle: SpooledBundle
+    rig: RigFile
+    collector: DropCollector | None
+    job: asyncio.Task[_Measured | _Learnt | Loss]
+
+    @property
+    def outcome(self) -> _Measured | _Learnt | Loss:
+        """Of the job, which is done."""
+        if not self.job.cancelled():
+            return self.job.result()
+        return self.bundle.content if isinstance(self.bundle.content, Loss) else SHUTDOWN
 
 
 class Processing:
@@ -84,6 +132,7 @@ class Processing:
         spool: BundleSource,
         pool: WorkerPool,
         results: ResultSink,
+        calibration: CalibrationInUse,
         kept: KeptBackground | None = None,
         on_progress: Callable[[], None],
     ) -> None:
@@ -91,6 +140,7 @@ class Processing:
         self._spool = spool
         self._pool = pool
         self._results = results
+        self._calibration = calibration
         self._on_progress = on_progress
         self._jobs: set[asyncio.Task[_Measured | _Learnt | Loss]] = set()
         self._is_abandoned = False
@@ -112,10 +162,14 @@ class Processing:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns))
             while (bundle := await self._spool.take()) is not None:
-                job = tasks.create_task(self._process(bundle))
+                rig = self._calibration.rig
+                collector = self._calibration.collector
+                if collector is not None and collector.kind is not bundle.trigger.kind:
+                    collector = None
+                job = tasks.create_task(self._process(bundle, rig, collector))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
-                turns.put_nowait((bundle, job))
+                turns.put_nowait(_Turn(bundle, rig, collector, job))
                 if self._is_abandoned:
                     job.cancel()
                 if bundle.is_background:
@@ -130,15 +184,14 @@ class Processing:
 
     async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]") -> None:
         while (turn := await turns.get()) is not None:
-            bundle, job = turn
-            await asyncio.wait([job])
-            abandoned = bundle.content if isinstance(bundle.content, Loss) else SHUTDOWN
-            await self._commit(bundle, abandoned if job.cancelled() else job.result())
-            await self._spool.release(bundle)
+            await asyncio.wait([turn.job])
+            await self._commit(turn)
+            await self._spool.release(turn.bundle)
             self._on_progress()
 
-    async def _commit(self, bundle: SpooledBundle, outcome: _Measured | _Learnt | Loss) -> None:
-        match outcome:
+    async def _commit(self, turn: _Turn) -> None:
+        bundle = turn.bundle
+        match outcome := turn.outcome:
             case _Learnt(path, retired):
                 if self._kept is not None:
                     await asyncio.to_thread(self._kept.keep, path)
@@ -157,18 +210,23 @@ class Processing:
                     bundle=bundle.name,
                     reason=reason,
                     detail=detail,
-                    calibration_id=self._context.calibration_id,
+                    calibration_id=turn.rig.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
                 await self._results.finish(self._context.session, bundle.name, record)
-            case _Measured(record, folder):
+            case _Measured(record, folder, drop):
                 files = {path.name: path for name in KEPT if (path := folder / name).exists()}
                 self._last_loss = ("", "")
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
+                if turn.collector is not None and drop is not None:
+                    outlines = folder / OUTLINES
+                    await turn.collector.add(drop, record, outlines if outlines.exists() else None)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
 
-    async def _process(self, bundle: SpooledBundle) -> _Measured | _Learnt | Loss:
+    async def _process(
+        self, bundle: SpooledBundle, rig: RigFile, collector: DropCollector | None
+    ) -> _Measured | _Learnt | Loss:
         if isinstance(bundle.content, Loss):
             return bundle.content
         self._started += 1
@@ -176,7 +234,7 @@ class Processing:
         try:
             if bundle.is_background:
                 return await self._learn(bundle.content, folder.with_suffix(".npz"))
-            return await self._measure(bundle.content, folder)
+            return await self._measure(bundle.content, rig, collector, folder)
         except JobLostError as err:
             return Loss(reason=err.reason, detail=err.detail)
         except RecordingError as err:
@@ -193,16 +251,33 @@ class Processing:
         retired, self._background = self._background, out_path
         return _Learnt(out_path, retired)
 
-    async def _measure(self, path: Path, folder: Path) -> _Measured:
+    async def _measure(
+        self, path: Path, rig: RigFile, collector: DropCollector | None, folder: Path
+    ) -> _Measured:
+        background_path = self._background
         job = MeasureJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            background_path=self._background,
+            rig=rig,
+            background_path=background_path,
             out_dir=folder,
             archive=self._context.archive_raw,
             save_silhouettes=self._context.save_silhouettes,
         )
-        return _Measured(await self._pool.run(measure, job), folder)
-
-
-_Turn = tuple[SpooledBundle, asyncio.Task[_Measured | _Learnt | Loss]]
+        record = await self._pool.run(measure, job)
+        if collector is None:
+            return _Measured(record, folder, None)
+        observing = ObserveJob(
+            bundle_path=path,
+            camera_ids=self._context.camera_ids,
+            rig=rig,
+            background_path=background_path,
+            kind=collector.kind,
+            diameters_mm=collector.diameters_mm,
+            out_path=folder / OUTLINES,
+        )
+        try:
+            drop = await self._pool.run(observe, observing)
+        except JobLostError as err:  # it has its result all the same
+            drop = ObservedDrop(bundle=record["bundle"], problem=str(err))
+        return _Measured(record, folder, drop)

@@ -6,12 +6,15 @@ from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import Trigger
 from pipeline.particle import ParticleMeasurement, ParticleResult
 
-ALGORITHM_VERSION = "1"
+ALGORITHM_VERSION = "2"
 """Raised by every change that may change a result."""
 
 MEASURED_FIELDS = (
+    "body",
     "volume_mm3",
     "volume_raw_mm3",
+    "volume_estimate_mm3",
+    "volume_model",
     "surface_area_mm2",
     "length_mm",
     "width_mm",
@@ -30,6 +33,7 @@ MEASURED_FIELDS = (
     "angularity",
     "mass_g",
     "center_mm",
+    "hull",
 )
 """Fields that are null unless the outcome is `measured`."""
 
@@ -55,11 +59,25 @@ def result_record(
         "views": list(result.views),
         "dropped_views": dict(result.dropped),
         "view_residuals_px": {camera: round(px, 4) for camera, px in result.residuals_px.items()},
+        **_tangency(result),
         "timings_ms": timings_ms,
     }
     if measurement is not None:
         record |= _measured(measurement)
     return record | _at_the_gate(trigger, measurement, speed_at_gate_mm_s)
+
+
+def _tangency(result: ParticleResult) -> dict[str, Any]:
+    """What the stone says about the cameras, those it was rejected for included."""
+    if result.consistency is None:
+        return {}
+    found = result.consistency
+    return {
+        "tangency_px": {camera: round(px, 4) for camera, px in found.tangency_px.items()},
+        "image_shifts_px": {
+            camera: [round(px, 4) for px in shift] for camera, shift in found.image_shifts_px.items()
+        },
+    }
 
 
 def lost_record(
@@ -88,6 +106,8 @@ def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulat
         "gate_extent_is_plausible": None,
         "mesh": None,
         "view_residuals_px": {},
+        "tangency_px": {},
+        "image_shifts_px": {},
         "timings_ms": {},
         "calibration_id": calibration_id,
         "algorithm_version": ALGORITHM_VERSION,
@@ -96,10 +116,13 @@ def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulat
 
 
 def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
-    shape = measurement.shape
+    shape, hull = measurement.shape, measurement.hull
     return {
+        "body": measurement.body,
         "volume_mm3": measurement.volume_mm3,
-        "volume_raw_mm3": shape.volume_mm3,
+        "volume_raw_mm3": hull.volume_mm3,
+        "volume_estimate_mm3": measurement.volume_estimate_mm3,
+        "volume_model": measurement.volume_model,
         "surface_area_mm2": shape.surface_area_mm2,
         "length_mm": shape.length_mm,
         "width_mm": shape.width_mm,
@@ -109,7 +132,7 @@ def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
         "min_box_mm": list(shape.min_box_mm),
         "sieve_size_mm": shape.sieve_size_mm,
         "equivalent_diameter_mm": measurement.equivalent_diameter_mm,
-        "equivalent_diameter_raw_mm": shape.equivalent_diameter_mm,
+        "equivalent_diameter_raw_mm": hull.equivalent_diameter_mm,
         "sphericity": shape.sphericity,
         "convexity": shape.convexity,
         "elongation_ratio": shape.elongation_ratio,
@@ -118,6 +141,11 @@ def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
         "angularity": measurement.angularity,
         "mass_g": measurement.mass_g,
         "center_mm": list(shape.center_mm),
+        "hull": {
+            "volume_mm3": hull.volume_mm3,
+            "surface_area_mm2": hull.surface_area_mm2,
+            "equivalent_diameter_mm": hull.equivalent_diameter_mm,
+        },
     }
 
 

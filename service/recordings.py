@@ -10,7 +10,7 @@ import re
 import shutil
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from drivers.errors import RecordingError
 from drivers.files import read_json
 from drivers.recording import UNKNOWN_UTC
 from pipeline.frames import BundleKind, FrameBundle
+from pipeline.rig import RigCalibration
 from service.errors import ServiceError
 from service.recording_live import (
     EndedBy,
@@ -152,6 +153,10 @@ class Recordings:
         if self._last is None or not self._last.is_cut_short:
             return None
         return f"recording {self._last.name}: {self._last.reason or self._last.ended_by}"
+
+    def use_rig(self, rig: RigCalibration) -> None:
+        """What the rig file of later recordings says."""
+        self._source = replace(self._source, rig=rig)
 
     def offer(self, bundle: FrameBundle) -> None:
         """Remember a bundle, and hand it to the recording under way; never blocks."""

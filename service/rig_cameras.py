@@ -14,7 +14,7 @@ import numpy as np
 from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.bundle_counters import BundlingCounters, CameraCounters
-from service.bundling import CAMERA_LOST, DEAD_TIME, DISARMED, NO_FRAME, STONE_PASSED, UNSEEN
+from service.bundle_windows import CAMERA_LOST, DEAD_TIME, DISARMED, NO_FRAME, STONE_PASSED, UNSEEN
 from service.control import CameraStatus
 from service.exposure_skew import ExposureSkew
 from service.keeper import Keeper

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.fall import blur_px, longest_exposure_us, speed_mm_s
 from pipeline.rig import RigCalibration
-from service.bundling import BundlingParameters
+from service.bundling_parameters import BundlingParameters
 
 if TYPE_CHECKING:
     from service.rig_settings import AravisRigSettings

@@ -29,7 +29,7 @@ from drivers.rig_file import read_rig
 from pipeline.fall import fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
-from service.bundling import BundlingParameters
+from service.bundling_parameters import BundlingParameters
 from service.paths import ConfiguredPath, beside_the_file
 from service.rig_checks import blur_problems, timing_problems, transfer_problems
 

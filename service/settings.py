@@ -15,16 +15,18 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pipeline.carving import CarvingParameters
 from pipeline.consistency import ConsistencyParameters
-from pipeline.particle import MeasuringParameters, PipelineParameters, ViewsParameters
+from pipeline.particle import BodyParameters, PipelineParameters, ViewsParameters
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.api.settings import ApiSettings
-from service.bundling import BundlingParameters
+from service.bundling_parameters import BundlingParameters
 from service.empty_rig import EmptyRigParameters
-from service.errors import SettingsError
+from service.errors import SettingsError, VolumeModelError
 from service.paths import ConfiguredPath
 from service.recordings import RecordingsSettings
 from service.rig_settings import BACKENDS, RigSettings
 from service.store import KEEP_RAW
+from service.verifications import VerificationParameters
+from service.volume_models import MeasuringSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +82,9 @@ class Settings(BaseModel):
     views: ViewsParameters = ViewsParameters()
     consistency: ConsistencyParameters = ConsistencyParameters()
     carving: CarvingParameters = CarvingParameters()
-    measuring: MeasuringParameters = MeasuringParameters()
+    body: BodyParameters = BodyParameters()
+    measuring: MeasuringSettings = MeasuringSettings()
+    verification: VerificationParameters = VerificationParameters()
     workers: WorkersSettings = WorkersSettings()
     recordings: RecordingsSettings = RecordingsSettings()
     api: ApiSettings = ApiSettings()
@@ -88,7 +92,12 @@ class Settings(BaseModel):
     @property
     def pipeline(self) -> PipelineParameters:
         return PipelineParameters(
-            **{part.name: getattr(self, part.name) for part in fields(PipelineParameters)}
+            **{
+                part.name: getattr(self, part.name)
+                for part in fields(PipelineParameters)
+                if part.name != "measuring"
+            },
+            measuring=self.measuring.parameters,
         )
 
 
@@ -125,6 +134,10 @@ def problems(settings: Settings) -> Iterator[str]:
             f" carving.max_disagreeing_views, not {settings.views.min}"
         )
     yield from settings.rig.problems(settings.bundling)
+    try:
+        _ = settings.measuring.parameters
+    except VolumeModelError as err:
+        yield f"measuring.volume_model: {err}"
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _cannot_hold_files(folder):
             yield f"{name}: {problem}"

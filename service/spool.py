@@ -14,7 +14,7 @@ from pathlib import Path
 from drivers.recording import write_bundle
 from drivers.replay_belt import UNREADABLE
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
-from service.bundling import DISARMED
+from service.bundle_windows import DISARMED
 
 log = logging.getLogger(__name__)
 

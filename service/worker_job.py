@@ -17,6 +17,7 @@ import trimesh
 from threadpoolctl import threadpool_limits
 
 from drivers.recording import read_bundle, write_bundle
+from drivers.rig_file import read_rig
 from pipeline.frames import CameraId
 from pipeline.measuring import measure_shape
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
@@ -36,11 +37,18 @@ class WorkerFailure(Exception):  # noqa: N818 - a bug or a broken environment, w
 class WorkerContext:
     """What all jobs of a worker share."""
 
-    rig: RigCalibration
     parameters: PipelineParameters
     is_simulated: bool
     speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
     segmenter: str = "background"
+
+
+@dataclass(frozen=True, slots=True)
+class RigFile:
+    """A calibration: its file, never rewritten under its name, and the id its content has."""
+
+    path: Path
+    calibration_id: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +57,7 @@ class MeasureJob:
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
+    rig: RigFile
     background_path: Path | None
     out_dir: Path
     archive: bool = False  # keep the frames as `bundle.tiff`
@@ -66,12 +75,15 @@ class LearnJob:
 
 
 @dataclass(slots=True)
-class _Worker:
+class Worker:
+    """A worker process: what its jobs share, and what it keeps from one to the next."""
+
     context: WorkerContext
-    calibration_id: str
     segmenter: Segmenter
     background_path: Path | None = None
     background: BackgroundModel | None = None
+    rig_file: RigFile | None = None
+    rig: RigCalibration | None = None
 
     def background_at(self, path: Path | None) -> BackgroundModel:
         """The model in a file; the last one is kept, files are never rewritten under their name."""
@@ -81,8 +93,19 @@ class _Worker:
             self.background, self.background_path = read_background(path), path
         return self.background
 
+    def rig_in(self, file: RigFile) -> RigCalibration:
+        """The calibration in a file; the last one is kept. `ValueError` when it is not the one that is meant."""
+        if self.rig is None or file != self.rig_file:
+            rig = read_rig(file.path)
+            if rig.calibration_id != file.calibration_id:
+                raise ValueError(
+                    f"{file.path} holds calibration {rig.calibration_id}, not {file.calibration_id}"
+                )
+            self.rig, self.rig_file = rig, file
+        return self.rig
 
-_worker: _Worker | None = None
+
+_worker: Worker | None = None
 
 
 def initialize(context: WorkerContext) -> None:
@@ -95,12 +118,18 @@ def initialize(context: WorkerContext) -> None:
     # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
     threadpool_limits(1)
-    _worker = _Worker(
+    _worker = Worker(
         context=context,
-        calibration_id=context.rig.calibration_id,
         segmenter=build_segmenter(context.segmenter, context.parameters),
     )
     measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
+
+
+def this_worker() -> Worker:
+    """Return what this process keeps; raise `WorkerFailure` before `initialize`."""
+    if _worker is None:
+        raise WorkerFailure("the worker was not initialized")
+    return _worker
 
 
 def build_segmenter(name: str, parameters: PipelineParameters) -> Segmenter:
@@ -120,8 +149,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
     WorkerFailure
         Anything that is not the stone's fault; carries the traceback as text.
     """
-    if _worker is None:
-        raise WorkerFailure("the worker was not initialized")
+    worker = this_worker()
     timings_ms: dict[str, float] = {}
     stage_start = time.perf_counter()
     bundle = read_bundle(job.bundle_path, job.camera_ids)
@@ -133,10 +161,11 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         stage_start = now
 
     try:
-        background = _worker.background_at(job.background_path)
+        background = worker.background_at(job.background_path)
+        rig = worker.rig_in(job.rig)
         on_stage("load")
         result = measure_bundle(
-            bundle, _worker.context.rig, background, _worker.segmenter, _worker.context.parameters, on_stage
+            bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage
         )
         _write_files(job, result)
         if job.archive:
@@ -149,9 +178,9 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         result,
         bundle.trigger,
         bundle=bundle.name,
-        calibration_id=_worker.calibration_id,
-        is_simulated=_worker.context.is_simulated,
-        speed_at_gate_mm_s=_worker.context.speed_at_gate_mm_s,
+        calibration_id=job.rig.calibration_id,
+        is_simulated=worker.context.is_simulated,
+        speed_at_gate_mm_s=worker.context.speed_at_gate_mm_s,
         timings_ms=timings_ms,
     )
     record["mesh"] = None if result.mesh is None else "mesh.ply"

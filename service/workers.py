@@ -78,8 +78,12 @@ class WorkerPool:
         for slot in self._slots:
             self._idle.put_nowait(slot)
 
-    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
+    async def run(
+        self, function: Callable[[Job], Result], job: Job, deadline_s: float | None = None
+    ) -> Result:
         """Return `function(job)`, computed in the first idle slot; a `WorkerFailure` counts as a crash.
+
+        `deadline_s` is that of a job which takes longer than a bundle may.
 
         Raises
         ------
@@ -88,15 +92,16 @@ class WorkerPool:
         WorkerStartError
             The slot could not be rebuilt.
         """
+        deadline_s = deadline_s or self._deadline_s
         slot = await self._idle.get()
         try:
             try:
-                return await slot.run(function, job, self._deadline_s)
+                return await slot.run(function, job, deadline_s)
             except JobLostError as err:
                 log.warning("%s; retrying in a fresh worker", err)
             await self._rebuild(slot)
             try:
-                return await slot.run(function, job, self._deadline_s)
+                return await slot.run(function, job, deadline_s)
             except JobLostError:
                 await self._rebuild(slot)
                 raise

@@ -27,6 +27,8 @@ from pipeline.frames import CameraId
 PROBE_S = 0.25
 """How long a camera may take to say that it is there."""
 FULL_LINK_MBIT_S = 1000
+FRAME_RETENTION_US = 250_000
+"""Without a packet for so long a frame is given up: on a busy machine 0.1 s, as Aravis has it, is soon over."""
 POLLED = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
 """Features `examine` reports, of those a camera has."""
 
@@ -197,6 +199,7 @@ class AravisCamera:
         if settings.packet_size_bytes is None:
             self._applied.append(Applied(name="GevSCPSPacketSize", value=packet_bytes))
         self._stream.set_property("packet-resend", aravis.GvStreamPacketResend.ALWAYS)
+        self._stream.set_property("frame-retention", FRAME_RETENTION_US)
         # fixed, and not set by Aravis, which would do so only when the first packet is in
         self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
         self._stream.set_property("socket-buffer-size", 0)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from drivers.faults import Dice, FaultPlan
+from drivers.gates.wrapped import WrappedGate
 from drivers.interfaces import DeviceEvent, EventSink, GateLost, LightGate, TriggersIgnored
 from pipeline.frames import Trigger
 
@@ -11,7 +12,7 @@ BOUNCE_NS = 3_000_000
 """From an edge to its echo."""
 
 
-class FaultyGate:
+class FaultyGate(WrappedGate):
     """Passes the other gate's triggers on, with the faults of a plan.
 
     `on_swallowed` is told of every trigger that nobody else will hear of.
@@ -20,42 +21,16 @@ class FaultyGate:
     def __init__(
         self, gate: LightGate, plan: FaultPlan, on_swallowed: Callable[[], None] = lambda: None
     ) -> None:
-        self._gate = gate
+        super().__init__(gate)
         self._plan = plan
         self._on_swallowed = on_swallowed
         self._dice = Dice(plan.seed, "gate")
-        self._sink: EventSink | None = None
-        self._is_lost = False
         self._n_triggers = 0
         self._n_doubled = 0
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        return self._gate.warnings
-
-    def open(self) -> None:
-        self._gate.open()
-        self._is_lost = False
-
-    def arm(self, sink: EventSink) -> None:
-        self._sink = sink
-        self._gate.arm(self)
-
-    def test_pulse(self) -> None:
-        self._gate.test_pulse()
-
-    def disarm(self) -> None:
-        self._gate.disarm()
-
-    def close(self) -> None:
-        self._gate.close()
-
-    def deliver(self, event: DeviceEvent) -> bool:
-        """Take what the other gate delivers; called on its thread."""
-        if self._sink is None:
-            return True
+    def _pass_on(self, event: DeviceEvent, sink: EventSink) -> bool:
         if not isinstance(event, Trigger):
-            return self._is_lost or self._sink.deliver(event)
+            return self._is_lost or sink.deliver(event)
         index, self._n_triggers = self._n_triggers, self._n_triggers + 1
         plan = self._plan
         lost, doubled, bounced, disconnected = (
@@ -69,19 +44,19 @@ class FaultyGate:
         )
         if disconnected and not self._is_lost:
             self._is_lost = True
-            self._sink.deliver(GateLost(received_ns=event.received_ns, reason="disconnected"))
+            sink.deliver(GateLost(received_ns=event.received_ns, reason="disconnected"))
         if lost or self._is_lost:
             self._on_swallowed()
             return True
         trigger = replace(event, sequence=event.sequence + self._n_doubled)
-        is_taken = self._sink.deliver(trigger)
+        is_taken = sink.deliver(trigger)
         echo_ns = trigger.received_ns + BOUNCE_NS
         if bounced:
-            self._sink.deliver(TriggersIgnored(received_ns=echo_ns, count=1, reason="bounce"))
+            sink.deliver(TriggersIgnored(received_ns=echo_ns, count=1, reason="bounce"))
         if doubled:
             self._n_doubled += 1
             name = None if trigger.name is None else f"{trigger.name}-double"
-            is_taken &= self._sink.deliver(
+            is_taken &= sink.deliver(
                 replace(trigger, sequence=trigger.sequence + 1, received_ns=echo_ns, name=name)
             )
         return is_taken

@@ -5,15 +5,12 @@ A second line, an output in parallel with the sensor on the cameras' trigger lin
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import NamedTuple, Protocol
 
 from drivers.errors import GateUnavailableError
-from drivers.gates.gate_thread import GateThread
-from drivers.gates.line_pulses import LinePulses
-from drivers.interfaces import EventSink
+from drivers.gates.line_gate import LineGate
 
 WAIT_S = 0.02
 MAX_SETTLING_US = 1_000_000
@@ -114,44 +111,29 @@ class GpiodLines:
         self._request.release()
 
 
-class GpioGate:
-    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored`, `TriggersLost` and, once, `GateLost`.
-
-    Numbers start at 0 with the object. `received_ns` is the kernel's time of the edge.
-    """
+class GpioGate(LineGate):
+    """Delivers `TriggersLost` as well; `received_ns` is the kernel's time of the edge."""
 
     def __init__(
         self, settings: GpioGateSettings, open_lines: Callable[[GpioGateSettings], GpioLines] = GpiodLines
     ) -> None:
+        super().__init__(f"{settings.chip} {settings.line}", settings.debounce_us)
         self._settings = settings
         self._open_lines = open_lines
-        self._thread = GateThread(f"{settings.chip} {settings.line}")
-        self._pulses = LinePulses(settings.debounce_us, self._thread.deliver)
         self._lines: GpioLines | None = None
         self._last: LineEdge | None = None
         self._echo_ns = range(0)  # edges then are a test pulse's own
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        return ()
-
-    def open(self) -> None:
-        if self._thread.is_running and self._thread.failure is None:
-            return
-        self.close()
+    def _connect(self) -> Callable[[], None]:
         try:
-            lines = self._lines = self._open_lines(self._settings)
+            lines = self._held = self._lines = self._open_lines(self._settings)
         except (OSError, ValueError) as err:
             raise self._thread.error(
                 f"cannot be had: {err}; the chip must be there, the line free, "
                 "and the service's user in the group dialout"
             ) from err
-        self._pulses.reset()
         self._last = None
-        self._thread.start(lambda: self._turn(lines))
-
-    def arm(self, sink: EventSink) -> None:
-        self._thread.arm(sink)
+        return lambda: self._turn(lines)
 
     def test_pulse(self) -> None:
         """Pulse the test line."""
@@ -170,15 +152,9 @@ class GpioGate:
             raise self._thread.error(f"cannot set test line {test_line}: {err}") from err
         self._pulses.test_pulse(at_ns)
 
-    def disarm(self) -> None:
-        self._thread.disarm()
-
     def close(self) -> None:
-        self._thread.stop()
-        if self._lines is not None:
-            with suppress(OSError):
-                self._lines.close()
-            self._lines = None
+        super().close()
+        self._lines = None
 
     def _turn(self, lines: GpioLines) -> None:
         now_ns = time.monotonic_ns()  # before asking: every edge up to now is among those that come

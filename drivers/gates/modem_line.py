@@ -16,13 +16,11 @@ import sys
 import termios
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
-from drivers.gates.gate_thread import GateThread, port_problem
-from drivers.gates.line_pulses import LinePulses
-from drivers.interfaces import EventSink
+from drivers.gates.gate_thread import port_problem
+from drivers.gates.line_gate import LineGate
 
 LOOK_S = 0.001
 COUNTS = 1 << 32
@@ -133,56 +131,29 @@ class EdgesBetween:
         return n_told
 
 
-class ModemLineGate:
-    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored` and, once, `GateLost`; numbers start at 0 with the object.
-
-    It has no way to trigger the cameras: put `FiringGate` around it for test pulses.
-    """
+class ModemLineGate(LineGate):
+    """It has no way to trigger the cameras: put `FiringGate` around it for test pulses."""
 
     def __init__(
         self, settings: ModemLineSettings, open_line: Callable[[ModemLineSettings], ModemLine] = TtyLine
     ) -> None:
+        super().__init__(f"{settings.port} {settings.line}", settings.debounce_us)
         self._settings = settings
         self._open_line = open_line
-        self._thread = GateThread(f"{settings.port} {settings.line}")
-        self._pulses = LinePulses(settings.debounce_us, self._thread.deliver)
-        self._line: ModemLine | None = None
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        return ()
-
-    def open(self) -> None:
-        if self._thread.is_running and self._thread.failure is None:
-            return
-        self.close()
-        try:
-            line = self._line = self._open_line(self._settings)
-            first = line.look()
-        except (OSError, ValueError) as err:
-            self.close()
-            is_no_port = isinstance(err, OSError) and err.errno == errno.ENOTTY
-            raise self._thread.error("has no modem lines" if is_no_port else port_problem(err)) from err
-        self._pulses.reset()
-        between = EdgesBetween(first)
-        self._thread.start(lambda: self._turn(line, between))
-
-    def arm(self, sink: EventSink) -> None:
-        self._thread.arm(sink)
 
     def test_pulse(self) -> None:
         """Never: the line is an input; raises `GateUnavailableError`."""
         raise self._thread.error("cannot trigger the cameras")
 
-    def disarm(self) -> None:
-        self._thread.disarm()
-
-    def close(self) -> None:
-        self._thread.stop()
-        if self._line is not None:
-            with suppress(OSError):
-                self._line.close()
-            self._line = None
+    def _connect(self) -> Callable[[], None]:
+        try:
+            line = self._held = self._open_line(self._settings)
+            first = line.look()
+        except (OSError, ValueError) as err:
+            is_no_port = isinstance(err, OSError) and err.errno == errno.ENOTTY
+            raise self._thread.error("has no modem lines" if is_no_port else port_problem(err)) from err
+        between = EdgesBetween(first)
+        return lambda: self._turn(line, between)
 
     def _turn(self, line: ModemLine, between: EdgesBetween) -> None:
         time.sleep(LOOK_S)

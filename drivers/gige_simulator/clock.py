@@ -20,7 +20,7 @@ class CameraClock:
         self._rate = 1 + drift_ppm * 1e-6
         self._offset_ns = offset_ns
         self._ptp_since_ns: int | None = None
-        self._random = random.Random(seed)  # noqa: S311
+        self._random = random.Random(seed)  # noqa: S311 - repeatable, nothing secret
 
     def restart(self) -> None:
         """Power on: the clock starts at its offset again, free running."""

@@ -1,4 +1,8 @@
-"""The stones of a recording in the order in which they fall, read ahead: unpacking one takes 0.1 s."""
+"""The stones of a recording in the order in which they fall, unpacked ahead.
+
+Unpacking one takes 0.1 s of the processor that sixteen cameras need to be on time: what has room in memory is
+ready before the first one falls.
+"""
 
 import queue
 import threading
@@ -9,10 +13,8 @@ from drivers.errors import RecordingError
 from drivers.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
 from pipeline.frames import BundleKind, CameraId, Image, Trigger
 
-READ_AHEAD = 3
-"""Bundles; one is 21 MB in memory."""
-KEPT_BYTES = 512 << 20
-"""A recording that needs no more is unpacked only once when it is played in a loop."""
+AHEAD_BYTES = 512 << 20
+"""Of images in memory, 24 bundles of full size; a recording that needs no more is unpacked only once in a loop."""
 PULSE_WIDTH_NS = 64_000_000
 """Where none was recorded: a stone of 20 mm, the middle of the product, that begins to fall at the beam."""
 
@@ -38,9 +40,9 @@ class Hopper:
         self._headers = playback_order(recording)
         self._is_looping = is_looping
         width_px, height_px = recording.image_size_px
-        n_bytes = len(self._headers) * len(recording.camera_ids) * width_px * height_px
-        self._kept: dict[int, Fall] | None = {} if is_looping and n_bytes <= KEPT_BYTES else None
-        self._falls: queue.Queue[Fall | None] = queue.Queue(READ_AHEAD)
+        n_ahead = max(1, AHEAD_BYTES // (len(recording.camera_ids) * width_px * height_px))
+        self._kept: dict[int, Fall] | None = {} if is_looping and len(self._headers) <= n_ahead else None
+        self._falls: queue.Queue[Fall | None] = queue.Queue(n_ahead)
         self._is_closing = threading.Event()
         self._thread = threading.Thread(target=self._read_ahead, name="hopper", daemon=True)
 

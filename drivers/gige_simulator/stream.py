@@ -46,7 +46,7 @@ class StreamChannel:
         self._is_connected = is_connected
         self._uplink = uplink
         self._send_random = random.Random(f"{seed}/send")  # noqa: S311 - repeatable, nothing secret
-        self._resend_random = random.Random(f"{seed}/resend")  # noqa: S311
+        self._resend_random = random.Random(f"{seed}/resend")  # noqa: S311 - as above
         self._lock = threading.Lock()
         self._kept: OrderedDict[int, _Kept] = OrderedDict()
         self._socket: socket.socket | None = None

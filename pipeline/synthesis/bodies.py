@@ -1,4 +1,4 @@
-"""Known bodies, in mm, centred on their centre of mass and star-shaped about it.
+"""Known bodies, in mm, centred on their centre of mass.
 
 The standards of the paper (matte ball d = 10, sphere d = 15, cylinder d = h = 15, cube 15) and any
 mesh that is passed in. Curved bodies are fine enough (facets within 0.002 mm of the ideal surface at

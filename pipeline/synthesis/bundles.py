@@ -41,8 +41,12 @@ def render_bundle(
     label: str | None = None,
     kind: BundleKind = BundleKind.PARTICLE,
     period_ns: int = PERIOD_NS,
+    delay_ns: int = TRIGGER_DELAY_NS,
 ) -> FrameBundle:
-    """The bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`."""
+    """The bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`.
+
+    The cameras expose `delay_ns` after the gate.
+    """
     images = photograph(bodies, simulated, rng)
     elapsed_ns = (sequence - 1) * period_ns
     trigger_ns = FIRST_NS + elapsed_ns
@@ -64,8 +68,8 @@ def render_bundle(
             camera=camera,
             image=image,
             frame_id=(first_frame_id + sequence - 2) % LAST_FRAME_ID + 1,
-            device_ns=clock_ns + elapsed_ns + TRIGGER_DELAY_NS + int(rng.integers(-500, 500)),
-            received_ns=trigger_ns + TRIGGER_DELAY_NS + exposure_ns + TRANSFER_NS + jitter_ns,
+            device_ns=clock_ns + elapsed_ns + delay_ns + int(rng.integers(-500, 500)),
+            received_ns=trigger_ns + delay_ns + exposure_ns + TRANSFER_NS + jitter_ns,
         )
     return FrameBundle(trigger=trigger, frames=frames)
 

@@ -1,5 +1,7 @@
 """Where a falling body is in the middle of the exposure."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
@@ -15,6 +17,8 @@ OFFSET_SD_MM = 1.5
 MAX_OFFSET_SD = 3.0
 HALF_VOLUME_MM = 24.5
 """Half the edge of the reconstructed cube, less a margin."""
+SPREAD_MM = (9.0, 9.0, 9.0)
+"""How far from the centre, along each axis, calibration balls are dropped: where stones are measured."""
 BORDER_PX = 8.0
 PX_PER_MM = 20.0  # in the middle of the design
 N_TRIES = 60
@@ -25,11 +29,34 @@ def tumble(body: Body, rig: RigCalibration, rng: np.random.Generator) -> PlacedB
 
     A body too large for that anywhere near the centre is placed where least of it is cut off.
     """
+    return _placed(
+        body, rig, rng, lambda: OFFSET_SD_MM * np.clip(rng.normal(size=3), -MAX_OFFSET_SD, MAX_OFFSET_SD)
+    )
+
+
+def drop_across(
+    body: Body,
+    rig: RigCalibration,
+    rng: np.random.Generator,
+    spread_mm: tuple[float, float, float] = SPREAD_MM,
+    fallen_mm: float = 0.0,
+) -> PlacedBody:
+    """The body anywhere within `spread_mm` of the centre along x, y and z, and `fallen_mm` below that.
+
+    Otherwise as `tumble` places it.
+    """
+    below_mm = np.array([0.0, 0.0, fallen_mm])
+    return _placed(body, rig, rng, lambda: np.array(spread_mm) * rng.uniform(-1, 1, size=3) - below_mm)
+
+
+def _placed(
+    body: Body, rig: RigCalibration, rng: np.random.Generator, draw_offset_mm: Callable[[], Array]
+) -> PlacedBody:
     hull_mm = body.mesh.vertices[ConvexHull(body.mesh.vertices).vertices]
     placements = []
     for _ in range(N_TRIES):
         R = Rotation.random(rng=rng).as_matrix()
-        offset_mm = OFFSET_SD_MM * np.clip(rng.normal(size=3), -MAX_OFFSET_SD, MAX_OFFSET_SD)
+        offset_mm = draw_offset_mm()
         cut_px = _cut_off_px(hull_mm @ R.T + offset_mm, rig)
         placements.append((cut_px, PlacedBody(body=body, R=R, offset_mm=offset_mm)))
         if cut_px <= 0:

@@ -3,7 +3,17 @@
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.responses import HTMLResponse, RedirectResponse
 
-from service.api import accounting, acquisition, cameras, health, particles, recordings, results
+from service.api import (
+    accounting,
+    acquisition,
+    calibrations,
+    cameras,
+    health,
+    particles,
+    recordings,
+    results,
+    verifications,
+)
 from service.api.auth import require
 from service.api.body_limit import BodyLimit
 from service.api.context import ApiContext
@@ -37,7 +47,7 @@ def build_routes() -> FastAPI:
         generate_unique_id_function=lambda route: route.name,
     )
     # these decide by themselves, route by route: live and ready need no key, operating needs another one
-    for module in (health, acquisition, recordings):
+    for module in (health, acquisition, recordings, calibrations, verifications):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
     for module in (results, particles, cameras, accounting):

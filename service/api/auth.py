@@ -42,7 +42,7 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
             raise Problem(
                 403,
                 "forbidden",
-                f"key {key.name!r} lacks the scope {scope!r}",
+                f"key {key.name!r} lacks the scope {str(scope)!r}",
                 headers={"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'},
             )
 

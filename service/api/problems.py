@@ -10,12 +10,14 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
+from service.calibration_states import CalibrationConflictError
 from service.control import ConflictError
 from service.errors import StoreError
 
 log = logging.getLogger(__name__)
 
 TITLES = {
+    "calibration-conflict": "This cannot be done with a calibration now",
     "cursor-ahead": "The cursor is ahead of the history",
     "cursor-expired": "The cursor is older than what is kept",
     "forbidden": "Not allowed",
@@ -31,9 +33,11 @@ TITLES = {
     "store-unavailable": "The store cannot be read or written",
     "transition-conflict": "The acquisition cannot change to this state now",
     "unauthorized": "A key is needed",
+    "unknown-calibration": "No such calibration",
     "unknown-camera": "No such camera",
     "unknown-particle": "No such particle",
     "unknown-recording": "No such recording",
+    "unknown-verification": "No such verification",
 }
 
 
@@ -76,6 +80,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _of_http)
     app.add_exception_handler(RequestValidationError, _of_validation)
     app.add_exception_handler(ConflictError, _of_conflict)
+    app.add_exception_handler(CalibrationConflictError, _of_calibration)
     app.add_exception_handler(StoreError, _of_store)
     app.add_exception_handler(Exception, _of_bug)
 
@@ -99,7 +104,7 @@ async def _of_http(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _of_validation(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, RequestValidationError)  # noqa: S101
+    assert isinstance(error, RequestValidationError)  # noqa: S101  as above
     errors = [
         {"field": ".".join(str(part) for part in item["loc"]), "message": item["msg"]}
         for item in error.errors()
@@ -109,10 +114,15 @@ async def _of_validation(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _of_conflict(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, ConflictError)  # noqa: S101
+    assert isinstance(error, ConflictError)  # noqa: S101  as above
     return problem_response(
         request, Problem(409, "transition-conflict", str(error), current=error.current, target=error.target)
     )
+
+
+async def _of_calibration(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, CalibrationConflictError)  # noqa: S101  as above
+    return problem_response(request, Problem(409, "calibration-conflict", str(error), state=error.state))
 
 
 async def _of_store(request: Request, error: Exception) -> JSONResponse:

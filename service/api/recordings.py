@@ -12,7 +12,7 @@ from service.api.problems import Problem, documented
 from service.api.schemas import TIME
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.recording_live import RecordingState
+from service.recording_live import RecordingState, RecordingStatus
 from service.recordings import RecordingPlan, RecordingRefusedError, Refusal
 
 router = APIRouter(prefix="/recordings", tags=["recordings"])
@@ -96,10 +96,7 @@ async def start_recording(context: Context, wanted: RecordingRequest, response: 
 )
 async def recording(context: Context, name: RecordingName) -> dict[str, Any]:
     """How far a recording is, or what it has become."""
-    status = await context.control.recordings.find(name)
-    if status is None:
-        raise _unknown(name)
-    return asdict(status)
+    return _found(name, await context.control.recordings.find(name))
 
 
 @router.post(
@@ -110,11 +107,10 @@ async def recording(context: Context, name: RecordingName) -> dict[str, Any]:
 )
 async def stop_recording(context: Context, name: RecordingName) -> dict[str, Any]:
     """End a recording early, keep what it has, and answer when it is complete; repeating changes nothing."""
-    status = await context.control.recordings.stop(name)
+    return _found(name, await context.control.recordings.stop(name))
+
+
+def _found(name: str, status: RecordingStatus | None) -> dict[str, Any]:
     if status is None:
-        raise _unknown(name)
+        raise Problem(404, "unknown-recording", f"there is no recording {name!r}")
     return asdict(status)
-
-
-def _unknown(name: str) -> Problem:
-    return Problem(404, "unknown-recording", f"there is no recording {name!r}")

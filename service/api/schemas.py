@@ -14,6 +14,16 @@ from service.control import AcquisitionState, AcquisitionTarget, CheckStatus, Ne
 TIME: JsonDict = {"format": "date-time"}
 
 
+class Hull(BaseModel):
+    """The largest body behind the silhouettes."""
+
+    model_config = ConfigDict(extra="allow")
+
+    volume_mm3: float
+    surface_area_mm2: float
+    equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
+
+
 class Result(BaseModel):
     """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
 
@@ -33,8 +43,13 @@ class Result(BaseModel):
     dropped_views: dict[str, str] = Field(description="Cameras left out, each with the reason")
     captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
-    volume_mm3: float | None = Field(description="Volume, corrected for the visual hull's bias, mm³")
+    body: Literal["estimate", "hull"] | None = Field(description="What mesh and shape describe")
+    volume_mm3: float | None = Field(
+        description="Volume, corrected by the gap between hull and estimate, mm³"
+    )
     volume_raw_mm3: float | None = Field(description="Volume of the visual hull, mm³")
+    volume_estimate_mm3: float | None = Field(description="Volume of the estimated body's mesh, mm³")
+    volume_model: str | None = Field(description="Id of the coefficients that `volume_mm3` rests on")
     surface_area_mm2: float | None = Field(description="Surface area of the mesh, mm²")
     length_mm: float | None = Field(description="Longest axis of the D4791 triple, mm")
     width_mm: float | None = Field(description="Middle axis of the D4791 triple, mm")
@@ -53,6 +68,7 @@ class Result(BaseModel):
     angularity: float | None = Field(description="Angularity of the surface; larger is sharper")
     mass_g: float | None = Field(description="Mass at the configured density, g; null without a density")
     center_mm: list[float] | None = Field(description="Centroid in the rig's frame (x, y, z up), mm")
+    hull: Hull | None = Field(description="The visual hull, uncorrected")
     gate_extent_mm: float | None = Field(
         description="Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown"
     )
@@ -62,6 +78,12 @@ class Result(BaseModel):
     )
     mesh: str | None = Field(description="Address of the mesh, relative to the base path; null without one")
     view_residuals_px: dict[str, float] = Field(description="Silhouette against the hull, per camera, px")
+    tangency_px: dict[str, float] = Field(
+        description="Epipolar residual of each camera, the median over its pairs, px; from 0.3 the camera has moved"
+    )
+    image_shifts_px: dict[str, list[float]] = Field(
+        description="By how much (u, v) each camera sees the stone beside where the others expect it, px"
+    )
     timings_ms: dict[str, float] = Field(description="Computing time of each stage, ms")
     calibration_id: str | None = Field(description="Calibration the measurement rests on")
     algorithm_version: str | None = Field(description="Changes whenever results may")
@@ -73,6 +95,8 @@ _EMPTY: dict[str, Any] = {
     "views": [],
     "dropped_views": {},
     "view_residuals_px": {},
+    "tangency_px": {},
+    "image_shifts_px": {},
     "timings_ms": {},
 }
 
@@ -178,6 +202,18 @@ class Camera(BaseModel):
     last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
     skew_us: float | None = Field(
         description="How far its exposures lie beside those of the others; 20 us are a pixel of fall"
+    )
+    tangency_px: float | None = Field(
+        description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved"
+    )
+    tangency_drift_px: float | None = Field(
+        description="The same against the first stones of this calibration"
+    )
+    residual_px: float | None = Field(
+        description="By how much its outlines leave the hull of the other views, median of the latest 20 stones"
+    )
+    residual_drift_px: float | None = Field(
+        description="The same against the first stones of this calibration"
     )
     warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 

@@ -26,12 +26,12 @@ from drivers.recording import Recording, open_recording, playback_order, require
 from drivers.rig_file import read_rig
 from pipeline.frames import BundleKind
 from pipeline.gradation import gradation
-from pipeline.particle import PipelineParameters
+from pipeline.particle import BodyParameters, PipelineParameters
 from service.errors import ServiceError, UsageError
-from service.processing import Processing, ProcessingContext
+from service.processing import FixedCalibration, Processing, ProcessingContext
 from service.settings import load_settings
 from service.spool import Loss, SpooledBundle
-from service.worker_job import WorkerContext, initialize
+from service.worker_job import RigFile, WorkerContext, initialize
 from service.workers import WorkerPool
 
 DEADLINE_S = 600.0
@@ -44,6 +44,13 @@ class SegmenterName(StrEnum):
     """How silhouettes are found."""
 
     BACKGROUND = "background"
+
+
+class BodyName(StrEnum):
+    """Which body is described."""
+
+    ESTIMATE = "estimate"
+    HULL = "hull"
 
 
 class Field(StrEnum):
@@ -60,6 +67,9 @@ def command(
     segmenter: Annotated[SegmenterName, typer.Option()] = SegmenterName.BACKGROUND,
     config: Annotated[Path | None, typer.Option(help="Take the parameters of this configuration.")] = None,
     field: Annotated[Field | None, typer.Option(help="view_count is the paper's field.")] = None,
+    body: Annotated[
+        BodyName | None, typer.Option(help="What mesh and shape describe; default: estimate.")
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
     save_silhouettes: Annotated[bool, typer.Option("--save-silhouettes")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -72,17 +82,19 @@ def command(
     calibration = read_rig(rig_path)
     require_rig_of(source, calibration, rig_path)
     parameters = load_settings(config).pipeline if config else PipelineParameters()
+    if body is not None:
+        parameters = replace(parameters, body=BodyParameters(body.value))
     if field is not None:
         parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
     context = WorkerContext(
-        rig=calibration,
         parameters=parameters,
         is_simulated=source.is_simulated,
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
         segmenter=segmenter.value,
     )
     (out / "meshes").mkdir(parents=True, exist_ok=True)
-    records = _measure_all(source, context, out, workers, save_silhouettes)
+    rig_file = RigFile(rig_path, calibration.calibration_id)
+    records = _measure_all(source, context, rig_file, out, workers, save_silhouettes)
     stones = [r for r in records if r["outcome"] == "measured" and r["kind"] == BundleKind.PARTICLE]
     curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
     (out / "gradation.json").write_text(json.dumps(asdict(curve), indent=2) + "\n")
@@ -140,7 +152,12 @@ class _Folder:
 
 
 def _measure_all(
-    source: Recording, context: WorkerContext, out: Path, workers: int, save_silhouettes: bool
+    source: Recording,
+    context: WorkerContext,
+    rig: RigFile,
+    out: Path,
+    workers: int,
+    save_silhouettes: bool,
 ) -> list[dict[str, Any]]:
     """All records in playback order; `results.jsonl` appears when it is complete."""
     partial = out / "results.jsonl.tmp"
@@ -154,13 +171,12 @@ def _measure_all(
             processing_context = ProcessingContext(
                 session=0,
                 camera_ids=source.camera_ids,
-                calibration_id=context.rig.calibration_id,
                 is_simulated=source.is_simulated,
                 archive_raw=False,
                 save_silhouettes=save_silhouettes,
                 folder=Path(work),
             )
-            asyncio.run(_run(source, context, processing_context, results, workers, progress))
+            asyncio.run(_run(source, context, rig, processing_context, results, workers, progress))
         partial.rename(out / "results.jsonl")
     finally:
         with suppress(FileNotFoundError):
@@ -171,6 +187,7 @@ def _measure_all(
 async def _run(
     source: Recording,
     context: WorkerContext,
+    rig: RigFile,
     processing_context: ProcessingContext,
     results: _Folder,
     workers: int,
@@ -184,6 +201,7 @@ async def _run(
         spool=playback,
         pool=pool,
         results=results,
+        calibration=FixedCalibration(rig),
         on_progress=lambda: progress.update(bar, completed=len(results.records)),
     )
     try:

@@ -13,16 +13,17 @@ from rich.progress import track
 from drivers.recording import RecordingWriter
 from drivers.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
-from pipeline.frames import FrameBundle
+from pipeline.fall import GRAVITY_MM_S2, speed_mm_s
+from pipeline.frames import BundleKind
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig_design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
 from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
 from pipeline.synthesis.optics import ExposureParameters
-from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import SimulatedRig, simulate_rig
+from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
+from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
-from pipeline.synthesis.truth import TruthRecord, truth_of, truth_to_document
+from pipeline.synthesis.truth import truth_of, truth_to_document
 from service.commands.shape import read_mesh
 from service.errors import UsageError
 
@@ -34,6 +35,11 @@ STANDARDS: dict[str, Callable[[], Body]] = {
 }
 STONES = "stones"
 MAX_RADIUS_MM = 100.0
+BALL_DIAMETERS_MM = (2.0, 40.0)
+MAX_FALL_JITTER_MS = 6.0
+"""More, and the ball falls past the field of view."""
+DROP_MM = 300.0
+"""From the light gate to the centre of the rig."""
 
 HOUSING, BACKGROUND, PARTICLE = range(3)
 """Keys of the random streams: what a bundle shows does not depend on how many others there are."""
@@ -47,7 +53,8 @@ def command(
     bodies: Annotated[
         str,
         typer.Option(
-            help=f"What falls, in turns, separated by commas: {', '.join(STANDARDS)}, {STONES} "
+            help=f"What falls, in turns, separated by commas: {', '.join(STANDARDS)} (of another diameter in mm: "
+            f"ball:15), {STONES} "
             f"(in turn {', '.join(STONE_FORMS)}), one of these classes, or mesh files in mm."
         ),
     ] = f"{','.join(STANDARDS)},{STONES}",
@@ -65,11 +72,27 @@ def command(
         float, typer.Option(min=0, max=1000, help="Motion blur is 1 px per 20 us.")
     ] = 20.0,
     rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0,
+    spread_mm: Annotated[
+        tuple[float, float, float],
+        typer.Option(metavar="X Y Z", help="Balls are dropped up to this far from the centre."),
+    ] = SPREAD_MM,
+    fall_jitter_ms: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=MAX_FALL_JITTER_MS,
+            help="Balls are photographed up to this much early or late, and so higher or lower.",
+        ),
+    ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Render a recording of known bodies as the rig would photograph them, with the truth beside it."""
     if backgrounds + count == 0:
         raise typer.BadParameter("there is nothing to render", param_hint="--count")
+    if not all(0 <= each <= MAX_RADIUS_MM for each in spread_mm):
+        raise typer.BadParameter(
+            f"{spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
+        )
     design = nominal_rig(created_at=FIRST_UTC.isoformat().replace("+00:00", "Z"))
     true_rig = as_built(design, seed) if rig is None else read_rig(rig)
     names = [name.strip() for name in bodies.split(",")]
@@ -85,6 +108,8 @@ def command(
             "count": count,
             "seed": seed,
             "size_mm": size_mm,
+            "spread_mm": list(spread_mm),
+            "fall_jitter_ms": fall_jitter_ms,
             "rig": "rig.json took the images" + ("; rig-nominal.json is its design" if rig is None else ""),
             "truth": "truth.jsonl; truth/*.ply in world coordinates in the middle of the exposure",
         },
@@ -108,7 +133,23 @@ def command(
                     continue
                 turn, time = turns[index % len(turns)], index // len(turns)
                 rng = stream(seed, PARTICLE, index)
-                bundle, truth = _dropped(*turn(time, rng), simulated, rng, sequence, period_ns)
+                body, shape = turn(time, rng)
+                if body.kind is BundleKind.BALL:
+                    late_ms = fall_jitter_ms * float(rng.uniform(-1, 1))
+                    placed = drop_across(body, true_rig, rng, spread_mm, _fallen_mm(late_ms))
+                else:
+                    late_ms, placed = 0.0, tumble(body, true_rig, rng)
+                bundle = render_bundle(
+                    [placed],
+                    simulated,
+                    rng,
+                    sequence=sequence,
+                    label=body.name,
+                    kind=body.kind,
+                    period_ns=period_ns,
+                    delay_ns=TRIGGER_DELAY_NS + round(late_ms * 1e6),
+                )
+                truth = truth_of(placed, bundle, shape)
                 writer.add(bundle)
                 truth.mesh.export(writer.folder / "truth" / f"{bundle.name}.ply")
                 truth_lines.write(json.dumps(truth_to_document(truth), allow_nan=False) + "\n")
@@ -123,19 +164,10 @@ def command(
     )
 
 
-def _dropped(
-    body: Body,
-    shape: ShapeMeasurement,
-    simulated: SimulatedRig,
-    rng: np.random.Generator,
-    sequence: int,
-    period_ns: int,
-) -> tuple[FrameBundle, TruthRecord]:
-    placed = tumble(body, simulated.rig, rng)
-    bundle = render_bundle(
-        [placed], simulated, rng, sequence=sequence, label=body.name, kind=body.kind, period_ns=period_ns
-    )
-    return bundle, truth_of(placed, bundle, shape)
+def _fallen_mm(late_ms: float) -> float:
+    """How far a body falls from when it is expected to `late_ms` later."""
+    late_s = late_ms / 1e3
+    return speed_mm_s(DROP_MM) * late_s + GRAVITY_MM_S2 / 2 * late_s**2
 
 
 def _turn(name: str, size_mm: float | None) -> Turn:
@@ -148,9 +180,32 @@ def _turn(name: str, size_mm: float | None) -> Turn:
             return body, measure_shape(body.mesh)
 
         return next_stone
-    body = STANDARDS[name]() if name in STANDARDS else _body_from_file(name)
+    body = _single_body(name)
     shape = measure_shape(body.mesh)
     return lambda time, rng: (body, shape)
+
+
+def _single_body(name: str) -> Body:
+    if name in STANDARDS:
+        return STANDARDS[name]()
+    kind, _, diameter = name.partition(":")
+    if kind == "ball":
+        return ball(_ball_diameter_mm(diameter, name))
+    return _body_from_file(name)
+
+
+def _ball_diameter_mm(diameter: str, name: str) -> float:
+    low_mm, high_mm = BALL_DIAMETERS_MM
+    try:
+        diameter_mm = float(diameter)
+    except ValueError:
+        diameter_mm = 0.0
+    if not low_mm <= diameter_mm <= high_mm:
+        raise typer.BadParameter(
+            f"{name!r}: a ball's diameter is {low_mm:g} to {high_mm:g} mm, as in ball:15",
+            param_hint="--bodies",
+        )
+    return diameter_mm
 
 
 def _body_from_file(name: str) -> Body:

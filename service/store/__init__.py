@@ -2,6 +2,15 @@
 
 from service.store.reads import ParticleFilter, Record, ResultPage
 from service.store.store import KEEP_RAW, Store, open_store
-from service.store.writes import rfc3339_ms
+from service.store.writes import rfc3339_ms, utc_now
 
-__all__ = ["KEEP_RAW", "ParticleFilter", "Record", "ResultPage", "Store", "open_store", "rfc3339_ms"]
+__all__ = [
+    "KEEP_RAW",
+    "ParticleFilter",
+    "Record",
+    "ResultPage",
+    "Store",
+    "open_store",
+    "rfc3339_ms",
+    "utc_now",
+]

@@ -123,6 +123,10 @@ class Store:
         self._session = await self._write(writes.begin_session, info)
         return self._session
 
+    async def note_calibration(self, session: int, calibration_id: str) -> None:
+        """The session goes on with another calibration."""
+        await self._write(writes.note_calibration, session, calibration_id)
+
     async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None:
         """Make it known, durably, that `trigger` happened; `bundle` is unique within the session."""
         await self._write(writes.record_trigger, session, trigger, bundle)

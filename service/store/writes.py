@@ -22,9 +22,18 @@ def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> in
     with transaction(connection):
         (session,) = connection.execute(
             "INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session",
-            (_now(), json.dumps(info, allow_nan=False)),
+            (utc_now(), json.dumps(info, allow_nan=False)),
         ).fetchone()
     return int(session)
+
+
+def note_calibration(connection: sqlite3.Connection, session: int, calibration_id: str) -> None:
+    """The `info` of a session names the calibration that was in use last."""
+    with transaction(connection):
+        connection.execute(
+            "UPDATE sessions SET info = json_set(info, '$.calibration_id', ?) WHERE session = ?",
+            (calibration_id, session),
+        )
 
 
 def record_trigger(connection: sqlite3.Connection, session: int, trigger: Trigger, bundle: str) -> None:
@@ -115,7 +124,7 @@ def _end(
         "sequence": sequence,
         "kind": kind,
         "captured_at": captured_at,
-        "recorded_at": _now(),
+        "recorded_at": utc_now(),
         # relative to the state directory, and likewise to the base path of the REST interface
         "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in files else None,
     }
@@ -140,5 +149,5 @@ def rfc3339_ms(text: str) -> str:
     return utc.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def _now() -> str:
+def utc_now() -> str:
     return rfc3339_ms(datetime.now(UTC).isoformat())

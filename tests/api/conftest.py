@@ -4,6 +4,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from support.calibration_desk import open_desk
 from support.recordings import SOURCE
 from support.rest import FakeControl, client_of
 
@@ -32,7 +33,10 @@ async def session(store: Store) -> int:
 @pytest.fixture
 def control(tmp_path: Path) -> FakeControl:
     settings = RecordingsSettings(reserve_gb=0.0)
-    return FakeControl(open_recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}))
+    return FakeControl(
+        open_recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}),
+        calibrations=open_desk(tmp_path / "desk"),
+    )
 
 
 @pytest.fixture

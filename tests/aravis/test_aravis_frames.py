@@ -217,6 +217,17 @@ def test_any_one_packet_lost(bench: Bench, packet: int) -> None:
     assert bench.simulated.counters.dropped == 3
 
 
+def test_a_packet_that_comes_after_a_pause_completes_its_frame(bench: Bench) -> None:
+    """As when either end is kept from the processor; Aravis alone gives up after 0.1 s."""
+    faults = bench.simulated.faults
+    faults.lost_packets, faults.control_loss = (7,), 1.0  # and nobody hears that it is missed
+    bench.simulated.line()
+    eventually(lambda: bench.simulated.counters.dropped == 1)
+    time.sleep(0.13)
+    faults.control_loss = 0.0
+    assert_shows(bench.sink.next(), 1)
+
+
 def test_without_resend_the_frame_is_lost_and_the_next_is_not(bench: Bench) -> None:
     bench.simulated.faults.no_resend = True
     bench.simulated.faults.lost_packets = (5, 6, 20)
@@ -273,7 +284,7 @@ def test_a_picture_of_the_wrong_size_is_no_frame(bench: Bench) -> None:
 def test_a_foreign_datagram_is_no_frame(bench: Bench) -> None:
     """Whatever Aravis makes of it, what comes next is whole again."""
     for kind in ("short", "foreign"):
-        bench.simulated.send_malformed(kind)  # type: ignore[arg-type]
+        bench.simulated.send_malformed(kind)
         bench.simulated.line()
         eventually(lambda: any(isinstance(event, Frame) for event in bench.sink.events))
         assert all(isinstance(event, Frame | FrameLost) for event in bench.sink.events)

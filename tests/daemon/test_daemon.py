@@ -21,7 +21,15 @@ from pipeline.particle import PipelineParameters
 from service.ledger import Accounting
 from service.store import open_store, reads
 from service.store.schema import connect_reader
-from service.worker_job import LearnJob, MeasureJob, WorkerContext, initialize, learn_background, measure
+from service.worker_job import (
+    LearnJob,
+    MeasureJob,
+    RigFile,
+    WorkerContext,
+    initialize,
+    learn_background,
+    measure,
+)
 
 N_STONES = 6
 
@@ -46,10 +54,10 @@ def is_through(accounting: dict[str, Any]) -> bool:
 def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
     recording = open_recording(path)
     context = WorkerContext(
-        rig=read_rig(path / "rig.json"),
         parameters=PipelineParameters(carving=CarvingParameters(n=64)),
         is_simulated=True,
     )
+    rig = RigFile(path / "rig.json", read_rig(path / "rig.json").calibration_id)
     background: Path | None = None
     records = []
     spawn = multiprocessing.get_context("spawn")
@@ -68,6 +76,7 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
             job = MeasureJob(
                 bundle_path=header.path,
                 camera_ids=recording.camera_ids,
+                rig=rig,
                 background_path=background,
                 out_dir=out / header.name,
             )

@@ -1,10 +1,7 @@
 """A light gate on a pseudo-terminal: the device side of `SerialGate`, driven edge by edge by a test."""
 
-import os
-import select
 import threading
 import time
-import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +19,7 @@ from drivers.gates.gate_protocol import (
     encode,
 )
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
+from drivers.gige_simulator.pseudo_terminal import PseudoTerminal
 
 
 def pty_settings(link: Path) -> SerialGateSettings:
@@ -43,12 +41,14 @@ def serial_gate(link: Path) -> Iterator[tuple[SerialGate, "PtyGate"]]:
 
 UPTIME_NS = 60_000_000_000
 """For so long it has been on when it is made."""
+LOOK_S = 0.002
 
 
 class PtyGate:
     """Answers commands; edges, statuses, bytes and silence are the test's.
 
-    `link` is the stable name: a symbolic link, the same after `unplug` and `plug`. What it sends it sends at once.
+    `link` is the stable name: a symbolic link, the same after `unplug` and `plug`. What it sends it sends at once,
+    to nobody when no host has the port open.
     """
 
     def __init__(self, link: Path, *, first_sequence: int = 1) -> None:
@@ -60,32 +60,26 @@ class PtyGate:
         self._booted_ns = time.monotonic_ns() - UPTIME_NS
         self._sending = threading.Lock()
         self._stopping = threading.Event()
-        self._fd: int | None = None
+        self._port = PseudoTerminal(link)
         self._thread: threading.Thread | None = None
         self.plug()
 
     def plug(self) -> None:
         """Appear under the link."""
-        master, slave = os.openpty()
-        tty.setraw(slave)
-        self._fd, self._slave = master, slave  # ours stays open, or reading fails until a host comes
-        self.link.unlink(missing_ok=True)
-        self.link.symlink_to(os.ttyname(slave))
+        self._port.plug()
         self._stopping.clear()
-        self._thread = threading.Thread(target=self._obey, args=(master,), daemon=True, name="pty gate")
+        self._thread = threading.Thread(target=self._obey, daemon=True, name="pty gate")
         self._thread.start()
 
     def unplug(self) -> None:
         """Vanish; idempotent."""
-        if self._thread is None or self._fd is None:
+        if self._thread is None:
             return
         self._stopping.set()
         self._thread.join()
         self._thread = None
-        os.close(self._slave)
-        os.close(self._fd)
-        self._fd = None
-        self.link.unlink()
+        with self._sending:
+            self._port.unplug()
 
     def restart(self) -> None:
         """Forget time and numbers, as at a loss of power."""
@@ -124,19 +118,16 @@ class PtyGate:
 
     def send_bytes(self, data: bytes) -> None:
         with self._sending:
-            if self._fd is not None:
-                os.write(self._fd, data)
+            self._port.write(data)
 
     def _count(self) -> int:
         self.last_sequence = (self.last_sequence + 1) % SEQUENCES
         return self.last_sequence
 
-    def _obey(self, fd: int) -> None:
+    def _obey(self) -> None:
         received = b""
-        while not self._stopping.is_set():
-            if not select.select([fd], [], [], 0.02)[0]:
-                continue
-            received += os.read(fd, 256)
+        while not self._stopping.wait(LOOK_S):
+            received += self._port.read()
             *commands, received = received.split(b"\n")
             for command in commands:
                 self._answer(command + b"\n")

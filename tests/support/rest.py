@@ -12,6 +12,7 @@ from fastapi import FastAPI
 
 from drivers.recording import write_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.calibrations import Calibrations
 from service.control import (
     AcquisitionState,
     AcquisitionStatus,
@@ -52,6 +53,7 @@ class FakeControl:
     state: AcquisitionState = AcquisitionState.DISARMED
     condition: Health = GOOD_HEALTH
     snapshots: dict[str, bytes] = field(default_factory=dict)
+    calibrations: Calibrations | None = None
 
     def acquisition(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))

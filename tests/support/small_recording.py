@@ -7,22 +7,24 @@ from pathlib import Path
 import numpy as np
 
 from drivers.recording import RecordingWriter
+from pipeline.frames import BundleKind
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, cube, sphere
+from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
-from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, simulate_rig
 
 SHRINK = 4
 
 
 def thumbnail_rig() -> RigCalibration:
-    """The rig as built, with a quarter of the pixels in each direction: everything is ten times as fast.
+    """The rig as built, with a quarter of the pixels in each direction: everything is ten times as fast."""
+    return _thumbnail(as_built(nominal_rig(), 1))
 
-    Serial numbers are this process': another one may simulate cameras at the same time.
-    """
-    rig = as_built(nominal_rig(), 1)
+
+def _thumbnail(rig: RigCalibration) -> RigCalibration:
+    """Serial numbers are this process': another one may simulate cameras at the same time."""
     cameras = (replace(_shrunk(camera), serial=f"T{os.getpid()}-{camera.id}") for camera in rig.cameras)
     return replace(rig, cameras=tuple(cameras))
 
@@ -45,6 +47,21 @@ def write_small_recording(path: Path, *, n_stones: int, n_backgrounds: int = 2) 
             rng = stream(1, 2, number)
             placed = tumble(sphere(), rig, rng)
             writer.add(render_bundle([placed], simulated, rng, sequence=number, label="sphere"))
+
+
+def write_ball_recording(path: Path, *, n_balls: int, diameter_mm: float = 10.0) -> None:
+    """Balls falling through the rig as built, after two exposures of it empty; rig.json is only its design."""
+    rig = thumbnail_rig()
+    simulated = simulate_rig(rig, stream(3, 0))
+    with _writer(path, _thumbnail(nominal_rig())) as writer:
+        for number in (1, 2):
+            writer.add(render_empty(simulated, stream(3, 1, number), sequence=number))
+        for number in range(3, n_balls + 3):
+            rng = stream(3, 2, number)
+            placed = drop_across(ball(diameter_mm), rig, rng)
+            writer.add(
+                render_bundle([placed], simulated, rng, sequence=number, label="ball", kind=BundleKind.BALL)
+            )
 
 
 def write_odd_recording(path: Path) -> None:

@@ -13,9 +13,9 @@ from support.recordings import CAMERAS, make_bundle, tagged_image, write_recordi
 
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import Exposure
-from drivers.gige_simulator.hopper import PULSE_WIDTH_NS, Fall, Hopper
+from drivers.gige_simulator.hopper import PULSE_WIDTH_NS, Fall, Hopper, read_fall
 from drivers.gige_simulator.sources import SIGHT_NS, Scene
-from drivers.recording import open_recording
+from drivers.recording import BundleHeader, Recording, open_recording
 from pipeline.frames import BundleKind, CameraId, Image
 
 CAMERA = CAMERAS[0]
@@ -67,6 +67,23 @@ class TestHopper:
         (fall,) = taken(Hopper(open_recording(write_recording(tmp_path / "rec", [bundle]))), 1)
         assert fall is not None
         assert fall.pulse_width_ns == PULSE_WIDTH_NS
+
+    def test_all_is_unpacked_before_the_first_one_falls(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Later the cameras need the processor."""
+        unpacked = []
+
+        def unpack(header: BundleHeader, recording: Recording) -> Fall:
+            unpacked.append(header.name)
+            return read_fall(header, recording)
+
+        monkeypatch.setattr("drivers.gige_simulator.hopper.read_fall", unpack)
+        path = write_recording(tmp_path / "rec", [make_bundle(number) for number in range(1, 9)])
+        hopper = Hopper(open_recording(path))
+        hopper.start()
+        eventually(lambda: len(unpacked) == 8)
+        hopper.close()
 
     def test_it_closes_unemptied(self, recording_path: Path) -> None:
         hopper = Hopper(open_recording(recording_path), is_looping=True)

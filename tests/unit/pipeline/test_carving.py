@@ -63,7 +63,7 @@ def test_view_count_is_the_number_of_views_in_every_voxel_near_the_surface() -> 
 @pytest.mark.parametrize("field", ["sub_voxel", "view_count"])
 def test_axes_are_x_y_z(field: str) -> None:
     center_mm = (6.0, -4.0, 3.0)
-    parameters = CarvingParameters(n=128, field=field)  # type: ignore[arg-type]
+    parameters = CarvingParameters(n=128, field=field)
     mesh = meshed(carve(sphere_silhouettes(RIG, center_mm, 3.0), RIG, parameters))
     assert mesh.center_mass == pytest.approx(center_mm, abs=0.05)
 
@@ -71,7 +71,7 @@ def test_axes_are_x_y_z(field: str) -> None:
 @pytest.mark.parametrize("field", ["sub_voxel", "view_count"])
 @pytest.mark.parametrize("radius_mm", [1.0, 4.0, 18.0])
 def test_mesh_is_closed_and_faces_outwards(field: str, radius_mm: float) -> None:
-    parameters = CarvingParameters(field=field)  # type: ignore[arg-type]
+    parameters = CarvingParameters(field=field)
     mesh = meshed(carve(sphere_silhouettes(RIG, (0.3, 0.2, -0.4), radius_mm), RIG, parameters))
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -144,7 +144,7 @@ def test_views_that_may_disagree_do_not_carve_alone() -> None:
     silhouettes[CameraId("c07")] = wrong
     assert carve(silhouettes, RIG, COARSE).field.size == 0
     for field in ("sub_voxel", "view_count"):
-        robust = CarvingParameters(n=128, field=field, max_disagreeing_views=1)  # type: ignore[arg-type]
+        robust = CarvingParameters(n=128, field=field, max_disagreeing_views=1)
         assert meshed(carve(silhouettes, RIG, robust)).volume > 0.96 * SPHERE_MM3
 
 
@@ -179,4 +179,4 @@ def test_too_few_views_and_foreign_cameras_are_refused() -> None:
 )
 def test_parameters_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        CarvingParameters(**wrong)  # type: ignore[arg-type]
+        CarvingParameters(**wrong)

@@ -55,7 +55,7 @@ def test_a_sphere_has_its_diameter() -> None:
     assert measurement is not None
     assert measurement.equivalent_diameter_mm == pytest.approx(15.0, abs=0.02)
     # uncorrected, the sixteen cones leave 0.7 % more volume
-    assert measurement.shape.volume_mm3 / 1767.15 == pytest.approx(1.0071, abs=0.002)
+    assert measurement.hull.volume_mm3 / 1767.15 == pytest.approx(1.0071, abs=0.002)
     assert measurement.shape.sphericity == pytest.approx(1.0, abs=0.006)
     assert measurement.shape.sieve_size_mm == pytest.approx(15.0, abs=0.1)
     assert measurement.shape.center_mm == pytest.approx((0.5, -0.3, 0.2), abs=0.02)
@@ -169,7 +169,7 @@ def test_stages_are_reported_in_their_order() -> None:
     measure_bundle(
         rendered.sphere_bundle(), RIG, rendered.background(), BackgroundSegmenter(), PARAMETERS, stages.append
     )
-    assert stages == ["segment", "check", "carve", "mesh", "measure"]
+    assert stages == ["segment", "check", "carve", "mesh", "estimate", "measure"]
 
 
 @pytest.mark.parametrize("wrong", [{"min": 1}, {"reduced": 15}, {"max_unusable": -1}])

@@ -53,3 +53,15 @@ def test_unused_vertices_and_no_faces() -> None:
     )
     with pytest.raises(ValueError, match="without faces"):
         render_preview(mesh.vertices, np.empty((0, 3)))
+
+
+def test_colors_of_vertices_survive_the_shade() -> None:
+    mesh = sphere().mesh
+    colors_rgb = np.where(mesh.vertices[:, 2:] > 0, (0.8, 0.1, 0.1), (0.1, 0.1, 0.8))
+    image = render_preview(mesh.vertices, mesh.faces, 120, colors_rgb=colors_rgb).astype(int)
+    assert image[30, 60, 0] > 2 * image[30, 60, 2]
+    assert image[92, 60, 2] > 2 * image[92, 60, 0]
+    behind = render_preview(
+        mesh.vertices, mesh.faces, 120, colors_rgb=colors_rgb, view_direction=(0.5, -0.7, 0.45)
+    )
+    assert behind[88, 60, 2] > behind[88, 60, 0], "seen from below"

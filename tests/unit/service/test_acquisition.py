@@ -17,7 +17,7 @@ from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
 from service import keeper
 from service.acquisition import Acquisition
 from service.bundle_counters import BundlingCounters, CameraCounters
-from service.bundling import BundlingParameters
+from service.bundling_parameters import BundlingParameters
 from service.control import AcquisitionState, AcquisitionTarget, ConflictError
 from service.rig_cameras import RigCameras
 

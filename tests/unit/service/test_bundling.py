@@ -19,7 +19,8 @@ from drivers.interfaces import (
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundle_counters import CameraCounters
-from service.bundling import DELIVERY_NS, BundleAssembler, BundlingParameters
+from service.bundling import DELIVERY_NS, BundleAssembler
+from service.bundling_parameters import BundlingParameters
 
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 4))
 A, B, C = CAMERAS
@@ -257,7 +258,16 @@ def test_two_different_frames_for_one_trigger_are_both_refused() -> None:
     assert assembler.counters.cameras[A].extra == 3
 
 
-def test_a_frame_late_by_one_period_never_stands_in_for_the_next() -> None:
+@pytest.mark.parametrize(
+    ("n_periods", "missing"),
+    [
+        (1, [{}, {}, {A: "no_frame"}, {}, {}]),
+        (2, [{}, {A: "no_frame"}, {}, {A: "other_exposure"}, {}]),  # its own trigger waits no longer
+    ],
+)
+def test_a_frame_late_by_whole_periods_never_stands_in_for_another(
+    n_periods: int, missing: list[dict[CameraId, str]]
+) -> None:
     """The fault that matching by arrival cannot see: the camera's own clock does."""
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     period_ns = 250 * MS
@@ -267,16 +277,67 @@ def test_a_frame_late_by_one_period_never_stands_in_for_the_next() -> None:
         return frame(camera, tag, arrives_with * period_ns + DELAY_NS, device_ns=device_ns)
 
     bundles = []
-    for number in range(4):
+    for number in range(5):
         bundles += assembler.feed(trigger(number, number * period_ns))
+        bundles += assembler.advance(number * period_ns + DELAY_NS)
         for camera in CAMERAS:
-            if camera == A and number == 2:
-                bundles += assembler.feed(shot(A, 1, arrives_with=2))  # and number 2 is lost
+            if camera == A and number == 1 + n_periods:
+                bundles += assembler.feed(shot(A, 1, arrives_with=number))  # and its own is lost
             elif (camera, number) != (A, 1):
                 bundles += assembler.feed(shot(camera, number, arrives_with=number))
     bundles += assembler.flush()
-    assert [dict(bundle.missing) for bundle in bundles] == [{}, {A: "no_frame"}, {A: "other_exposure"}, {}]
-    assert [tags(bundle) for bundle in bundles] == [{0}, {1}, {2}, {3}]
+    assert [dict(bundle.missing) for bundle in bundles] == missing
+    assert [tags(bundle) for bundle in bundles] == [{number} for number in range(5)]
+
+
+@pytest.mark.parametrize("late_ms", [101, 149, 151, 399])
+@pytest.mark.parametrize("is_next_due", [True, False])
+def test_a_frame_that_comes_after_its_window_is_used_while_its_trigger_waits(
+    late_ms: int, is_next_due: bool
+) -> None:
+    """A busy machine takes frames late from the network: between two windows, or in the next one's."""
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    times_ns = [0, 250 * MS, 500 * MS] if is_next_due else [0, 250 * MS]
+    arrivals = [
+        (at_ns + DELAY_NS + (late_ms * MS if (camera, number) == (A, 1) else 0), camera, number)
+        for number, at_ns in enumerate(times_ns)
+        for camera in CAMERAS
+    ]
+    events: list[tuple[int, DeviceEvent]] = [
+        *((at_ns, trigger(number, at_ns)) for number, at_ns in enumerate(times_ns)),
+        *(
+            (at_ns, frame(camera, number, at_ns, device_ns=7 + times_ns[number]))
+            for at_ns, camera, number in arrivals
+        ),
+    ]
+    bundles = feed_all(assembler, [event for _, event in sorted(events, key=lambda event: event[0])])
+    assert [dict(bundle.missing) for bundle in bundles] == [{}] * len(times_ns)
+    assert [tags(bundle) for bundle in bundles] == [{number} for number in range(len(times_ns))]
+    assert accounted(assembler.counters.cameras[A]) == len(times_ns)
+
+
+def test_the_first_frame_of_a_camera_may_come_until_the_next_window_opens() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns, bundles = 220 * MS, []
+    for number in range(3):
+        at_ns = number * period_ns
+        bundles += assembler.feed(trigger(number, at_ns))
+        for camera in CAMERAS:
+            late_ns = 119 * MS if (camera, number) == (C, 0) else 0
+            shot = frame(camera, number, at_ns + DELAY_NS + late_ns, device_ns=7 + at_ns)
+            bundles += assembler.feed(shot)
+    assert [dict(bundle.missing) for bundle in bundles] == [{}, {}, {}]
+    assert [tags(bundle) for bundle in bundles] == [{0}, {1}, {2}]
+
+
+def test_without_a_clock_a_frame_after_its_window_is_late() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    feed_all(assembler, [trigger(1, 250 * MS), *(frame(c, 1, 250 * MS + DELAY_NS) for c in (B, C))])
+    feed_all(assembler, [frame(A, 1, 251 * MS + DELAY_NS + WINDOW_NS)])
+    (bundle,) = assembler.flush()
+    assert dict(bundle.missing) == {A: "no_frame"}
+    assert assembler.counters.cameras[A].late == 1
 
 
 def test_a_camera_whose_clock_was_set_anew_loses_one_frame() -> None:
@@ -481,6 +542,26 @@ def test_no_bundle_ever_holds_a_frame_of_another_trigger(data: st.DataObject, ti
     ]
     bundles, assembler = run(times_ns, deliveries)
     check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+
+
+@settings(max_examples=50)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_no_frame_that_comes_before_the_deadline_is_wasted(data: st.DataObject, times_ns: list[int]) -> None:
+    """However late each comes and in whatever order: the camera's clock knows its trigger."""
+    overdue = st.builds(Fate, jitter_ns=st.just(0), late_ns=st.integers(0, 350 * MS), lag_ns=lags_ns)
+    deliveries = [
+        delivery
+        for camera in CAMERAS
+        for delivery in exposures(
+            camera,
+            times_ns,
+            [data.draw(on_time), *(data.draw(overdue) for _ in times_ns[1:])],
+            data.draw(cameras(has_clock=True)),
+        )
+    ]
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+    assert not any(bundle.missing for bundle in bundles)
 
 
 def test_every_counter_is_covered_by_the_account() -> None:

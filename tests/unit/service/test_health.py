@@ -5,7 +5,8 @@ import pytest
 from pipeline.frames import CameraId
 from pipeline.particle import ViewsParameters
 from service.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
-from service.health import LOW_DISK_BYTES, Facts, assess
+from service.health import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
+from service.rig_watch import Suspicion
 
 
 def cameras(lost: int = 0) -> list[CameraStatus]:
@@ -38,7 +39,9 @@ HEALTHY = Facts(
     worker_restarts=0,
     late=(),
     has_background=True,
-    calibration_id="rig",
+    calibration=CalibrationFacts(
+        calibration_id="rig", method="bundle", used_since="2026-11-21T04:00:00.000Z"
+    ),
     last_seq=7,
     free_bytes=100 * LOW_DISK_BYTES,
 )
@@ -61,6 +64,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "store",
         "disk",
         "recording",
+        "rig",
     }
     assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
@@ -171,3 +175,23 @@ def test_cameras_that_answer_and_belong_to_someone_else_are_not_the_switch():
     taken = [replace(camera, last_error="is in use by another application") for camera in cameras(16)]
     (reason,) = assess(replace(HEALTHY, cameras=taken)).reasons
     assert reason == "cameras: all 16 cameras are lost, the first one: is in use by another application"
+
+
+@pytest.mark.parametrize(
+    ("is_dropped", "state"), [(False, Ne107.MAINTENANCE_REQUIRED), (True, Ne107.OUT_OF_SPECIFICATION)]
+)
+def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: Ne107):
+    moved = Suspicion(
+        camera=CameraId("c05"), score_px=0.8, is_dropped=is_dropped, detail="moved: recalibrate"
+    )
+    health = assess(replace(HEALTHY, suspicions=(moved,)))
+    assert (health.ne107, health.ready) == (state, True)
+    assert health.reasons == ("rig: c05: moved: recalibrate",)
+    check = health.checks["rig"]
+    assert (check.status, check.value, check.unit) == (CheckStatus.WARN, 0.8, "px")
+
+
+def test_the_worst_score_of_a_healthy_rig_is_shown():
+    scored = [replace(camera, tangency_px=0.05 + 0.01 * n) for n, camera in enumerate(cameras())]
+    check = assess(replace(HEALTHY, cameras=scored)).checks["rig"]
+    assert (check.status, check.value, check.detail) == (CheckStatus.PASS, 0.2, None)

@@ -138,14 +138,14 @@ async def test_a_loss_while_it_is_being_armed_counts():
     one = Keeper("gate", device)
 
     def arm_and_lose(sink: EventSink) -> None:
-        device.arm = lambda sink: device.calls.append("arm")  # type: ignore[method-assign]
+        device.arm = lambda sink: device.calls.append("arm")
         asyncio.run_coroutine_threadsafe(lose(), loop).result()
 
     async def lose() -> None:
         one.lose("unplugged")
 
     loop = asyncio.get_running_loop()
-    device.arm = arm_and_lose  # type: ignore[method-assign]
+    device.arm = arm_and_lose
     async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
         one.start(Collector(), tasks)
         await one.settle()

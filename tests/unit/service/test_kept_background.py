@@ -10,6 +10,8 @@ from service import kept_background
 from service.kept_background import KeptBackground
 from service.worker_job import read_background, write_background
 
+SIZES = {CameraId("c01"): (5, 4)}
+OTHER_SIZES = {CameraId("c01"): (5, 6)}
 RIG = {"backend": "aravis", "exposure_us": 20.0}
 
 
@@ -26,31 +28,31 @@ def store(tmp_path: Path) -> Path:
 
 
 def test_what_was_kept_is_restored_after_a_restart(tmp_path: Path, store: Path):
-    assert KeptBackground(store, "rig-1", RIG).restore(tmp_path / "none.npz") is None
-    KeptBackground(store, "rig-1", RIG).keep(background(tmp_path / "seen.npz", 200))
-    restored = KeptBackground(store, "rig-1", RIG).restore(tmp_path / "restored.npz")
+    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "none.npz") is None
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
+    restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz")
     assert restored == tmp_path / "restored.npz"
     assert read_background(restored)[CameraId("c01")].mean[0, 0] == 200
 
 
 def test_another_rig_starts_without_and_replaces_it(tmp_path: Path, store: Path):
-    KeptBackground(store, "rig-1", RIG).keep(background(tmp_path / "seen.npz", 200))
-    other = KeptBackground(store, "rig-1", RIG | {"exposure_us": 10.0})
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
+    other = KeptBackground(store, SIZES, RIG | {"exposure_us": 10.0})
     assert other.restore(tmp_path / "restored.npz") is None
     other.keep(background(tmp_path / "darker.npz", 100))
-    assert KeptBackground(store, "rig-1", RIG).restore(tmp_path / "restored.npz") is None
-    assert KeptBackground(store, "rig-2", RIG | {"exposure_us": 10.0}).restore(tmp_path / "r.npz") is None
-    same = KeptBackground(store, "rig-1", RIG | {"exposure_us": 10.0, "uplink_bytes_s": 1e9})
+    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz") is None
+    assert KeptBackground(store, OTHER_SIZES, RIG | {"exposure_us": 10.0}).restore(tmp_path / "r.npz") is None
+    same = KeptBackground(store, SIZES, RIG | {"exposure_us": 10.0, "uplink_bytes_s": 1e9})
     assert same.restore(tmp_path / "restored.npz") is not None
     assert len(list(store.iterdir())) == 1
 
 
 def test_it_is_not_written_with_every_exposure(tmp_path: Path, store: Path, monkeypatch: pytest.MonkeyPatch):
-    kept = KeptBackground(store, "rig-1", RIG)
+    kept = KeptBackground(store, SIZES, RIG)
     for grey, every_s, expected in ((200, 600.0, 200), (150, 600.0, 200), (100, 0.0, 100)):
         monkeypatch.setattr(kept_background, "KEEP_EVERY_S", every_s)
         kept.keep(background(tmp_path / f"{grey}.npz", grey))
-        restored = KeptBackground(store, "rig-1", RIG).restore(tmp_path / "restored.npz")
+        restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz")
         assert restored is not None
         assert read_background(restored)[CameraId("c01")].mean[0, 0] == expected
 
@@ -59,15 +61,15 @@ def test_it_is_not_written_with_every_exposure(tmp_path: Path, store: Path, monk
     "damage", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * 99]
 )
 def test_a_damaged_one_is_not_used(tmp_path: Path, store: Path, damage, caplog: pytest.LogCaptureFixture):
-    KeptBackground(store, "rig-1", RIG).keep(background(tmp_path / "seen.npz", 200))
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
     (file,) = store.iterdir()
     file.write_bytes(damage(file.read_bytes()))
-    assert KeptBackground(store, "rig-1", RIG).restore(tmp_path / "restored.npz") is None
+    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz") is None
     assert not (tmp_path / "restored.npz").exists()
     assert str(file) in caplog.text
 
 
 def test_a_store_that_cannot_be_written_costs_only_this(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     caplog.set_level(logging.ERROR)
-    KeptBackground(tmp_path / "gone", "rig-1", RIG).keep(background(tmp_path / "seen.npz", 200))
+    KeptBackground(tmp_path / "gone", SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
     assert "not kept for the next start" in caplog.text

@@ -65,19 +65,31 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
         assert record["is_simulated"] is True
         mesh = trimesh.load(one / record["mesh"], process=False)
         assert mesh.is_watertight
-        assert mesh.volume == pytest.approx(record["volume_raw_mm3"], rel=1e-4)
+        assert mesh.volume == pytest.approx(record["volume_estimate_mm3"], rel=1e-4)
+        assert record["hull"]["volume_mm3"] == record["volume_raw_mm3"] > record["volume_estimate_mm3"]
+        assert (record["body"], record["volume_model"]) == ("estimate", "synthetic-1")
         assert (one / record["mesh"]).read_bytes() == (three / record["mesh"]).read_bytes()
         silhouettes = one / "silhouettes" / record["bundle"]
         assert {path.stem for path in silhouettes.iterdir()} == set(record["views"])
         labels = cv2.imread(str(silhouettes / "c01.png"), cv2.IMREAD_UNCHANGED)
         assert labels.shape == (256, 320)
         assert set(np.unique(labels)) <= {0, 128, 255}
-        assert {"segment", "carve", "mesh", "measure", "total"} <= set(record["timings_ms"])
+        assert {"segment", "carve", "mesh", "estimate", "measure", "total"} <= set(record["timings_ms"])
     assert not (three / "silhouettes").exists()
     assert sorted(path.name for path in three.iterdir()) == ["gradation.json", "meshes", "results.jsonl"]
     curve = json.loads((one / "gradation.json").read_text())
     assert curve["n_stones"] == 3
     assert curve["passing_percent"][-1] == 100
+
+
+def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> None:
+    run(recording, "--out", tmp_path, "--workers", 1, "--body", "hull")
+    for record in records(tmp_path):
+        assert record["body"] == "hull"
+        mesh = trimesh.load(tmp_path / record["mesh"], process=False)
+        assert mesh.volume == pytest.approx(record["volume_raw_mm3"], rel=1e-4)
+        assert record["surface_area_mm2"] == record["hull"]["surface_area_mm2"]
+        assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
 
 
 def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_path: Path) -> None:

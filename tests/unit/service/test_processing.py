@@ -1,5 +1,6 @@
 import asyncio
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +8,14 @@ import pytest
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId, Trigger
-from service.processing import Processing, ProcessingContext
+from service.drop_files import ObservedDrop
+from service.drop_job import ObserveJob
+from service.processing import DropCollector, Processing, ProcessingContext
 from service.spool import Loss, SpooledBundle
-from service.worker_job import LearnJob, MeasureJob
+from service.worker_job import LearnJob, MeasureJob, RigFile
 from service.workers import JobLostError
+
+RIG = RigFile(Path("rig.json"), "rig")
 
 
 class QueueSpool:
@@ -18,11 +23,15 @@ class QueueSpool:
 
     def __init__(self, bundles: list[SpooledBundle]) -> None:
         self.bundles = list(bundles)
+        self.on_take: Callable[[str], None] = lambda name: None
         self.released: list[SpooledBundle] = []
 
     async def take(self) -> SpooledBundle | None:
         await asyncio.sleep(0)
-        return self.bundles.pop(0) if self.bundles else None
+        if not self.bundles:
+            return None
+        self.on_take(self.bundles[0].name)
+        return self.bundles.pop(0)
 
     async def release(self, bundle: SpooledBundle) -> None:
         self.released.append(bundle)
@@ -33,13 +42,16 @@ class ScriptedPool:
 
     def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
         self.failures = failures or {}
+        self.unseen: dict[str, Exception] = {}
         self.jobs: list[MeasureJob | LearnJob] = []
         self.gates: dict[str, asyncio.Event] = {}
         self.is_gated = is_gated
         self.has_job = asyncio.Event()
 
-    async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob) -> Any:
+    async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob | ObserveJob) -> Any:
         name = job.bundle_path.stem
+        if isinstance(job, ObserveJob):
+            return self._observe(name, job)
         self.jobs.append(job)
         self.has_job.set()
         if self.is_gated:
@@ -52,7 +64,18 @@ class ScriptedPool:
         job.out_dir.mkdir()
         (job.out_dir / "mesh.ply").write_text(name)
         (job.out_dir / "mesh.ply.tmp").touch()
-        return {"bundle": name, "outcome": "measured", "background": job.background_path}
+        return {
+            "bundle": name,
+            "outcome": "measured",
+            "background": job.background_path,
+            "calibration_id": job.rig.calibration_id,
+        }
+
+    def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
+        if name in self.unseen:
+            raise self.unseen[name]
+        job.out_path.touch()
+        return ObservedDrop(bundle=f"{name} {job.rig.calibration_id}")
 
 
 class ListStore:
@@ -67,8 +90,29 @@ class ListStore:
         return len(self.records)
 
 
+@dataclass
+class Desk:
+    """A calibration that a test replaces, and a list in the place of who collects."""
+
+    rig: RigFile = RIG
+    kind: BundleKind | None = None
+    collected: list[tuple[ObservedDrop, str, bool]] = field(default_factory=list)
+
+    @property
+    def collector(self) -> DropCollector | None:
+        if self.kind is None:
+            return None
+
+        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+            self.collected.append((drop, record["bundle"], outlines is not None))
+
+        return DropCollector(kind=self.kind, diameters_mm=(10.0,), add=add)
+
+
 class Bench:
-    def __init__(self, folder: Path, bundles: list[SpooledBundle], pool: ScriptedPool) -> None:
+    def __init__(
+        self, folder: Path, bundles: list[SpooledBundle], pool: ScriptedPool, desk: Desk | None = None
+    ) -> None:
         self.spool = QueueSpool(bundles)
         self.pool = pool
         self.store = ListStore()
@@ -77,14 +121,18 @@ class Bench:
         context = ProcessingContext(
             session=1,
             camera_ids=(CameraId("c01"),),
-            calibration_id="rig",
             is_simulated=True,
             archive_raw=False,
             save_silhouettes=False,
             folder=folder,
         )
         self.processing = Processing(
-            context, spool=self.spool, pool=pool, results=self.store, on_progress=self.on_progress
+            context,
+            spool=self.spool,
+            pool=pool,
+            results=self.store,
+            calibration=desk or Desk(),
+            on_progress=self.on_progress,
         )
 
     def on_progress(self) -> None:
@@ -187,6 +235,42 @@ async def test_a_bug_ends_the_consumer(tmp_path: Path):
     with pytest.raises(ExceptionGroup) as group:
         await bench.processing.run()
     assert group.group_contains(KeyError)
+
+
+async def test_every_bundle_is_measured_with_the_calibration_of_its_turn(tmp_path: Path):
+    """Also when it waits for a worker while another one is activated, and when it is lost."""
+    pool, desk = ScriptedPool(is_gated=True), Desk()
+    full = Loss(reason="queue_full", detail="")
+    bench = Bench(tmp_path, [turn("a"), turn("b"), turn("c"), turn("d", loss=full)], pool, desk)
+
+    def activate_before_c(name: str) -> None:
+        if name == "c":
+            assert bench.store.records == []
+            desk.rig = RigFile(Path("new.json"), "new")
+            for waiting in "abc":
+                pool.gates.setdefault(waiting, asyncio.Event()).set()
+
+    bench.spool.on_take = activate_before_c
+    await bench.processing.run()
+    found = [(record["bundle"], record["calibration_id"]) for record in bench.store.records]
+    assert found == [("a", "rig"), ("b", "rig"), ("c", "new"), ("d", "new")]
+
+
+async def test_drops_are_collected_in_order_and_stones_are_not(tmp_path: Path):
+    ball, stone = BundleKind.BALL, BundleKind.PARTICLE
+    pool, desk = ScriptedPool(), Desk(kind=ball)
+    pool.unseen["b"] = JobLostError("worker_crash", "died")
+    bundles = [turn("a", kind=ball), turn("s", kind=stone), turn("b", kind=ball), turn("c", kind=ball)]
+    bench = Bench(tmp_path, bundles, pool, desk)
+    await bench.processing.run()
+    assert [name for name, _ in bench.outcomes] == ["a", "s", "b", "c"]
+    assert [(drop.bundle, name, has_file) for drop, name, has_file in desk.collected] == [
+        ("a rig", "a", True),
+        ("b", "b", False),
+        ("c rig", "c", True),
+    ]
+    assert desk.collected[1][0].problem == "worker_crash: died"
+    assert list_names(tmp_path) == []
 
 
 def list_names(folder: Path) -> list[str]:

@@ -12,7 +12,7 @@ from pipeline.errors import RejectedError, RejectReason
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import Trigger
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.particle import ParticleMeasurement, ParticleResult, Quality
+from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult, Quality
 from service.record import lost_record, result_record
 
 MIN_FERET_MM, MAX_FERET_MM = 10.0, 37.417  # of a box of 10 x 20 x 30 mm
@@ -25,7 +25,16 @@ def box() -> ShapeMeasurement:
 
 
 def measured() -> ParticleResult:
-    measurement = ParticleMeasurement(shape=box(), hull_excess=1.0, angularity=None, mass_g=None)
+    measurement = ParticleMeasurement(
+        body="estimate",
+        shape=box(),
+        hull=HullMeasurement(volume_mm3=6300.0, surface_area_mm2=2250.0),
+        volume_mm3=6000.0,
+        volume_model="test",
+        volume_estimate_mm3=6010.0,
+        angularity=None,
+        mass_g=None,
+    )
     return ParticleResult(silhouettes={}, quality=Quality.GOOD, measurement=measurement)
 
 

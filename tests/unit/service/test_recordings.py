@@ -1,4 +1,5 @@
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -194,3 +195,15 @@ def test_settings_are_checked(settings):
     (field,) = settings
     with pytest.raises(ValueError, match=f"^{field} "):
         RecordingsSettings(**settings)
+
+
+async def test_a_recording_names_the_calibration_in_use(tmp_path: Path):
+    recordings = opened(tmp_path)
+    later = replace(SOURCE.rig, name="calibrated anew")
+    recordings.use_rig(later)
+    await recordings.start(RecordingPlan(name="r1", count=1))
+    offer(recordings, 1)
+    await recordings.stop("r1")
+    rig = open_recording(tmp_path / "r1").rig
+    assert rig is not None
+    assert rig.calibration_id == later.calibration_id

@@ -13,7 +13,8 @@ from drivers.inbox import EventInbox
 from drivers.interfaces import PlaybackEnded
 from drivers.replay_belt import Pace
 from pipeline.frames import BundleKind, FrameBundle
-from service.bundling import BundleAssembler, BundlingParameters
+from service.bundling import BundleAssembler
+from service.bundling_parameters import BundlingParameters
 
 
 async def pump(devices: Devices, n_in_flight: int = 2) -> tuple[list[FrameBundle], BundleAssembler]:

@@ -12,6 +12,7 @@ from drivers.gates.serial_gate import SerialGateSettings
 from drivers.recording import RecordingWriter
 from drivers.rig_file import write_rig
 from pipeline.frames import Frame, FrameBundle, Trigger
+from pipeline.measuring.volume_correction import VolumeModel
 from pipeline.particle import PipelineParameters
 from pipeline.rig_design import nominal_rig
 from service.cli import build_app
@@ -19,6 +20,7 @@ from service.errors import SettingsError
 from service.recording_live import recording_source
 from service.rig_settings import AravisRigSettings
 from service.settings import Settings, load_settings, problems
+from service.volume_models import write_volume_model
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 
@@ -190,6 +192,18 @@ def test_enough_views_must_be_left_to_carve_with(tmp_path: Path):
     ]
 
 
+def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
+    write_tiny_recording(tmp_path / "recording")
+    text = MINIMAL.replace("/var/lib/somewhere", "store") + '[measuring]\nvolume_model = "basalt.json"'
+    (missing,) = problems(settings_of(tmp_path, text))
+    assert missing == f"measuring.volume_model: {tmp_path}/basalt.json: No such file or directory"
+    write_volume_model(tmp_path / "basalt.json", VolumeModel(id="basalt", gap_share=1.0), {})
+    settings = settings_of(tmp_path, text + '\n[body]\nkind = "hull"')
+    assert list(problems(settings)) == []
+    assert settings.pipeline.measuring.volume_model.id == "basalt"
+    assert settings.pipeline.body.kind == "hull"
+
+
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
     write_tiny_recording(tmp_path / "recording")
     settings = settings_of(tmp_path, MINIMAL.replace("/var/lib/somewhere", "/proc/stonefall"))
@@ -294,7 +308,7 @@ def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, t
     text = (DEPLOY / name).read_text()
     settings = settings_of(tmp_path, text)
     told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
-    examples = ("density_g_cm3", "[[api.keys]]", "name", "sha256", "scopes")
+    examples = ("density_g_cm3", "volume_model", "[[api.keys]]", "name", "sha256", "scopes")
     spelled_out = "\n".join(line for line in told if not line.startswith(examples))
     assert settings_of(tmp_path, spelled_out) == settings
 

@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from typer.testing import CliRunner
 from drivers.errors import RecordingError
 from drivers.recording import open_recording, read_bundle
 from drivers.rig_file import read_rig, write_rig
-from pipeline.frames import BundleKind, FrameBundle
+from pipeline.fall import speed_mm_s
+from pipeline.frames import BundleKind, CameraId, FrameBundle
 from service.commands.synthesize import command
 from service.errors import UsageError
 
@@ -134,3 +136,45 @@ def test_the_command_line(tmp_path: Path, rig_path: Path) -> None:
     assert CliRunner().invoke(app, [*arguments, "--count", "-1"]).exit_code == 2
     nothing = [*arguments[:1], "--count", "0", "--backgrounds", "0"]
     assert CliRunner().invoke(app, nothing).exit_code == 2
+
+
+def truths_of(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (path / "truth.jsonl").read_text().splitlines()]
+
+
+def test_balls_of_two_sizes_are_dropped_across_the_volume(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    command(out, bodies="ball,ball:6", count=10, seed=1, rig=rig_path, backgrounds=0)
+    truths = truths_of(out)
+    assert {truth["body"] for truth in truths} == {truth["kind"] for truth in truths} == {"ball"}
+    assert [truth["equivalent_diameter_mm"] for truth in truths] == pytest.approx([10, 6] * 5)
+    places_mm = np.array([truth["center_mm"] for truth in truths])
+    assert np.abs(places_mm).max() <= 9
+    assert (np.ptp(places_mm, axis=0) > 8).all()
+    with pytest.raises(typer.BadParameter, match="'ball:big': a ball's diameter is 2 to 40 mm"):
+        command(tmp_path / "other", bodies="ball:big", rig=rig_path)
+
+
+def test_a_late_exposure_shows_a_ball_lower(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    command(
+        out,
+        bodies="ball:4",
+        count=6,
+        rig=rig_path,
+        backgrounds=0,
+        spread_mm=(0.5, 0.5, 0.0),
+        fall_jitter_ms=3.0,
+    )
+    heights_mm = np.array([truth["center_mm"][2] for truth in truths_of(out)])
+    fallen_s = np.array(
+        [
+            (bundle.frames[CameraId("c02")].device_ns - bundle.trigger.device_ns) / 1e9
+            for bundle in bundles_of(out)
+        ]
+    )
+    assert np.ptp(heights_mm) > 3
+    slopes_mm_s = np.diff(heights_mm) / np.diff(fallen_s)
+    np.testing.assert_allclose(slopes_mm_s, -speed_mm_s(300.0), rtol=0.02)
+    with pytest.raises(typer.BadParameter, match="each must be 0 to 100"):
+        command(tmp_path / "other", bodies="ball", rig=rig_path, spread_mm=(1.0, -1.0, 1.0))

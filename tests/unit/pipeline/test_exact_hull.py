@@ -1,4 +1,4 @@
-"""The yardstick itself: exact hulls against analytic and polyhedral ones, distances against brute force."""
+"""The floor of all hulls: exact ones against analytic and polyhedral ones."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,13 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
-from support.hull_floor import exact_hull_mesh, polar_outline, surface_distance
 
 from pipeline.measuring import sphere_hull_excess
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
+from pipeline.synthesis.comparison import Surface, surface_distances
+from pipeline.synthesis.exact_hull import exact_hull_mesh, polar_outline, star_center_mm
+from pipeline.synthesis.irregular import irregular
 
 NOMINAL = nominal_rig()
 BUILT = as_built(NOMINAL, seed=1)
@@ -46,10 +48,10 @@ def test_floor_of_the_sphere() -> None:
     assert hull.volume / SPHERE.volume == pytest.approx(
         sphere_hull_excess(centers_mm, np.zeros(3), 7.5), abs=5e-4
     )
-    mean_mm, max_mm, signed_mm = surface_distance(hull, SPHERE, 5000, np.random.default_rng(0))
-    assert mean_mm == pytest.approx(0.0185, abs=1e-3)
-    assert 0.25 < max_mm < 0.31  # the spikes at the poles
-    assert signed_mm == pytest.approx(mean_mm, abs=1e-3)
+    distances = surface_distances(hull, Surface(SPHERE), np.random.default_rng(0), 5000)
+    assert distances.mean_mm == pytest.approx(0.0185, abs=1e-3)
+    assert 0.25 < distances.max_mm < 0.34  # the spikes at the poles
+    assert distances.signed_mm == pytest.approx(distances.mean_mm, abs=1e-3)
 
 
 @pytest.mark.parametrize("rig", [NOMINAL, BUILT], ids=["nominal", "built"])
@@ -73,9 +75,11 @@ def test_mean_floors_of_cube_and_cylinder() -> None:
         for seed in range(6):
             mesh, center_mm = posed(body, seed)
             hull = exact_hull_mesh(mesh, center_mm, NOMINAL, subdivisions=5)
-            mean_mm, _, signed_mm = surface_distance(hull, mesh, 1000, rng)
-            assert signed_mm == pytest.approx(mean_mm, rel=0.05), "a hull contains its body"
-            means_mm.append(mean_mm)
+            distances = surface_distances(hull, Surface(mesh), rng, 1000)
+            assert distances.signed_mm == pytest.approx(distances.mean_mm, rel=0.05), (
+                "a hull contains its body"
+            )
+            means_mm.append(distances.mean_mm)
         assert low < np.mean(means_mm) < high
 
 
@@ -131,38 +135,19 @@ def test_a_center_outside_the_body_is_refused() -> None:
         exact_hull_mesh(SPHERE, np.array([20.0, 0, 0]), NOMINAL, subdivisions=2)
 
 
-@pytest.mark.parametrize("offset_mm", [0.1, -0.2])
-def test_distance_of_concentric_spheres(offset_mm: float) -> None:
-    other = trimesh.creation.icosphere(subdivisions=5, radius=7.5 + offset_mm)
-    mean_mm, max_mm, signed_mm = surface_distance(other, SPHERE, 2000, np.random.default_rng(0))
-    assert mean_mm == pytest.approx(abs(offset_mm), abs=2e-3)
-    assert max_mm == pytest.approx(abs(offset_mm), abs=4e-3)
-    assert signed_mm == pytest.approx(offset_mm, abs=2e-3)
-
-
-def test_distance_to_a_box_against_its_formula() -> None:
-    half = np.array([5.0, 2.0, 9.0])
-    cloud = trimesh.creation.icosphere(subdivisions=3, radius=6.0)  # crosses the box
-    rng = np.random.default_rng(0)
-    beyond = np.abs(_even_samples(cloud, 4000, np.random.default_rng(0))) - half
-    outside_mm = np.linalg.norm(np.maximum(beyond, 0), axis=1)
-    signed = outside_mm + np.minimum(beyond.max(axis=1), 0)
-
-    mean_mm, max_mm, signed_mm = surface_distance(cloud, trimesh.creation.box(2 * half), 4000, rng)
-
-    assert mean_mm == pytest.approx(np.abs(signed).mean(), rel=0.05)
-    assert max_mm == pytest.approx(np.abs(signed).max(), rel=0.02)
-    assert signed_mm == pytest.approx(signed.mean(), abs=0.05)
-
-
-def _even_samples(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    return np.asarray(trimesh.sample.sample_surface(mesh, n, seed=rng)[0])
-
-
-def test_alignment_undoes_a_rigid_motion() -> None:
+def test_star_center() -> None:
     moved = CUBE.copy()
-    moved.apply_transform(trimesh.transformations.rotation_matrix(0.05, [1, 2, 3]))
-    moved.apply_translation([0.2, -0.1, 0.15])
-    rng = np.random.default_rng(0)
-    assert surface_distance(moved, CUBE, 2000, rng)[0] > 0.1
-    assert surface_distance(moved, CUBE, 2000, rng, align=True)[1] < 1e-3
+    moved.apply_translation([3, 4, 5])
+    np.testing.assert_allclose(star_center_mm(moved), [3, 4, 5], atol=1e-6)
+    horseshoe = irregular("horseshoe", 20.0, np.random.default_rng(0))
+    assert star_center_mm(horseshoe.mesh) is None
+
+
+def test_every_point_of_an_l_is_seen_from_its_corner_alone() -> None:
+    tromino = irregular("tromino", 20.0, np.random.default_rng(1)).mesh
+    center_mm = star_center_mm(tromino)
+    assert center_mm is not None
+    seen_from = np.einsum("ij,ij->i", tromino.triangles_center - center_mm, tromino.face_normals)
+    assert seen_from.min() > 0
+    seen_from = np.einsum("ij,ij->i", tromino.triangles_center - tromino.center_mass, tromino.face_normals)
+    assert seen_from.min() < 0, "not from its centre of mass: the search was needed"

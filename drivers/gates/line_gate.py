@@ -1,0 +1,59 @@
+"""What the gates on a bare line have in common: a modem line or a GPIO, looked at by a thread of ours."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+from drivers.errors import GateUnavailableError
+from drivers.gates.gate_thread import GateThread
+from drivers.gates.line_pulses import LinePulses
+from drivers.interfaces import EventSink
+
+
+class Closable(Protocol):
+    """What is held open."""
+
+    def close(self) -> None: ...
+
+
+class LineGate(ABC):
+    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored` and, once, `GateLost`; numbers start at 0 with the object."""
+
+    def __init__(self, name: str, debounce_us: int) -> None:
+        self._thread = GateThread(name)
+        self._pulses = LinePulses(debounce_us, self._thread.deliver)
+        self._held: Closable | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return ()
+
+    def open(self) -> None:
+        if self._thread.is_running and self._thread.failure is None:
+            return
+        self.close()
+        try:
+            turn = self._connect()
+        except GateUnavailableError:
+            self.close()
+            raise
+        self._pulses.reset()
+        self._thread.start(turn)
+
+    def arm(self, sink: EventSink) -> None:
+        self._thread.arm(sink)
+
+    def disarm(self) -> None:
+        self._thread.disarm()
+
+    def close(self) -> None:
+        self._thread.stop()
+        if self._held is not None:
+            with suppress(OSError):  # it may be gone
+                self._held.close()
+            self._held = None
+
+    @abstractmethod
+    def _connect(self) -> Callable[[], None]:
+        """Open the line, note it as held, and return what a turn of the thread does; raises `GateUnavailableError`."""

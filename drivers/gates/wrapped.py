@@ -1,0 +1,57 @@
+"""What the gates around another gate have in common: all is passed on, events come through `deliver`."""
+
+import threading
+from abc import ABC, abstractmethod
+
+from drivers.errors import DeviceError
+from drivers.interfaces import DeviceEvent, EventSink, LightGate
+
+
+class WrappedGate(ABC):
+    """Is its own sink of the other gate, from `arm` to `disarm`."""
+
+    def __init__(self, gate: LightGate) -> None:
+        self._gate = gate
+        self._sink: EventSink | None = None
+        self._lock = (
+            threading.Lock()
+        )  # who arms, disarms and sends test pulses is another thread than the gate's
+        self._is_lost = False
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self._gate.warnings
+
+    def open(self) -> None:
+        self._gate.open()
+        self._is_lost = False
+
+    def arm(self, sink: EventSink) -> None:
+        self._sink = sink
+        try:
+            self._gate.arm(self)
+        except DeviceError:
+            self._sink = None
+            raise
+
+    def test_pulse(self) -> None:
+        self._gate.test_pulse()
+
+    def disarm(self) -> None:
+        self._gate.disarm()
+        with self._lock:
+            self._sink = None
+
+    def close(self) -> None:
+        self._gate.close()
+        with self._lock:
+            self._sink = None
+
+    def deliver(self, event: DeviceEvent) -> bool:
+        """Take what the other gate delivers; called on its thread."""
+        with self._lock:
+            return True if self._sink is None else self._pass_on(event, self._sink)
+
+    @abstractmethod
+    def _pass_on(self, event: DeviceEvent, sink: EventSink) -> bool:
+        """Deliver what becomes of an event; returns whether all of it was taken."""

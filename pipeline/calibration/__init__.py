@@ -1,0 +1,19 @@
+"""The rig's geometry from balls that fall through it."""
+
+from pipeline.calibration.ball_outline import observe_ball
+from pipeline.calibration.calibration import calibrate
+from pipeline.calibration.drops import BallDrop, BallView
+from pipeline.calibration.problem import Problem
+from pipeline.calibration.report import CalibrationReport, report_document
+from pipeline.errors import CalibrationError
+
+__all__ = [
+    "BallDrop",
+    "BallView",
+    "CalibrationError",
+    "CalibrationReport",
+    "Problem",
+    "calibrate",
+    "observe_ball",
+    "report_document",
+]

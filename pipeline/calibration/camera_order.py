@@ -1,0 +1,106 @@
+"""Which camera took which images: cameras exchanged in the rig file or at their plugs.
+
+A camera that stands a degree from its place sees every ball shifted by the same hundred pixels; the *pattern*
+that the balls form around their mean stays within a few pixels of what its place in the design predicts. From
+another place the same balls form another pattern. So each camera's image offset is left free and images are
+assigned to the places whose patterns they fit.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from pipeline.calibration.drops import BallDrop
+from pipeline.frames import CameraId
+from pipeline.rig import CameraCalibration, RigCalibration
+
+Array = NDArray[np.float64]
+
+N_REWEIGHTINGS = 20
+N_ASSIGNMENTS = 4
+MIN_MISFIT_PX = 1.0
+"""Below it a view is no better than another: weights stay finite."""
+MIN_DROPS = 3
+"""Two points fit many places."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOrder:
+    """Whose place the images of each camera show; misfits are medians over the balls of a pattern."""
+
+    place_of: Mapping[CameraId, CameraId]  # images of -> place in the rig
+    own_misfit_px: Mapping[CameraId, float]  # to the place that the rig file says
+    misfit_px: Mapping[CameraId, float]  # to `place_of`
+
+
+def camera_order(drops: Sequence[BallDrop], rig: RigCalibration) -> CameraOrder | None:
+    """The assignment of images to places that fits best; `None` when too few drops show a pattern.
+
+    The rig need not be accurate: poses a few degrees off do not matter.
+    """
+    patterns_uv = np.full((len(rig.cameras), len(drops), 2), np.nan)
+    for i, camera in enumerate(rig.cameras):
+        for j, drop in enumerate(drops):
+            if camera.id in drop.views:
+                patterns_uv[i, j] = drop.views[camera.id].center_uv
+    is_judged = np.isfinite(patterns_uv[..., 0]).sum(axis=1) >= MIN_DROPS
+    if is_judged.sum() < 3:
+        return None
+    ids = [camera.id for camera, judged in zip(rig.cameras, is_judged, strict=True) if judged]
+    patterns_uv = patterns_uv[is_judged]
+    scales = np.stack([_px_per_mm(rig.cameras[i]) for i in np.flatnonzero(is_judged)])
+    places = np.arange(len(ids))
+    for _ in range(N_ASSIGNMENTS):
+        offsets_mm = _ball_offsets_mm(patterns_uv, scales[places])
+        misfits_px = _misfits_px(patterns_uv, scales, offsets_mm)
+        _, assigned = linear_sum_assignment(misfits_px)
+        if (assigned == places).all():
+            break
+        places = assigned
+    return CameraOrder(
+        place_of={ids[i]: ids[place] for i, place in enumerate(places)},
+        own_misfit_px={name: float(misfits_px[i, i]) for i, name in enumerate(ids)},
+        misfit_px={name: float(misfits_px[i, places[i]]) for i, name in enumerate(ids)},
+    )
+
+
+def _px_per_mm(camera: CameraCalibration) -> Array:
+    """Image of a small step at the origin, (2, 3)."""
+    steps_mm = np.concatenate([np.eye(3), -np.eye(3)])
+    pixels_uv, _ = camera.project(steps_mm)
+    return np.asarray((pixels_uv[:3] - pixels_uv[3:]).T / 2)
+
+
+def _ball_offsets_mm(patterns_uv: Array, scales: Array) -> Array:
+    """Where the balls are (N, 3), but for a common shift, from patterns (C, N, 2) seen under scales (C, 2, 3).
+
+    Least sum of distances, not of their squares: a few cameras or views that show something else do not matter.
+    """
+    n_cameras, n_drops = patterns_uv.shape[:2]
+    cameras, drops = np.nonzero(np.isfinite(patterns_uv[..., 0]))
+    design = np.zeros((len(cameras), 2, 3 * n_drops + 2 * n_cameras))
+    for row, (i, j) in enumerate(zip(cameras, drops, strict=True)):
+        design[row, :, 3 * j : 3 * j + 3] = scales[i]
+        design[row, :, 3 * n_drops + 2 * i : 3 * n_drops + 2 * i + 2] = np.eye(2)
+    seen_uv = patterns_uv[cameras, drops]
+    weights = np.ones(len(cameras))
+    for _ in range(N_REWEIGHTINGS):
+        root = np.sqrt(weights)
+        solution, *_ = np.linalg.lstsq(
+            (design * root[:, None, None]).reshape(-1, design.shape[2]),
+            (seen_uv * root[:, None]).ravel(),
+            rcond=None,
+        )
+        weights = 1 / np.maximum(np.linalg.norm(design @ solution - seen_uv, axis=1), MIN_MISFIT_PX)
+    return np.asarray(solution[: 3 * n_drops].reshape(-1, 3))
+
+
+def _misfits_px(patterns_uv: Array, scales: Array, offsets_mm: Array) -> Array:
+    """Median difference (C, C) of the pattern that a camera saw (row) from that of a place (column)."""
+    predicted_uv = np.einsum("pij,nj->pni", scales, offsets_mm)
+    difference_uv = patterns_uv[:, None] - predicted_uv[None]
+    difference_uv -= np.nanmedian(difference_uv, axis=2, keepdims=True)
+    return np.asarray(np.nanmedian(np.linalg.norm(difference_uv, axis=-1), axis=2))

@@ -1,0 +1,59 @@
+"""What may be wrong with a calibration, before it is solved and after: each finding with the remedy.
+
+A low residual is no evidence of accuracy: balls of a wrong diameter, or too few of them in a thin column, are
+reproduced perfectly by a wrong rig. So the drops are judged first, then the solution against what is known of the
+rig's design.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from pipeline.calibration import drop_checks, solution_checks
+from pipeline.calibration.drops import BallDrop
+from pipeline.calibration.limits import CalibrationLimits
+from pipeline.calibration.problem import Problem
+from pipeline.calibration.report import CalibrationReport
+from pipeline.rig import RigCalibration
+
+
+def diagnose_before(
+    drops: Sequence[BallDrop], initial: RigCalibration, limits: CalibrationLimits | None = None
+) -> tuple[Problem, ...]:
+    """What the drops alone show, in the light of the initial rig."""
+    limits = limits or CalibrationLimits()
+    usable = [drop for drop in drops if len(drop.views) >= limits.min_views]
+    if len(usable) < limits.min_drops:
+        return (drop_checks.too_few(usable, drops, limits),)
+    order = tuple(drop_checks.order_problems(usable, initial, limits))
+    if order:
+        return order  # everything else would be judged in the wrong images
+    return (
+        *drop_checks.number_problems(usable, initial, limits),
+        *drop_checks.size_problems(usable, initial, limits),
+        *drop_checks.column_problems(usable, initial, limits),
+    )
+
+
+def diagnose_after(
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits | None = None
+) -> tuple[Problem, ...]:
+    """What the solution shows. The paper's method is judged mildly: its residuals are what it is compared by."""
+    limits = limits or CalibrationLimits()
+    if causes := tuple(_causes(report, drops, limits)):
+        return causes  # large residuals would only be their consequence
+    return (
+        *solution_checks.scale_problems(report, drops, limits),
+        *solution_checks.left_out_problems(report, drops, limits),
+        *solution_checks.moved_problems(report, limits),
+        *solution_checks.residual_problems(report, limits),
+        *solution_checks.uncertainty_problems(report, limits),
+        *solution_checks.edge_problems(report, drops, limits),
+    )
+
+
+def _causes(
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+) -> Iterator[Problem]:
+    yield from solution_checks.plausibility_problems(report)
+    if report.rig.method != "paper":
+        moved = tuple(solution_checks.step_problems(report, drops, limits))
+        yield from moved or solution_checks.contradiction_problems(report, drops, limits)

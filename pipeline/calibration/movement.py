@@ -1,0 +1,107 @@
+"""Which camera does not stand where the initial rig has it, and which one moved while the balls fell."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration.drops import BallDrop
+from pipeline.frames import CameraId
+from pipeline.rig import CameraCalibration, RigCalibration
+
+Array = NDArray[np.float64]
+
+HALF_VOLUME_MM = 8.0
+"""Points that far from the origin along each axis stand for the measuring volume."""
+SMALL_MM = 0.01
+"""Step of the numerical derivatives."""
+N_REWEIGHTINGS = 30
+LEAST_SHIFT_PX = 0.02
+"""Below it a camera is no better than another: weights stay finite."""
+MIN_SIDE = 2
+"""Fewer drops before or after say nothing about a step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """A camera's images shifted between two drops and stayed so."""
+
+    after: str  # name of the last drop before
+    shift_px: float
+    significance: float  # the shift in standard deviations of itself
+
+
+def image_shifts_px(rig: RigCalibration, initial: RigCalibration) -> Mapping[CameraId, float]:
+    """Rms difference between the images of the measuring volume in two rigs, for each camera.
+
+    A camera's turn, place, focal length and principal point trade against one another; what they do to the image
+    does not. Nor does it matter where the rig as a whole is, and how large: the similarity that explains the shifts
+    of most cameras (least sum of their rms) is taken out.
+    """
+    axis_mm = np.array([-HALF_VOLUME_MM, 0.0, HALF_VOLUME_MM])
+    points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)
+    before = [camera for camera in initial.cameras if camera.id in rig.camera_ids]
+    seen_uv = np.stack([camera.project(points_mm)[0] for camera in before])  # (C, N, 2)
+    shifts_uv = np.stack([camera.project(points_mm)[0] for camera in rig.cameras]) - seen_uv
+    moved_mm = [points_mm + SMALL_MM * unit for unit in np.eye(3)]
+    moved_mm += [points_mm + SMALL_MM / HALF_VOLUME_MM * np.cross(unit, points_mm) for unit in np.eye(3)]
+    moved_mm += [points_mm * (1 + SMALL_MM / HALF_VOLUME_MM)]
+    motions_uv = np.stack(
+        [[camera.project(points)[0] for camera in before] - seen_uv for points in moved_mm], axis=-1
+    )  # (C, N, 2, 7)
+    weights = np.ones(len(before))
+    for _ in range(N_REWEIGHTINGS):
+        root = np.sqrt(weights)[:, None, None]
+        common, *_ = np.linalg.lstsq(
+            (motions_uv * root[..., None]).reshape(-1, len(moved_mm)), (shifts_uv * root).ravel(), rcond=None
+        )
+        own_px = np.sqrt(((shifts_uv - motions_uv @ common) ** 2).sum(axis=2).mean(axis=1))
+        weights = 1 / np.maximum(own_px, LEAST_SHIFT_PX)
+    return {camera.id: float(own_px[index]) for index, camera in enumerate(rig.cameras)}
+
+
+def steps(
+    drops: Sequence[BallDrop],
+    rig: RigCalibration,
+    ball_centers_mm: Mapping[str, tuple[float, float, float]],
+) -> Mapping[CameraId, Step]:
+    """For each camera the most significant step of its residuals, the drops taken in order of time."""
+    found = {}
+    for camera in rig.cameras:
+        names, residuals_uv = [], []
+        for drop in drops:
+            if drop.name in ball_centers_mm and camera.id in drop.views:
+                names.append(drop.name)
+                center_mm = np.array(ball_centers_mm[drop.name])
+                residuals_uv.append(_residual_uv(camera, drop.views[camera.id].outline_uv, center_mm))
+        if (step := _greatest_step(names, np.array(residuals_uv))) is not None:
+            found[camera.id] = step
+    return found
+
+
+def _residual_uv(camera: CameraCalibration, outline_uv: Array, ball_mm: Array) -> Array:
+    """Seen minus predicted image (2,) of a ball's centre.
+
+    Seen is the axis of the cone of viewing rays that touch the ball: their unit vectors lie in a plane, its normal
+    is the axis.
+    """
+    normal, *_ = np.linalg.lstsq(camera.rays(outline_uv), np.ones(len(outline_uv)), rcond=None)
+    seen_uv, _ = camera.project((camera.center_mm + normal / np.linalg.norm(normal))[None])
+    predicted_uv, _ = camera.project(ball_mm[None])
+    return np.asarray(seen_uv[0] - predicted_uv[0])
+
+
+def _greatest_step(names: Sequence[str], residuals_uv: Array) -> Step | None:
+    n_drops = len(names)
+    best: Step | None = None
+    for n_before in range(MIN_SIDE, n_drops - MIN_SIDE + 1):
+        before_uv, after_uv = residuals_uv[:n_before], residuals_uv[n_before:]
+        mean_before, mean_after = before_uv.mean(axis=0), after_uv.mean(axis=0)
+        squares = ((before_uv - mean_before) ** 2).sum() + ((after_uv - mean_after) ** 2).sum()
+        variance = squares / (2 * (n_drops - 2)) * (1 / n_before + 1 / (n_drops - n_before))
+        shift_px = float(np.linalg.norm(mean_after - mean_before))
+        significance = shift_px / max(float(np.sqrt(variance)), 1e-6)
+        if best is None or significance > best.significance:
+            best = Step(after=names[n_before - 1], shift_px=shift_px, significance=significance)
+    return best

@@ -1,0 +1,212 @@
+"""Bundle adjustment of drops some of which are no good: what contradicts the rest is found, named and left out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration.bundle_adjustment import (
+    N_CAMERA,
+    Noise,
+    Solution,
+    Tolerances,
+    linearized,
+    point_weights,
+    prior_precision,
+    solve,
+    triangulated,
+)
+from pipeline.calibration.drops import BallDrop
+from pipeline.calibration.problem import Problem
+from pipeline.calibration.sphere_image import N_SECTORS, Sightings, sightings_of, view_offsets_px
+from pipeline.errors import CalibrationError
+from pipeline.frames import CameraId
+from pipeline.rig import RigCalibration
+
+Array = NDArray[np.float64]
+
+APPROACH = (Noise(point_px=20.0, wide_px=1e6), Noise(point_px=1.0, wide_px=5.0))
+"""From far away the tolerances must outweigh the outlines, whose misfit is not linear in 70 px of 100."""
+LEAST_VIEWS = 3
+LEAST_DROPS = 3
+LEAST_NOISE_PX = 0.002
+OUTLIER_SIGMAS = 8.0
+LEAST_OUTLIER_PX = 0.3
+"""What is less off bends nothing: soft-L1 bounds it, and segmentation itself errs by some hundredths far off the axis."""
+ROUNDS = 12
+"""In each of them every camera may lose one view."""
+LEAST_SIZE_RATIO = 1.1
+"""Balls closer in diameter than this tell no offset of the outlines from a scale."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Adjusted:
+    """The solution and what it rests on."""
+
+    drops: tuple[BallDrop, ...]  # used
+    drops_left_out: Mapping[str, str]
+    views_left_out: Mapping[str, Mapping[CameraId, str]]
+    sightings: Sightings
+    solution: Solution
+    noise: Noise
+    free_edge: bool
+
+
+def adjust(drops: Sequence[BallDrop], initial: RigCalibration, tolerances: Tolerances) -> Adjusted:
+    """The rig that explains most of the drops.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than three drops agree with one another.
+    """
+    drops_left_out: dict[str, str] = {}
+    views_left_out: dict[str, dict[CameraId, str]] = {}
+    known = set(initial.camera_ids)
+    drops = [
+        replace(drop, views={camera: view for camera, view in drop.views.items() if camera in known})
+        for drop in drops
+    ]
+    used = _seen_enough(drops, views_left_out, drops_left_out)
+    sightings = sightings_of(used, initial.camera_ids)
+    solution = Solution(
+        initial=initial.cameras,
+        parameters=np.zeros((len(initial.cameras), N_CAMERA)),
+        centers_mm=triangulated(initial.cameras, sightings, len(used)),
+    )
+    for noise in APPROACH:
+        solution = solve(solution, sightings, noise=noise, tolerances=tolerances)
+    # the noise is that of the approach at first
+    solution = _refitted(solution, sightings, tolerances, _has_two_sizes(used))
+    for _ in range(ROUNDS):
+        solution = _refitted(solution, sightings, tolerances, _has_two_sizes(used))
+        kept = _without_worst(used, solution, sightings, tolerances, views_left_out)
+        kept = _seen_enough(kept, views_left_out, drops_left_out)
+        if sum(len(drop.views) for drop in kept) == len(sightings):
+            break
+        names = {drop.name for drop in kept}
+        solution = replace(
+            solution, centers_mm=solution.centers_mm[np.array([drop.name in names for drop in used])]
+        )
+        used, sightings = kept, sightings_of(kept, initial.camera_ids)
+    return Adjusted(
+        drops=tuple(used),
+        drops_left_out=drops_left_out,
+        views_left_out=views_left_out,
+        sightings=sightings,
+        solution=solution,
+        noise=_noise(solution, sightings),
+        free_edge=_has_two_sizes(used),
+    )
+
+
+def _refitted(solution: Solution, sightings: Sightings, tolerances: Tolerances, free_edge: bool) -> Solution:
+    """The solution for the noise that the present residuals show."""
+    return solve(
+        solution if free_edge else replace(solution, edge_px=0.0),
+        sightings,
+        noise=_noise(solution, sightings),
+        tolerances=tolerances,
+        free_edge=free_edge,
+    )
+
+
+def _seen_enough(
+    drops: Sequence[BallDrop],
+    views_left_out: Mapping[str, Mapping[CameraId, str]],
+    left_out: dict[str, str],
+) -> list[BallDrop]:
+    """The drops that enough views agree on; why the others are left out is put down."""
+    kept = []
+    for drop in drops:
+        n_views, n_bad = len(drop.views), len(views_left_out.get(drop.name, ()))
+        if n_bad > n_views:
+            left_out[drop.name] = (
+                f"{n_bad} of {n_bad + n_views} views contradict the other drops: a ball of another size, "
+                "or not all cameras exposed together"
+            )
+        elif n_views < LEAST_VIEWS:
+            left_out[drop.name] = f"only {n_views} usable views, {LEAST_VIEWS} are needed"
+        else:
+            kept.append(drop)
+    if len(kept) < LEAST_DROPS:
+        problem = Problem(
+            code="too_few_drops",
+            detail=f"only {len(kept)} of {len(kept) + len(left_out)} drops agree with one another, {LEAST_DROPS} are "
+            "needed: check that each exposure shows one ball, of the diameter entered, and drop more",
+        )
+        raise CalibrationError([problem])
+    return kept
+
+
+def _has_two_sizes(drops: Sequence[BallDrop]) -> bool:
+    sizes_mm = [drop.diameter_mm for drop in drops if drop.diameter_mm is not None]
+    return bool(sizes_mm) and max(sizes_mm) / min(sizes_mm) > LEAST_SIZE_RATIO
+
+
+def _noise(solution: Solution, sightings: Sightings) -> Noise:
+    """What the residuals say of the noise: the errors of a view's points belong together, so its centre is judged."""
+    offsets_px = view_offsets_px(sightings, linearized(solution, sightings).residuals_px)[:, 1:]
+    n_unknowns = solution.parameters.size + solution.centers_mm.size
+    # the tolerances take care of what few drops do not determine
+    freedom = max(1 - n_unknowns / (3 * len(sightings)), 0.25)
+    center_px = max(1.4826 * float(np.median(np.abs(offsets_px))) / sqrt(freedom), LEAST_NOISE_PX)
+    point_px = center_px * sqrt(N_SECTORS / 2)
+    return Noise(point_px=point_px, wide_px=3 * point_px)
+
+
+def _without_worst(
+    drops: Sequence[BallDrop],
+    solution: Solution,
+    sightings: Sightings,
+    tolerances: Tolerances,
+    left_out: dict[str, dict[CameraId, str]],
+) -> list[BallDrop]:
+    """The drops without, for each camera, the worst of those views that are outliers.
+
+    An outlier shows the ball elsewhere, or of another size, than all views together. It also bends its camera and
+    draws its ball aside, so that sound views seem to be off: these wait until it is gone.
+    """
+    offsets_px = view_offsets_px(sightings, linearized(solution, sightings).residuals_px)
+    noise = _noise(solution, sightings)
+    misfits_px = _studentized_px(solution, sightings, noise, tolerances)
+    greatest_px = max(OUTLIER_SIGMAS * noise.center_px, LEAST_OUTLIER_PX)
+    worst_of_drop_px = np.zeros(len(drops))
+    np.maximum.at(worst_of_drop_px, sightings.drop, misfits_px)
+    kept = list(drops)
+    for index, camera in enumerate(solution.initial):
+        own = np.flatnonzero(sightings.camera == index)
+        if len(own) == 0:
+            continue
+        worst = own[np.argmax(misfits_px[own])]
+        number = int(sightings.drop[worst])
+        if misfits_px[worst] <= max(greatest_px, worst_of_drop_px[number] / 2):
+            continue
+        larger, du, dv = offsets_px[worst]
+        left_out.setdefault(drops[number].name, {})[camera.id] = (
+            f"{np.hypot(du, dv):.2f} px beside its place and {larger:+.2f} px in radius, by all views together"
+        )
+        views = {its: view for its, view in kept[number].views.items() if its != camera.id}
+        kept[number] = replace(kept[number], views=views)
+    return kept
+
+
+def _studentized_px(solution: Solution, sightings: Sightings, noise: Noise, tolerances: Tolerances) -> Array:
+    """(V,) how far each view is off, counting how far it has drawn the solution towards itself.
+
+    Without the view the sum of squares would fall by e^T W (I - H)^-1 e, with the part H of the residuals that the fit
+    follows; one camera's few views of far drops are followed so well that the residuals alone accuse the others.
+    """
+    blocks = linearized(solution, sightings)
+    weights = point_weights(blocks, sightings, noise)
+    precision = prior_precision(len(solution.initial), len(solution.centers_mm), tolerances)
+    normal, _ = blocks.normal_equations(weights, len(precision))
+    inverse = np.linalg.inv(normal + precision)
+    own = inverse[blocks.unknowns[:, :, None], blocks.unknowns[:, None, :]]
+    followed = blocks.jacobian @ own @ blocks.jacobian.transpose(0, 2, 1) * weights[:, None, :]
+    unbent_px = np.linalg.solve(np.eye(N_SECTORS) - followed, blocks.residuals_px[..., None])[..., 0]
+    # in units of a shift, of which a circle's points show half the square on average
+    squares = (sightings.weights * blocks.residuals_px * unbent_px).sum(axis=1)
+    return np.sqrt(np.maximum(squares, 0) / (N_SECTORS / 2))

@@ -1,0 +1,225 @@
+"""Do two cameras agree on one body? Epipolar tangency, from outlines alone, without any reconstruction.
+
+A plane through the optical centres of two cameras that touches the body is seen by both of them: it touches
+the outline in both images (Cipolla and Giblin, *Visual Motion of Curves and Surfaces*, 2000). So the two
+planes through the baseline that touch the outline of camera a are those that touch the outline of camera b.
+A plane through the baseline is one angle; the difference of the two angles is the residual, expressed in
+pixels of image motion across the epipolar line (to first order the Sampson distance of the two points).
+
+A camera that moved has all its pairs wrong, the others one pair each: the median over a camera's pairs names it.
+What no pair shows, nobody can see: the whole rig turned, moved or scaled, an outline too wide everywhere,
+a camera turned about the line of sight to a round body.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.frames import CameraId
+from pipeline.rig import RigCalibration
+from pipeline.segmentation.silhouette import Silhouette
+
+Array = NDArray[np.float64]
+Outlines = Mapping[CameraId, Array]
+
+ALARM_PX = 0.3
+"""Score from which a camera is said to have moved, three times that of a healthy one."""
+GAP_PX = 4.0
+"""Neighbouring points of an outline are closer; further apart, the edge between them was not seen."""
+MAX_SLOPE = 5.0
+"""Of a touching plane against the one through the body's middle; beyond it the baseline (nearly) pierces the
+silhouette, and a plane through it has nothing to touch."""
+MIN_PAIRS = 3
+"""The median of fewer pairs says nothing about who is wrong."""
+REWEIGHTINGS = 10
+LEAST_RESIDUAL_PX = 0.05
+"""Below it, the noise of an outline, all residuals weigh the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OutlineHulls:
+    """The corners of the outlines' convex hulls: only they can touch a plane."""
+
+    cameras: tuple[CameraId, ...]  # V
+    rays: Array  # (V, H, 3) in each camera's own frame, 1 along the optical axis; short hulls repeat their first
+    is_trusted: NDArray[np.bool_]  # (V, H) the edge was seen on both sides of the corner
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EpipolarTangents:
+    """The touching planes of all pairs of cameras: P pairs, two planes each, V cameras."""
+
+    cameras: tuple[CameraId, ...]  # V
+    pairs: NDArray[np.int64]  # (P, 2) indices of the two cameras
+    rays: Array  # (P, 2 cameras, 2 planes, 3) world directions of the points that touch, 1 along the optical axis
+    residuals_px: Array  # (P, 2 planes) first camera minus second; NaN where a plane is not to be trusted
+    ray_gradients: Array  # (P, 2 cameras, 2 planes, 3) change of the residual with each of these rays
+    gradients: Array  # (P, 2 cameras, 2 planes, 2) the same per pixel (u, v) that an outline moves
+
+
+def epipolar_tangents(outlines: Outlines, rig: RigCalibration) -> EpipolarTangents:
+    """Compare the touching planes of every pair of cameras.
+
+    Parameters
+    ----------
+    outlines
+        Edge points (N, 2) as (u, v) in order around the body; a plane that touches beside a gap is not trusted.
+    rig
+        Calibrates every camera in `outlines`; cameras without an outline are left out.
+    """
+    return tangents_of(outline_hulls(outlines, rig), rig)
+
+
+def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
+    """The first half of `epipolar_tangents`, which does not change with the poses of the cameras.
+
+    The hull is that of the distorted image: over a silhouette a straight line is bent by less than 0.01 px.
+    """
+    views = [camera for camera in rig.cameras if len(outlines.get(camera.id, ())) >= 3]
+    corners, trusted = [], []
+    for camera in views:
+        outline = outlines[camera.id]
+        on_hull = cv2.convexHull(outline.astype(np.float32), returnPoints=False)[:, 0]
+        points = outline[on_hull]
+        gap_px = np.maximum(
+            np.linalg.norm(outline[(on_hull + 1) % len(outline)] - points, axis=1),
+            np.linalg.norm(outline[on_hull - 1] - points, axis=1),
+        )
+        directions = camera.rays(points) @ camera.R.T
+        corners.append(directions / directions[:, 2:])
+        trusted.append(gap_px < GAP_PX)
+    longest = max((len(points) for points in corners), default=1)
+    rays = np.empty((len(views), longest, 3))
+    is_trusted = np.empty((len(views), longest), bool)
+    for view, (points, flags) in enumerate(zip(corners, trusted, strict=True)):
+        rays[view, : len(points)], rays[view, len(points) :] = points, points[0]
+        is_trusted[view, : len(flags)], is_trusted[view, len(flags) :] = flags, flags[0]
+    return OutlineHulls(cameras=tuple(camera.id for camera in views), rays=rays, is_trusted=is_trusted)
+
+
+def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
+    """The second half of `epipolar_tangents`."""
+    views = rig.subset(hulls.cameras).cameras
+    R = np.array([camera.R for camera in views]).reshape(-1, 3, 3)
+    centers_mm = np.array([camera.center_mm for camera in views]).reshape(-1, 3)
+    focal_px = np.array([[camera.K[0, 0], camera.K[1, 1]] for camera in views]).reshape(-1, 2)
+    rays = hulls.rays @ R
+    pairs = np.column_stack(np.triu_indices(len(views), 1))
+    frames = _frames(centers_mm, rays.mean(axis=1), pairs)
+    sides = [_touching(rays[side], hulls.is_trusted[side], frames) for side in pairs.T]
+    angles, trusted, touching, by_ray = (np.stack(values, axis=1) for values in zip(*sides, strict=True))
+    by_ray[:, 1] *= -1
+    by_pixel = (by_ray @ R[pairs, :2].swapaxes(-1, -2)) / focal_px[pairs][:, :, None]
+    scale = np.maximum(np.sqrt((by_pixel**2).sum(axis=(1, 3)) / 2), 1e-12)  # of the angle, rad/px
+    residuals_px = (angles[:, 0] - angles[:, 1]) / scale
+    residuals_px[~trusted.all(axis=1)] = np.nan
+    return EpipolarTangents(
+        cameras=hulls.cameras,
+        pairs=pairs,
+        rays=touching,
+        residuals_px=residuals_px,
+        ray_gradients=by_ray / scale[:, None, :, None],
+        gradients=by_pixel / scale[:, None, :, None],
+    )
+
+
+def outlines_of(silhouettes: Mapping[CameraId, Silhouette]) -> dict[CameraId, Array]:
+    """The outlines of the usable silhouettes."""
+    return {camera: seen.outline_uv for camera, seen in silhouettes.items() if seen.is_usable}
+
+
+def epipolar_residuals_px(tangents: EpipolarTangents) -> Array:
+    """Residual of each pair (P,): rms of its two planes, NaN where neither is to be trusted."""
+    known = ~np.isnan(tangents.residuals_px)
+    total = np.where(known, tangents.residuals_px, 0) ** 2
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.sqrt(total.sum(axis=1) / np.maximum(count, 1)), np.nan)
+
+
+def tangency_scores_px(
+    tangents: EpipolarTangents, without: Collection[CameraId] = ()
+) -> dict[CameraId, float]:
+    """Median residual of each camera's pairs, those with cameras in `without` left out; too few pairs, no score."""
+    residuals_px = np.full((len(tangents.cameras),) * 2, np.nan)
+    first, second = tangents.pairs.T
+    residuals_px[first, second] = residuals_px[second, first] = epipolar_residuals_px(tangents)
+    residuals_px[:, [camera in without for camera in tangents.cameras]] = np.nan
+    scores = {}
+    for camera, row in zip(tangents.cameras, residuals_px, strict=True):
+        known = row[~np.isnan(row)]
+        if len(known) >= MIN_PAIRS and camera not in without:
+            scores[camera] = float(np.median(known))
+    return scores
+
+
+def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, float]]:
+    """By how much (du, dv) each camera's outline lies beside where the others expect it.
+
+    The shift that leaves the least sum of absolute residuals over the camera's pairs (least squares, reweighted),
+    so that a few pairs with another bad camera do not count.
+    """
+    n_cameras = len(tangents.cameras)
+    if n_cameras <= MIN_PAIRS:
+        return {}
+    pair = np.array([np.flatnonzero((tangents.pairs == index).any(axis=1)) for index in range(n_cameras)])
+    side = (tangents.pairs[pair, 1] == np.arange(n_cameras)[:, None]).astype(int)  # (V, V - 1) like `pair`
+    gradients = tangents.gradients[pair, side].reshape(n_cameras, -1, 2)
+    residuals_px = tangents.residuals_px[pair].reshape(n_cameras, -1)
+    known = ~np.isnan(residuals_px)
+    residuals_px = np.where(known, residuals_px, 0)
+    shifts_px, weights = np.zeros((n_cameras, 2, 1)), known.astype(np.float64)
+    for _ in range(REWEIGHTINGS):
+        weighted = (gradients * weights[..., None]).transpose(0, 2, 1)
+        normal = weighted @ gradients + 1e-9 * np.eye(2)
+        shifts_px = np.linalg.solve(normal, weighted @ residuals_px[..., None])
+        left_px = np.abs(residuals_px - (gradients @ shifts_px)[..., 0])
+        weights = known / np.maximum(left_px, LEAST_RESIDUAL_PX)
+    return {
+        camera: (float(du), float(dv))
+        for camera, (du, dv), count in zip(
+            tangents.cameras, shifts_px[..., 0], known.sum(axis=1), strict=True
+        )
+        if count >= 2 * MIN_PAIRS
+    }
+
+
+def _frames(centers_mm: Array, middles: Array, pairs: NDArray[np.int64]) -> Array:
+    """Unit vectors (P, 3, 2) square to each baseline: towards the body, and across."""
+    first, second = pairs.T
+    baseline = _unit(centers_mm[second] - centers_mm[first])
+    towards = np.zeros_like(baseline)
+    for side in (first, second):
+        towards += _unit(middles[side] - (middles[side] * baseline).sum(axis=1, keepdims=True) * baseline)
+    towards = _unit(towards)
+    return np.stack([towards, np.cross(baseline, towards)], axis=2)
+
+
+def _touching(
+    rays: Array, is_trusted: NDArray[np.bool_], frames: Array
+) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+    """The two extreme planes of one camera of each pair.
+
+    Returns their angles (P, 2), whether they can be trusted (P, 2), the rays (P, 2, 3) that touch,
+    and the gradient (P, 2, 3) of each angle by its ray.
+    """
+    components = rays @ frames  # (P, H, 2): towards the body, across the baseline
+    is_behind = components[..., 0] <= 0
+    slopes = components[..., 1] / np.where(is_behind, 1, components[..., 0])
+    extreme = np.stack([slopes.argmin(axis=1), slopes.argmax(axis=1)], axis=1)
+    row = np.arange(len(rays))[:, None]
+    is_pierced = is_behind.any(axis=1, keepdims=True) | (np.abs(slopes[row, extreme]) > MAX_SLOPE)
+    x, y = np.moveaxis(components[row, extreme], -1, 0)
+    across = -y[..., None] * frames[:, None, :, 0] + x[..., None] * frames[:, None, :, 1]
+    return (
+        np.arctan2(y, x),
+        is_trusted[row, extreme] & ~is_pierced,
+        rays[row, extreme],
+        across / np.maximum(x**2 + y**2, 1e-12)[..., None],
+    )
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

@@ -1,0 +1,106 @@
+"""A smallest body that explains all silhouettes: convex, and touching every tangent ray.
+
+The visual hull is the largest body behind the silhouettes; the body itself lies between the two. Points
+of short segments are known points of the surface, and so is their convex hull within the body's own. For
+longer and longer segments it is extended, where it does not touch them yet, to the point nearest to it.
+Of a body with corners and flat faces this leaves its convex hull; of a smooth one the chords, too small.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.spatial
+from numpy.typing import NDArray
+
+from pipeline.estimate.tangents import Tangents
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+SHARES = (0.1, 0.3, 0.55, 0.8)
+"""Of the segments, by length: the first are points, the others are added batch by batch."""
+TOUCH_MM = 0.01
+"""Distance at which a segment counts as touched: a fifth of a pixel."""
+CUTS = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InnerBody:
+    """A convex polyhedron, relative to the centre of the tangents; not all its points need be corners."""
+
+    points_mm: Array  # (P, 3)
+    rays: NDArray[np.int64]  # (P,) the tangent whose point of contact each is
+    faces: NDArray[np.int64]  # (F, 3) counter-clockwise seen from outside
+    normals: Array  # (F, 3) of the faces, outwards
+    offsets_mm: Array  # (F,) distances of the faces' planes from the centre, negative behind it
+    volume_mm3: float
+
+
+def inner_body(tangents: Tangents) -> InnerBody | None:
+    """The convex body that touches all segments; `None` when they do not span one."""
+    order = np.argsort(tangents.lengths_mm)
+    first, *batches = np.split(order, (np.array(SHARES) * len(order)).astype(int))
+    rays, points_mm = first, tangents.at(first, (tangents.low_mm + tangents.high_mm)[first] / 2)
+    try:
+        hull = scipy.spatial.ConvexHull(points_mm)
+        for batch in batches:
+            t_mm, distance_mm = _nearest(tangents, batch, hull.equations)
+            missed = distance_mm > TOUCH_MM
+            if missed.any():
+                rays = np.concatenate([rays[hull.vertices], batch[missed]])
+                added_mm = tangents.at(batch[missed], t_mm[missed].astype(np.float64))
+                hull = scipy.spatial.ConvexHull(np.vstack([hull.points[hull.vertices], added_mm]))
+    except (scipy.spatial.QhullError, ValueError):  # flat, or too few points
+        return None
+    return InnerBody(
+        points_mm=hull.points,
+        rays=rays,
+        faces=_outward(hull),
+        normals=hull.equations[:, :3],
+        offsets_mm=-hull.equations[:, 3],
+        volume_mm3=float(hull.volume),
+    )
+
+
+def _nearest(tangents: Tangents, rays: NDArray[np.int64], planes: Array) -> tuple[Single, Single]:
+    """Where on their segments rays (R,) come nearest to a convex body, and how near.
+
+    The body is `planes[:, :3] @ x + planes[:, 3] <= 0`. Along a ray the greatest of these values is convex
+    and piecewise linear: two planes, one rising and one falling, meet below its minimum, and each step
+    replaces one of them by the plane that is greatest there (Kelley's cutting planes in one dimension).
+    """
+    normals, offsets_mm = planes[:, :3].T.astype(np.float32), planes[:, 3].astype(np.float32)
+    slopes = tangents.directions[rays].astype(np.float32) @ normals
+    heights = tangents.points_mm[rays].astype(np.float32) @ normals + offsets_mm
+    low_mm, high_mm = (end[rays].astype(np.float32) for end in (tangents.low_mm, tangents.high_mm))
+    every = np.arange(len(rays))
+
+    def greatest(t_mm: Single) -> tuple[Single, Single, Single]:
+        values = heights + t_mm[:, None] * slopes
+        index = values.argmax(axis=1)
+        return values[every, index], slopes[every, index], heights[every, index]
+
+    _, falling, falling_mm = greatest(low_mm)
+    _, rising, rising_mm = greatest(high_mm)
+    best_mm, t_mm = np.full(len(rays), np.inf, np.float32), low_mm
+    for _ in range(CUTS):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cut_mm = (falling_mm - rising_mm) / (rising - falling)
+        # all rising: the minimum is at the near end; all falling: at the far one
+        cut_mm = np.where(falling >= 0, low_mm, np.where(rising <= 0, high_mm, cut_mm))
+        cut_mm = np.clip(cut_mm, low_mm, high_mm)
+        value_mm, slope, height_mm = greatest(cut_mm)
+        better = value_mm < best_mm
+        best_mm, t_mm = np.where(better, value_mm, best_mm), np.where(better, cut_mm, t_mm)
+        up = slope > 0
+        rising, rising_mm = np.where(up, slope, rising), np.where(up, height_mm, rising_mm)
+        falling, falling_mm = np.where(up, falling, slope), np.where(up, falling_mm, height_mm)
+    return t_mm, best_mm
+
+
+def _outward(hull: scipy.spatial.ConvexHull) -> NDArray[np.int64]:
+    faces = hull.simplices.astype(np.int64)
+    a, b, c = (hull.points[faces[:, i]] for i in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward, ::-1]
+    return faces

@@ -1,0 +1,99 @@
+"""A rig as a workshop would build it, ready to photograph, and the balls that calibrate it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration import BallDrop, observe_ball
+from pipeline.frames import FrameBundle
+from pipeline.rig import RigCalibration
+from pipeline.rig_design import as_built, nominal_rig
+from pipeline.segmentation import BackgroundModel
+from pipeline.segmentation.background import learn_background
+from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.synthesis.bodies import ball
+from pipeline.synthesis.bundles import render_bundle, render_empty, stream
+from pipeline.synthesis.placement import drop_across
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+
+Array = NDArray[np.float64]
+
+HOUSING, EMPTY, BALL, BODY = range(4)
+"""Keys of a scene's random streams: what one exposure shows does not depend on the others."""
+N_EMPTY = 4
+COMPARED_MM = 12.0
+"""Half the edge of the cube in which two rigs are compared."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """A rig with deviations in its housing, and what the empty rig looks like."""
+
+    seed: int
+    simulated: SimulatedRig
+    background: BackgroundModel
+
+    @property
+    def true_rig(self) -> RigCalibration:
+        return self.simulated.rig
+
+    def photograph(self, placed: PlacedBody, rng: np.random.Generator, label: str) -> FrameBundle:
+        return render_bundle([placed], self.simulated, rng, sequence=1, label=label)
+
+
+def build_scene(seed: int) -> Scene:
+    """The design, built with the deviations of `as_built`; its background is learnt from images."""
+    simulated = simulate_rig(as_built(nominal_rig(), seed), stream(seed, HOUSING))
+    background: BackgroundModel = {}
+    for number in range(N_EMPTY):
+        empty = render_empty(simulated, stream(seed, EMPTY, number), sequence=number + 1)
+        background = learn_background(background, empty.frames)
+    return Scene(seed=seed, simulated=simulated, background=background)
+
+
+def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
+    """What the cameras see of the ball that is dropped for the n-th time."""
+    rng = stream(scene.seed, BALL, number)
+    placed = drop_across(ball(diameter_mm), scene.true_rig, rng)
+    bundle = scene.photograph(placed, rng, f"ball-{number}")
+    return observe_ball(bundle, scene.background, BackgroundSegmenter(), diameter_mm)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigError:
+    """How a calibrated rig differs from the true one: x_true = R @ x + t, and what is left of the distances."""
+
+    R: Array  # (3, 3)
+    t_mm: Array  # (3,)
+    rms_mm: float  # of points within +-12 mm, after the rigid motion
+    scale_percent: float  # of lengths
+
+
+def rig_error(rig: RigCalibration, true_rig: RigCalibration) -> RigError:
+    """Points in the measuring volume as `true_rig` images them and `rig` finds them again.
+
+    Found where their rays pass nearest, [sum (I - d d^T)]^-1 sum (I - d d^T) c, and brought back by least
+    squares (Kabsch 1976). A calibration has no absolute place, and particles do not feel it.
+    """
+    axis_mm = np.linspace(-COMPARED_MM, COMPARED_MM, 5)
+    points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)
+    normal, moment_mm = np.zeros((len(points_mm), 3, 3)), np.zeros((len(points_mm), 3))
+    for camera, true_camera in zip(rig.cameras, true_rig.cameras, strict=True):
+        rays = camera.rays(true_camera.project(points_mm)[0])
+        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+        normal += across
+        moment_mm += across @ camera.center_mm
+    found_mm = np.linalg.solve(normal, moment_mm[..., None])[..., 0]
+    middle_mm = found_mm.mean(axis=0)
+    U, _, Vt = np.linalg.svd((found_mm - middle_mm).T @ points_mm)
+    R = Vt.T @ np.diag([1, 1, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    t_mm = -R @ middle_mm  # the points' own mean is the origin
+    scale = float(np.sqrt(((found_mm - middle_mm) ** 2).sum() / (points_mm**2).sum()))
+    left_mm = found_mm @ R.T + t_mm - points_mm
+    return RigError(
+        R=R,
+        t_mm=t_mm,
+        rms_mm=float(np.sqrt((left_mm**2).sum(axis=1).mean())),
+        scale_percent=100 * (scale - 1),
+    )

@@ -1,0 +1,281 @@
+"""`stonefall benchmark`: how fast the processing is on this machine, or how accurate the whole chain is."""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from pipeline.errors import MeshError
+from pipeline.rig_design import as_built, nominal_rig
+from pipeline.synthesis.bodies import Body, body_from_mesh
+from pipeline.synthesis.irregular import IRREGULAR_FORMS
+from pipeline.synthesis.scene import rig_error
+from pipeline.synthesis.stones import STONE_FORMS
+from pipeline.synthesis.trials import METHODS, STANDARDS
+from service.accuracy_bench import (
+    CALIBRATIONS,
+    RIGS,
+    BenchPlan,
+    BenchResult,
+    RigName,
+    Summary,
+    run_accuracy_bench,
+    summarize,
+)
+from service.commands.shape import read_mesh
+from service.errors import UsageError
+from service.performance_bench import StageTimes, run_performance_bench
+
+STONES, IRREGULAR = "stones", "irregular-bodies"
+PUBLISHED_MM = {
+    "sphere": (0.233, 0.655),
+    "cylinder": (0.268, 0.773),
+    "cube": (0.289, 0.374),
+    STONES: (0.434, None),
+}
+"""Mean and greatest distance that the paper measured on its real parts and on its stones."""
+MAX_RADIUS_MM = 24.0
+WIDTH = 150
+"""Of a table that is written into a file."""
+
+Outcome = TypeVar("Outcome")
+
+
+def command(
+    accuracy: Annotated[
+        bool, typer.Option("--accuracy", help="Distances to true surfaces instead of times.")
+    ] = False,
+    bodies: Annotated[
+        str,
+        typer.Option(
+            help=f"Separated by commas: {', '.join(STANDARDS)}, {STONES} ({', '.join(STONE_FORMS)}), "
+            f"{IRREGULAR} ({', '.join(IRREGULAR_FORMS)}), single ones of these, or closed mesh files in mm."
+        ),
+    ] = f"{','.join(STANDARDS)},{STONES},{IRREGULAR}",
+    poses: Annotated[
+        int,
+        typer.Option(min=1, max=1000, help="Random poses of a body; stones of a size, without --accuracy."),
+    ] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Of rig, images, bodies and poses.")] = 1,
+    rigs: Annotated[
+        str, typer.Option(help="The true one, calibrated as in the paper (8 drops), ours (20 drops).")
+    ] = ",".join(RIGS),
+    pictures: Annotated[
+        Path | None,
+        typer.Option(help="Folder for pictures of the first pose of each body, coloured by distance."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Everything, each trial too, as JSON.")] = False,
+) -> None:
+    """How fast the processing is here; with --accuracy, the paper's Tables 2 and 3 re-made on rendered images."""
+    if not accuracy:
+        times = _with_progress("timing", lambda tell: run_performance_bench(poses, seed, tell))
+        if as_json:
+            typer.echo(json.dumps([asdict(row) for row in times], indent=2))
+        else:
+            _print_times(times, poses, seed)
+        return
+    names, own_bodies = _bodies(bodies)
+    if pictures is not None:
+        pictures.mkdir(parents=True, exist_ok=True)
+    plan = BenchPlan(
+        poses=dict.fromkeys(names, poses),
+        own_bodies=own_bodies,
+        seed=seed,
+        methods=dict.fromkeys(_rigs(rigs), METHODS),
+        pictures=pictures,
+    )
+    result = _with_progress("measuring", lambda tell: run_accuracy_bench(plan, tell))
+    if as_json:
+        typer.echo(json.dumps(_document(plan, result), indent=2, allow_nan=False))
+        return
+    console = Console(width=None if sys.stdout.isatty() else WIDTH)
+    for line in _rig_lines(plan, result):
+        console.print(line, highlight=False)
+    console.print(accuracy_table(plan, result))
+
+
+def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
+    """All averages, body by body; the paper's own figures first, where it has some."""
+    table = Table(
+        title=f"distance to the true surface, mm, and what is measured less what is true; averages over"
+        f" random poses or bodies, seed {plan.seed}",
+        caption="max: mean of the greatest distances; back: true surface to measured one; volume: as reported, "
+        "mesh: of the mesh. published: the paper's real parts. exact hull: the floor of every hull, by the true rig.",
+    )
+    for column in ("body", "rig", "method", "n"):
+        table.add_column(column, no_wrap=True)
+    for column in (
+        "mean", "max", "signed", "back mean", "back max", "mesh %", "volume %", "rms %", "area %",
+        "max Feret", "min Feret", "sieve",
+    ):  # fmt: skip
+        table.add_column(column, justify="right")
+    for name, summaries in _summaries(plan, result).items():
+        label = name
+        if name in PUBLISHED_MM:
+            mean_mm, max_mm = PUBLISHED_MM[name]
+            table.add_row(
+                name, "", "published", "", f"{mean_mm:.3f}", "" if max_mm is None else f"{max_mm:.3f}"
+            )
+            label = ""
+        for summary in summaries:
+            table.add_row(label, *_cells(summary))
+            label = ""
+        table.add_section()
+    return table
+
+
+def _summaries(plan: BenchPlan, result: BenchResult) -> dict[str, list[Summary]]:
+    """Of each body, and of all stones when there are several classes."""
+    summaries = {name: summarize([t for t in result.trials if t.body == name]) for name in plan.poses}
+    stones = [trial for trial in result.trials if trial.body in STONE_FORMS]
+    if len({trial.body for trial in stones}) > 1:
+        summaries[STONES] = summarize(stones, STONES)
+    return summaries
+
+
+def _cells(summary: Summary) -> list[str]:
+    n_measured = summary.n - sum(summary.failures.values())
+    count = str(summary.n) if n_measured == summary.n else f"{n_measured} of {summary.n}"
+    head = [summary.rig, summary.method, count]
+    if n_measured == 0:
+        return [*head, "-"]
+    return [
+        *head,
+        f"{summary.mean_mm:.4f}",
+        f"{summary.max_mm:.3f}",
+        f"{summary.signed_mm:+.4f}",
+        f"{summary.back_mean_mm:.4f}",
+        f"{summary.back_max_mm:.3f}",
+        f"{summary.mesh_volume_percent:+.2f}",
+        f"{summary.volume_percent:+.2f}",
+        f"{summary.volume_rms_percent:.2f}",
+        f"{summary.area_percent:+.2f}",
+        f"{summary.max_feret_mm:+.3f}",
+        f"{summary.min_feret_mm:+.3f}",
+        f"{summary.sieve_size_mm:+.3f}",
+    ]
+
+
+def _rig_lines(plan: BenchPlan, result: BenchResult) -> list[str]:
+    """How good each calibration is, against the true rig, and every failure by its reason."""
+    true_rig = as_built(nominal_rig(), plan.seed)
+    lines = []
+    for name, report in result.reports.items():
+        error = rig_error(report.rig, true_rig)
+        held_out = (
+            "" if report.held_out_px is None else f"; {report.held_out_px:.3f} px rms in drops not used"
+        )
+        lines.append(
+            f"rig {name}: {len(report.drops_used)} of {CALIBRATIONS[name][1]} drops used{held_out}; points in the"
+            f" volume {1000 * error.rms_mm:.1f} um rms after a rigid motion, lengths {error.scale_percent:+.4f} %"
+        )
+        lines += [f"rig {name}: {problem.detail}" for problem in report.problems]
+    lines += [f"rig {name}: no calibration: {reason}" for name, reason in result.refused.items()]
+    for summary in summarize(result.trials):
+        for reason, count in summary.failures.items():
+            where = f"{summary.body}, rig {summary.rig}, {summary.method}"
+            lines.append(f"{where}: {count} of {summary.n} without a body: {reason}")
+    return lines
+
+
+def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
+    """JSON-ready; what no trial gave is null."""
+
+    def cleaned(values: dict[str, Any]) -> dict[str, Any]:
+        return {key: None if value != value else value for key, value in values.items()}
+
+    true_rig = as_built(nominal_rig(), plan.seed)
+    return {
+        "seed": plan.seed,
+        "poses": dict(plan.poses),
+        "rigs": {
+            name: {
+                "rms_mm": error.rms_mm,
+                "scale_percent": error.scale_percent,
+                "held_out_px": report.held_out_px,
+            }
+            for name, report in result.reports.items()
+            for error in [rig_error(report.rig, true_rig)]
+        },
+        "refused": dict(result.refused),
+        "summaries": [
+            cleaned(asdict(summary)) for group in _summaries(plan, result).values() for summary in group
+        ],
+        "trials": [asdict(trial) for trial in result.trials],
+    }
+
+
+def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:
+    """Names of what is tried, each once, and those that are mesh files."""
+    groups = {STONES: tuple(STONE_FORMS), IRREGULAR: tuple(IRREGULAR_FORMS)}
+    own_bodies: dict[str, Body] = {}
+    names: list[str] = []
+    for name in filter(None, (part.strip() for part in text.split(","))):
+        if name in groups:
+            names += groups[name]
+        elif name in STANDARDS or name in STONE_FORMS or name in IRREGULAR_FORMS:
+            names.append(name)
+        else:
+            body = _body_from_file(name, [*STANDARDS, *groups, *STONE_FORMS, *IRREGULAR_FORMS])
+            own_bodies[body.name] = body
+            names.append(body.name)
+    if not names:
+        raise typer.BadParameter("names no body", param_hint="--bodies")
+    return tuple(dict.fromkeys(names)), own_bodies
+
+
+def _body_from_file(name: str, known: Sequence[str]) -> Body:
+    path = Path(name)
+    if not path.is_file():
+        raise typer.BadParameter(
+            f"{name!r} is neither a mesh file nor one of {', '.join(known)}", param_hint="--bodies"
+        )
+    try:
+        body = body_from_mesh(path.stem, read_mesh(path))
+    except (UsageError, MeshError) as err:
+        raise UsageError(f"{path}: {err}") from err
+    if path.stem in known:
+        raise UsageError(f"{path}: is named as one of the bodies that are generated; rename the file")
+    if body.radius_mm > MAX_RADIUS_MM:
+        raise UsageError(
+            f"{path}: reaches {body.radius_mm:.0f} mm from its centre, more than the {MAX_RADIUS_MM:g} mm that"
+            " the cameras see; is it in mm?"
+        )
+    return body
+
+
+def _rigs(text: str) -> tuple[RigName, ...]:
+    names = [part.strip() for part in text.split(",")]
+    wrong = [name for name in names if name not in get_args(RigName)]
+    if wrong:
+        raise typer.BadParameter(f"{wrong[0]!r} is none of {', '.join(RIGS)}", param_hint="--rigs")
+    return tuple(rig for rig in RIGS if rig in names)
+
+
+def _print_times(times: Sequence[StageTimes], repeat: int, seed: int) -> None:
+    stages = list(dict.fromkeys(stage for row in times for stage in row.stages_ms))
+    table = Table(
+        "stone mm", *stages, "total", "p95", "CPU",
+        title=f"ms a stone in one worker, medians of {repeat} stones a size, seed {seed};"
+        f" {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}",
+    )  # fmt: skip
+    for row in times:
+        cells = [f"{row.stages_ms.get(stage, 0):.0f}" for stage in stages]
+        table.add_row(
+            f"{row.size_mm:g}", *cells, f"{row.total_ms:.0f}", f"{row.p95_ms:.0f}", f"{row.cpu_ms:.0f}"
+        )
+    Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
+
+
+def _with_progress(label: str, run: Callable[[Callable[[int, int], None]], Outcome]) -> Outcome:
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        bar = progress.add_task(label, total=None)
+        return run(lambda done, total: progress.update(bar, completed=done, total=total))

@@ -1,0 +1,303 @@
+"""`stonefall calibration`: calibrate the rig of a running daemon; a thin client of its REST interface."""
+
+import json
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Mapping
+from http.client import HTTPException
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.calibration_states import OPEN, CalibrationState
+from service.errors import ServiceError
+from service.verifications import VerificationState
+
+ANSWER_S = 30.0
+FOLLOW_S = 1.0
+DEFAULT_URL = "http://127.0.0.1:8080"
+
+command = typer.Typer(
+    no_args_is_help=True,
+    help="Calibrate the rig of a running daemon from balls, choose what it measures with, roll back.",
+)
+
+Url = Annotated[str, typer.Option(help="Where the daemon serves.", envvar="STONEFALL_URL")]
+Key = Annotated[
+    str | None,
+    typer.Option(
+        help="Bearer token, where the daemon asks for one.", envvar="STONEFALL_KEY", show_envvar=True
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer.")]
+Name = Annotated[str, typer.Argument(metavar="ID", help="Which calibration, as `list` shows it.")]
+By = Annotated[str | None, typer.Option(help="Who decides; it is kept.")]
+
+
+class DaemonError(ServiceError):
+    """The daemon cannot be reached, or refuses what was asked for."""
+
+
+@command.command()
+def start(
+    ball_diameter_mm: Annotated[
+        list[float] | None,
+        typer.Option(help="Diameter of the ball; give it twice for balls of two sizes."),
+    ] = None,
+    method: Annotated[str, typer.Option(help="bundle, paper, or stones (no ball needed).")] = "bundle",
+    note: Annotated[str | None, typer.Option()] = None,
+    by: By = None,
+    follow: Annotated[bool, typer.Option("--follow", help="Show the balls as they fall.")] = False,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Begin to collect balls. Drop them through the whole field of view, then `solve`."""
+    wanted = {"ball_diameters_mm": ball_diameter_mm or [], "method": method, "note": note, "by": by}
+    record = ask(url, "/calibrations", key, wanted)
+    if as_json and not follow:
+        typer.echo(json.dumps(record))
+        return
+    typer.echo(f"calibration {record['id']}: what falls now is observed")
+    if follow:
+        _follow(url, key, record["id"], as_json)
+
+
+@command.command()
+def status(
+    name: Name,
+    follow: Annotated[bool, typer.Option("--follow", help="Show the balls as they fall.")] = False,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show how far a calibration is: its balls, what they cover, the residuals before and after."""
+    if follow:
+        _follow(url, key, name, as_json)
+        return
+    details = ask(url, f"/calibrations/{name}", key)
+    if as_json:
+        typer.echo(json.dumps(details))
+        return
+    _show(details)
+
+
+@command.command()
+def solve(
+    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
+) -> None:
+    """Solve a calibration from the balls so far, and show what came of it."""
+    ask(url, f"/calibrations/{name}/solve", key, {"by": by})
+    while (details := ask(url, f"/calibrations/{name}", key))["state"] == CalibrationState.SOLVING:
+        time.sleep(0.2)
+    if details["state"] != CalibrationState.SOLVED:
+        raise DaemonError(f"calibration {name} is {details['state']}: {details['detail']}")
+    if as_json:
+        typer.echo(json.dumps(details))
+        return
+    _show(details)
+
+
+@command.command()
+def accept(
+    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
+) -> None:
+    """Make a solution a version that can be activated."""
+    _act(url, key, name, "accept", by, as_json)
+
+
+@command.command()
+def reject(
+    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
+) -> None:
+    """End a session without using its solution."""
+    _act(url, key, name, "reject", by, as_json)
+
+
+@command.command()
+def cancel(
+    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
+) -> None:
+    """End a session whatever it has come to."""
+    _act(url, key, name, "cancel", by, as_json)
+
+
+@command.command()
+def activate(
+    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
+) -> None:
+    """Measure with a version from the next stone on; with an older one this is the roll back."""
+    _act(url, key, name, "activate", by, as_json)
+
+
+@command.command()
+def verify(
+    diameter_mm: Annotated[float, typer.Option(help="Of the ball.")] = 15.0,
+    count: Annotated[int, typer.Option(help="So many balls are measured.")] = 5,
+    note: Annotated[str | None, typer.Option()] = None,
+    by: By = None,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the next balls with the calibration in use, and judge the rig; exit 1 when it fails."""
+    wanted = {"diameter_mm": diameter_mm, "count": count, "note": note, "by": by}
+    found = ask(url, "/verifications", key, wanted)
+    typer.echo(f"verification {found['id']}: drop the ball {count} times", err=as_json)
+    n_shown = 0
+    while True:
+        for ball in found["balls"][n_shown:]:
+            measured = f"{ball['equivalent_diameter_mm']} mm" if ball["detail"] is None else ball["detail"]
+            typer.echo(f"{ball['bundle']}: {measured}", err=as_json)
+        n_shown = len(found["balls"])
+        if found["state"] != VerificationState.COLLECTING:
+            break
+        time.sleep(FOLLOW_S)
+        found = ask(url, f"/verifications/{found['id']}", key)
+    if as_json:
+        typer.echo(json.dumps(found))
+    if found["state"] != VerificationState.PASSED:
+        raise DaemonError(f"verification {found['id']} {found['state']}: {'; '.join(found['problems'])}")
+    if not as_json:
+        summary = found["summary"]
+        uneven_mm = summary["vertical_minus_horizontal_mm"]
+        typer.echo(
+            f"passed: diameter {summary['error_mm']:+.3f} mm off, scatter {summary['sd_mm']:.3f} mm, vertical minus"
+            f" horizontal {'unknown' if uneven_mm is None else f'{uneven_mm:+.3f} mm'}"
+        )
+
+
+@command.command("list")
+def list_all(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -> None:
+    """List all calibrations, newest first."""
+    known = ask(url, "/calibrations", key)
+    if as_json:
+        typer.echo(json.dumps(known))
+        return
+    table = Table("id", "state", "method", "balls mm", "begun", "by", "calibration_id", "remarks")
+    for each in known["items"]:
+        table.add_row(
+            each["id"],
+            "in use" if each["is_active"] else each["state"],
+            each["method"],
+            ", ".join(f"{diameter:g}" for diameter in each["ball_diameters_mm"]),
+            each["created_at"],
+            each["by"] or "",
+            (each["calibration_id"] or "")[:12],
+            each["detail"] or each["note"] or "",
+        )
+    Console().print(table)
+
+
+def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the daemon's answer; with a `body` it is asked to do something.
+
+    Raises
+    ------
+    DaemonError
+        It does not answer, or refuses; in its own words.
+    """
+    if urlsplit(url).scheme not in ("http", "https"):
+        raise DaemonError(f"--url {url}: begin with http:// or https://")
+    headers = {"Accept": "application/json"}
+    data = None
+    if body is not None:
+        headers["Content-Type"] = "application/json"
+        data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
+    if key is not None:
+        headers["Authorization"] = f"Bearer {key}"
+    request = urllib.request.Request(f"{url.rstrip('/')}/api/v1{path}", data, headers)  # noqa: S310 - see above
+    try:
+        with urllib.request.urlopen(request, timeout=ANSWER_S) as answer:  # noqa: S310 - as above
+            return dict(json.load(answer))
+    except urllib.error.HTTPError as err:
+        with err:
+            raise DaemonError(_refusal(err)) from None
+    except (OSError, HTTPException, ValueError) as err:
+        reason = getattr(err, "reason", err)
+        raise DaemonError(f"no answer from {url}: {reason}: does the daemon run there?") from None
+
+
+def _refusal(error: urllib.error.HTTPError) -> str:
+    try:
+        return f"refused: {json.load(error)['detail']}"
+    except (ValueError, KeyError, TypeError):
+        return f"refused: {error.code} {error.reason}"
+
+
+def _act(url: str, key: str | None, name: str, action: str, by: str | None, as_json: bool) -> None:
+    record = ask(url, f"/calibrations/{name}/{action}", key, {"by": by})
+    if as_json:
+        typer.echo(json.dumps(record))
+        return
+    typer.echo(f"calibration {name} is {'in use' if record['is_active'] else record['state']}")
+
+
+def _follow(url: str, key: str | None, name: str, as_json: bool) -> None:
+    """Print each ball as it is observed, until the session ends."""
+    n_shown = 0
+    while True:
+        details = ask(url, f"/calibrations/{name}", key)
+        for number, ball in enumerate(details["drops"][n_shown:], start=n_shown + 1):
+            typer.echo(json.dumps(ball) if as_json else _line(number, ball, details))
+            n_shown = number
+        if details["state"] not in OPEN:
+            if not as_json:
+                _show(details)
+            return
+        time.sleep(FOLLOW_S)
+
+
+def _line(number: int, ball: Mapping[str, Any], details: Mapping[str, Any]) -> str:
+    where = "not located"
+    if ball["center_mm"] is not None:
+        where = f"at {', '.join(f'{each:+.1f}' for each in ball['center_mm'])} mm"
+    worst_px = max(ball["residuals_px"].values(), default=0.0)
+    coverage = details["coverage"]
+    return f"ball {number:3d}: {len(ball['views'])} views, {where}, residual up to {worst_px:.2f} px; " + (
+        ball["problem"] or f"still missing: {coverage['missing'] or 'nothing, solve it'}"
+    )
+
+
+def _show(details: Mapping[str, Any]) -> None:
+    coverage, report = details["coverage"], details["report"]
+    typer.echo(
+        f"calibration {details['id']}: {'in use' if details['is_active'] else details['state']},"
+        f" {details['method']}, {len(details['drops'])} drops"
+    )
+    if details["detail"]:
+        typer.echo(f"  {details['detail']}")
+    extent = " x ".join(f"{each:.1f}" for each in coverage["extent_mm"])
+    typer.echo(f"  balls within {extent} mm; missing: {coverage['missing'] or 'nothing'}")
+    if report is not None:
+        typer.echo(_summary(report))
+        for problem in report["problems"]:
+            typer.echo(f"  {problem['camera'] or 'rig'}: {problem['detail']}")
+    after = {} if report is None else report["residuals_after_px"]
+    table = Table("camera", "balls", "of the image %", "residual before px", "after px")
+    for camera, seen in coverage["cameras"].items():
+        table.add_row(
+            camera,
+            str(seen["n_drops"]),
+            f"{100 * seen['field_share']:.0f}",
+            _px(details["residuals_before_px"].get(camera)),
+            _px(after.get(camera)),
+        )
+    Console().print(table)
+
+
+def _summary(report: Mapping[str, Any]) -> str:
+    uncertainty = report["uncertainty"] or {}
+    sd = uncertainty.get("length_sd_percent")
+    return (
+        f"  scale {report['scale']}, held out {_px(report['held_out_px'])} px,"
+        f" length {'unknown' if sd is None else f'+-{sd:.4f} %'}, {len(report['drops_used'])} drops used"
+    )
+
+
+def _px(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"

@@ -1,0 +1,97 @@
+"""`stonefall fit-volume`: the volume's correction from stones that were measured and weighed."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from pipeline.measuring.volume_correction import fit_volume_model
+from service.errors import VolumeModelError
+from service.volume_models import write_volume_model
+
+
+def command(
+    results: Annotated[Path, typer.Argument(help="results.jsonl of `stonefall measure`.")],
+    weighed: Annotated[Path, typer.Argument(help="CSV with the columns bundle and mass_g.")],
+    density_g_cm3: Annotated[
+        float, typer.Option("--density-g-cm3", min=0.1, max=25, help="Of the particles.")
+    ],
+    out: Annotated[Path, typer.Option(help="File for [measuring] volume_model of the configuration.")],
+    as_json: Annotated[bool, typer.Option("--json")] = False,
+) -> None:
+    """Fit the volume's correction to weighed stones; a stone may have fallen several times, one line each."""
+    measured = _measured(results)
+    masses_g = _masses_g(weighed)
+    unknown = sorted(set(masses_g) - set(measured))
+    if unknown:
+        raise VolumeModelError(
+            f"{weighed}: {results} has no measured bundle {', '.join(unknown[:3])};"
+            " remove these lines or name the results of the same stones"
+        )
+    stones = [measured[bundle] for bundle in masses_g]
+    hull_mm3 = [stone["volume_raw_mm3"] for stone in stones]
+    estimate_mm3 = [stone["volume_estimate_mm3"] for stone in stones]
+    true_mm3 = [1000 * mass_g / density_g_cm3 for mass_g in masses_g.values()]
+    try:
+        model = fit_volume_model(out.stem, hull_mm3, estimate_mm3, true_mm3)
+    except ValueError as err:
+        raise VolumeModelError(f"{weighed}: {err}") from err
+    fitted_mm3 = [model.volume_mm3(*volumes) for volumes in zip(hull_mm3, estimate_mm3, strict=True)]
+    rms_percent = 100 * float(np.sqrt(np.mean((np.array(fitted_mm3) / true_mm3 - 1) ** 2)))
+    summary: dict[str, float | int | str] = {
+        "n_stones": len(stones),
+        "density_g_cm3": density_g_cm3,
+        "rms_percent": round(rms_percent, 3),
+    }
+    write_volume_model(out, model, summary)
+    found = {"id": model.id, "gap_share": model.gap_share, "hidden_share": model.hidden_share, **summary}
+    if as_json:
+        typer.echo(json.dumps(found))
+    else:
+        typer.echo(
+            f"{out}: gap_share {model.gap_share:.3f}, hidden_share {100 * model.hidden_share:.2f} %;"
+            f" {len(stones)} stones fit within {rms_percent:.2f} % rms"
+        )
+
+
+def _measured(path: Path) -> dict[str, dict[str, Any]]:
+    """Records of measured stones by bundle, those that a correction can be fitted to."""
+    records: dict[str, dict[str, Any]] = {}
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            record = json.loads(line)
+            bundle, is_measured = record["bundle"], record["outcome"] == "measured"
+            if is_measured and "volume_estimate_mm3" not in record:
+                raise VolumeModelError(
+                    f"{path}: line {number}: has no volume_estimate_mm3; measure the recording again"
+                )
+        except (ValueError, LookupError, TypeError) as err:
+            raise VolumeModelError(f"{path}: line {number}: is no result of stonefall measure") from err
+        if is_measured:
+            records[bundle] = record
+    return records
+
+
+def _masses_g(path: Path) -> dict[str, float]:
+    """Masses by bundle, in the order of the file."""
+    masses_g: dict[str, float] = {}
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.DictReader(file)
+        if not {"bundle", "mass_g"} <= set(rows.fieldnames or ()):
+            raise VolumeModelError(f"{path}: the first line must name the columns bundle and mass_g")
+        for row in rows:
+            try:
+                mass_g = float(row["mass_g"])
+            except (TypeError, ValueError):
+                mass_g = float("nan")
+            if not 0 < mass_g < 1e6:
+                raise VolumeModelError(
+                    f"{path}: line {rows.line_num}: mass_g must be a positive number, not {row['mass_g']!r}"
+                )
+            if row["bundle"] in masses_g:
+                raise VolumeModelError(f"{path}: line {rows.line_num}: {row['bundle']} was weighed before")
+            masses_g[row["bundle"]] = mass_g
+    return masses_g

@@ -1,0 +1,83 @@
+"""Files with the coefficients of the volume's correction (format "stonefall-volume/1")."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
+from pipeline.particle import MeasuringParameters
+from service.errors import VolumeModelError
+from service.paths import ConfiguredPath
+
+FORMAT = "stonefall-volume/1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuringSettings:
+    """What turns a shape into a stone, as it is configured."""
+
+    density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
+    volume_model: ConfiguredPath | None = (
+        None  # written by `stonefall fit-volume`; without it, the built-in one
+    )
+
+    def __post_init__(self) -> None:
+        MeasuringParameters(density_g_cm3=self.density_g_cm3)
+
+    @property
+    def parameters(self) -> MeasuringParameters:
+        """What the pipeline takes.
+
+        Raises
+        ------
+        VolumeModelError
+            The file of the volume model cannot be used.
+        """
+        model = SYNTHETIC if self.volume_model is None else read_volume_model(self.volume_model)
+        return MeasuringParameters(density_g_cm3=self.density_g_cm3, volume_model=model)
+
+
+def read_volume_model(path: Path) -> VolumeModel:
+    """The coefficients in a file.
+
+    Raises
+    ------
+    VolumeModelError
+        The file cannot be read, or holds no such coefficients; names the field.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as err:
+        raise VolumeModelError(f"{path}: {err.strerror}") from err
+    except ValueError as err:
+        raise VolumeModelError(f"{path}: is no JSON: {err}") from err
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise VolumeModelError(
+            f'{path}: format: must be "{FORMAT}"; write the file with stonefall fit-volume'
+        )
+    shares: dict[str, float] = {}
+    for name in ("gap_share", "hidden_share"):
+        value = document.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise VolumeModelError(f"{path}: {name}: must be a number, not {value!r}")
+        shares[name] = float(value)
+    if not isinstance(document.get("id"), str):
+        raise VolumeModelError(f"{path}: id: must be a text, not {document.get('id')!r}")
+    try:
+        return VolumeModel(id=document["id"], **shares)
+    except ValueError as err:
+        raise VolumeModelError(f"{path}: {err}") from err
+
+
+def write_volume_model(path: Path, model: VolumeModel, remarks: dict[str, float | int | str]) -> None:
+    """Write the coefficients, and how they were found, under a name that appears when it is complete."""
+    document = {
+        "format": FORMAT,
+        "id": model.id,
+        "gap_share": model.gap_share,
+        "hidden_share": model.hidden_share,
+        **remarks,
+    }
+    partial = path.with_name(path.name + ".tmp")
+    partial.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    partial.replace(path)

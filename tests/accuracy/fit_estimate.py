@@ -1,0 +1,123 @@
+"""Where the coefficients of the estimated body and of its volume come from.
+
+Superellipsoids, ellipsoids smooth and rough, boxes, cylinders and polyhedra smooth and rough (support/forms.py)
+are seen by rigs with deviations. The three coefficients of `pipeline.estimate.smoothness` are those of the
+least mean distance along rays from the centre to the true surface, each form weighing the same; then the
+`gap_share` of the volume is that of least squares. The stones and standards that the product is judged by
+take no part in it.
+
+Run: .venv/bin/python tests/accuracy/fit_estimate.py [--bodies 6] [--seed 1]
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+from rich.console import Console
+from threadpoolctl import threadpool_limits
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.forms import FORMS, form, hull_of, silhouettes_of
+
+from pipeline.carving import usable_views
+from pipeline.estimate import estimate_body
+from pipeline.estimate.smoothness import OFFSET, PER_BULGE_SHARE, PER_LOCAL_SHARE, bulge_share
+from pipeline.estimate.surface import InnerSurface, inner_surface
+from pipeline.rig_design import as_built, nominal_rig
+from pipeline.synthesis.bundles import stream
+from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.shading import embree_scene
+
+Array = NDArray[np.float64]
+
+N_RAYS = 2500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sample:
+    """One body, along rays from its centre."""
+
+    form: str
+    excess_mm: Array  # (N,) of the hull over the inner body
+    true_mm: Array  # (N,) of the true surface over it
+    cosines: Array  # (N,) of the ray and the true normal: from lengths along rays to distances
+    inner: InnerSurface
+    bulge_share: float
+    gap: float  # ln(V_hull / V_estimate)
+    missing: float  # ln(V_hull / V_true)
+
+    def distance_mm(self, coefficients: Sequence[float]) -> float:
+        """Mean distance of the estimate to the true surface."""
+        offset, per_local, per_bulge = coefficients
+        smooth = np.clip(offset + per_local * self.inner.local_share + per_bulge * self.bulge_share, 0, 1)
+        estimate_mm = smooth * np.minimum(self.inner.half_heights_mm, self.excess_mm)
+        return float(np.mean(np.abs(estimate_mm - self.true_mm) * self.cosines))
+
+
+def sample(name: str, number: int, seed: int) -> Sample:
+    """A random body of a form, in a random pose, seen by a random rig."""
+    rng = stream(seed, FORMS.index(name), number)
+    rig = as_built(nominal_rig(), int(rng.integers(1 << 31)))
+    truth = tumble(form(name, rng), rig, rng).world_mesh
+    silhouettes = silhouettes_of(truth, rig, rng)
+    hull = hull_of(silhouettes, rig)
+    estimate = estimate_body(hull, silhouettes, rig)
+
+    center_mm = (hull.vertices_mm.min(axis=0) + hull.vertices_mm.max(axis=0)) / 2
+    from_center_mm = rng.permutation(hull.vertices_mm)[:N_RAYS] - center_mm
+    radii_mm = np.linalg.norm(from_center_mm, axis=1)
+    directions = from_center_mm / radii_mm[:, None]
+    inner = inner_surface(usable_views(silhouettes, rig), center_mm, directions)
+    if isinstance(inner, str):
+        raise AssertionError(f"{name} {number}: {inner}")
+    starts = np.broadcast_to(center_mm.astype(np.float32), directions.shape).copy()
+    hit = embree_scene(truth).run(starts, directions.astype(np.float32), output=True)
+    normals = hit["Ng"] / np.linalg.norm(hit["Ng"], axis=1, keepdims=True)
+    excess_mm = np.maximum(radii_mm - inner.radii_mm, 0)
+    return Sample(
+        form=name,
+        excess_mm=excess_mm,
+        true_mm=hit["tfar"] - np.minimum(inner.radii_mm, radii_mm),
+        cosines=np.abs(np.einsum("ij,ij->i", normals, directions)),
+        inner=inner,
+        bulge_share=bulge_share(inner.half_heights_mm, excess_mm),
+        gap=float(np.log(estimate.hull_volume_mm3 / estimate.volume_mm3)),
+        missing=float(np.log(estimate.hull_volume_mm3 / truth.volume)),
+    )
+
+
+def main(n_bodies: int, seed: int) -> None:
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+    console = Console(highlight=False, width=120)
+    samples = [sample(name, number, seed) for name in FORMS for number in range(n_bodies)]
+    today = (OFFSET, PER_LOCAL_SHARE, PER_BULGE_SHARE)
+
+    def mean_mm(coefficients: Sequence[float], names: Sequence[str] = FORMS) -> float:
+        return float(np.mean([s.distance_mm(coefficients) for s in samples if s.form in names]))
+
+    fitted = scipy.optimize.minimize(mean_mm, today, method="Nelder-Mead", options={"maxfev": 200})
+    console.print(f"OFFSET, PER_LOCAL_SHARE, PER_BULGE_SHARE = {np.round(fitted.x, 2)}, in the code {today}")
+    console.print(
+        f"mean distance {1000 * fitted.fun:.2f} um, with those in the code {1000 * mean_mm(today):.2f} um"
+    )
+    for name in FORMS:
+        console.print(f"  {name:18} {1000 * mean_mm(today, [name]):6.1f} um")
+    gaps, missing = (np.array([getattr(s, key) for s in samples]) for key in ("gap", "missing"))
+    gap_share = float(gaps @ missing / (gaps @ gaps))
+    rms = np.sqrt(np.mean((missing - gap_share * gaps) ** 2))
+    console.print(f"gap_share = {gap_share:.3f}, volume within {100 * rms:.2f} % rms")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--bodies", type=int, default=6, help="of each form")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    main(arguments.bodies, arguments.seed)

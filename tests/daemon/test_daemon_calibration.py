@@ -1,0 +1,100 @@
+"""A calibration in the running daemon: collected, solved, accepted, activated, killed, verified, rolled back."""
+
+import json
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.daemon_process import DaemonProcess
+from support.live_rig import live_rig
+from support.small_recording import write_ball_recording
+from typer.testing import CliRunner
+
+from drivers.rig_file import read_rig
+from service.cli import build_app
+
+N_BALLS = 8
+LOOP = 'pace = "fast"\nloop = true'
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("balls") / "recording"
+    write_ball_recording(path, n_balls=N_BALLS)
+    return path
+
+
+def results_of(daemon: DaemonProcess, calibration_id: str, n_results: int) -> list[dict[str, Any]]:
+    """The latest results, as soon as so many of them rest on this calibration."""
+
+    def latest(page: dict[str, Any]) -> list[dict[str, Any]]:
+        return [item for item in page["items"][-n_results:] if item["calibration_id"] == calibration_id]
+
+    path = "/results?after=0&limit=1000"
+    return latest(daemon.wait_for(path, lambda page: len(latest(page)) == n_results))
+
+
+def run(daemon: DaemonProcess, *words: str) -> dict[str, Any]:
+    """What `stonefall calibration` prints with --json."""
+    url = daemon.url("").removesuffix("/api/v1")
+    done = CliRunner().invoke(build_app(["calibration"]), ["calibration", *words, "--url", url, "--json"])
+    assert done.exit_code == 0, done.output
+    return dict(json.loads(done.stdout))
+
+
+def test_a_session_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
+    nominal_id = read_rig(balls / "rig.json").calibration_id
+    with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:
+        daemon.hear("READY=1")
+        assert run(daemon, "list")["active"]["calibration_id"] == nominal_id
+        name = run(daemon, "start", "--ball-diameter-mm", "10", "--by", "the test")["id"]
+        assert daemon.post("/calibrations", {"ball_diameters_mm": [10.0]})["status"] == 409
+        assert daemon.post(f"/calibrations/{name}/accept", {})["status"] == 409
+        collected = daemon.wait_for(f"/calibrations/{name}", lambda now: len(now["drops"]) >= N_BALLS)
+        assert collected["coverage"]["n_drops"] >= N_BALLS
+        assert min(collected["residuals_before_px"].values()) > 1
+        assert "what falls is a ball" in daemon.get("/health")["checks"]["calibration"]["detail"]
+        solved = run(daemon, "solve", name)
+        assert max(solved["report"]["residuals_after_px"].values()) < 0.05
+        assert run(daemon, "accept", name, "--by", "the test")["state"] == "accepted"
+        assert {item["calibration_id"] for item in daemon.results()} == {nominal_id}
+        active = run(daemon, "activate", name, "--by", "the test")
+        assert active["is_active"]
+        new_id = active["calibration_id"]
+        measured = results_of(daemon, new_id, 3)
+        assert {item["outcome"] for item in measured} == {"measured"}
+        daemon.process.kill()
+        daemon.process.wait()
+    with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:
+        daemon.hear("READY=1")
+        assert run(daemon, "list")["active"]["calibration_id"] == new_id
+        verification = daemon.post("/verifications", {"diameter_mm": 10.0, "count": 3})["id"]
+        verdict = daemon.wait_for(f"/verifications/{verification}", lambda now: now["state"] != "collecting")
+        assert verdict["state"] == "passed", verdict
+        assert run(daemon, "activate", "0001")["is_active"]
+        results_of(daemon, nominal_id, 2)
+        results = daemon.results()
+    assert [each for each, _ in groupby(item["calibration_id"] for item in results)] == [
+        nominal_id,
+        new_id,
+        nominal_id,
+    ]
+
+
+def test_on_live_cameras_what_falls_is_a_ball_until_the_session_ends(balls: Path, tmp_path: Path):
+    nominal_id = read_rig(balls / "rig.json").calibration_id
+    with live_rig(tmp_path, balls, by_address=True, number=7) as live:
+        name = live.daemon.post("/calibrations", {"ball_diameters_mm": [10.0]})["id"]
+        fallen = live.measure(N_BALLS)
+        assert {(item["kind"], item["calibration_id"]) for item in fallen} == {("ball", nominal_id)}
+        solved = run(live.daemon, "solve", name)
+        assert len(solved["report"]["drops_used"]) == N_BALLS
+        assert run(live.daemon, "accept", name)["state"] == "accepted"
+        new_id = run(live.daemon, "activate", name)["calibration_id"]
+        (after,) = live.measure(1)
+        assert (after["kind"], after["outcome"], after["calibration_id"]) == ("particle", "measured", new_id)
+        assert len(after["views"]) == 16
+        assert run(live.daemon, "activate", "0001")["is_active"]
+        (back,) = live.measure(1)
+        assert back["calibration_id"] == nominal_id

@@ -1,0 +1,71 @@
+"""Calibrations on a folder of a test, and a solver in the place of the workers that makes up what it finds."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from support.recordings import small_rig
+
+from drivers.files import write_json
+from drivers.rig_file import write_rig
+from pipeline.calibration import Problem
+from pipeline.rig import RigCalibration
+from service.calibration_start import find_calibrations
+from service.calibrations import Calibrations
+from service.drop_files import ObservedDrop, SeenCircle
+from service.drop_job import Solution, SolveJob
+from service.verifications import VerificationParameters, open_verifications
+
+CONFIGURED = small_rig()
+
+
+def other_rig(name: str = "another") -> RigCalibration:
+    return replace(CONFIGURED, name=name, method="bundle")
+
+
+@dataclass
+class MadeUpSolver:
+    """Answers with the rig, or the problems, that a test wants."""
+
+    rig: RigCalibration | None = field(default_factory=other_rig)
+    problems: tuple[Problem, ...] = ()
+    failure: Exception | None = None
+    jobs: list[SolveJob] = field(default_factory=list)
+
+    async def run(
+        self, function: Callable[[Any], Any], job: SolveJob, deadline_s: float | None = None
+    ) -> Solution:
+        await asyncio.sleep(0)
+        self.jobs.append(job)
+        if self.failure is not None:
+            raise self.failure
+        if self.rig is None:
+            return Solution(calibration_id=None, problems=self.problems)
+        write_rig(job.folder / "rig.json", self.rig)
+        write_json(job.folder / "report.json", {"residuals_after_px": {}, "rig": {}})
+        return Solution(calibration_id=self.rig.calibration_id, problems=self.problems)
+
+
+def open_desk(
+    folder: Path,
+    configured: RigCalibration = CONFIGURED,
+    solver: MadeUpSolver | None = None,
+    parameters: VerificationParameters | None = None,
+) -> Calibrations:
+    """As the daemon opens them when it starts."""
+    found = find_calibrations(folder / "calibrations", configured)
+    verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
+    return Calibrations(found, solver or MadeUpSolver(), verifications)
+
+
+def a_drop(name: str = "000001-ball") -> ObservedDrop:
+    camera = CONFIGURED.camera_ids[0]
+    return ObservedDrop(
+        bundle=name,
+        diameter_mm=10.0,
+        views={camera: SeenCircle(center_uv=(30.0, 20.0), radius_px=5.0)},
+        residuals_px={camera: 2.0},
+        vertical_minus_horizontal_mm=0.01,
+    )

@@ -1,0 +1,94 @@
+"""`stonefall benchmark`: its arguments, and one small run of each kind."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner, Result
+
+from pipeline.synthesis.trials import METHODS
+from service.cli import build_app
+
+RUNNER = CliRunner()
+
+
+def run(*arguments: str) -> Result:
+    return RUNNER.invoke(build_app(["benchmark"]), ["benchmark", "--accuracy", *arguments])
+
+
+@pytest.fixture
+def wedge(tmp_path: Path) -> Path:
+    """A body that nobody has foreseen."""
+    path = tmp_path / "wedge.stl"
+    trimesh.convex.convex_hull([[0, 0, 0], [14, 0, 0], [0, 12, 0], [0, 0, 9], [14, 0, 9]]).export(path)
+    return path
+
+
+def test_a_mesh_file_through_all_methods(wedge: Path, tmp_path: Path) -> None:
+    pictures = tmp_path / "pictures"
+    result = run(
+        "--bodies", str(wedge), "--poses", "1", "--rigs", "true", "--pictures", str(pictures), "--json"
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert document["seed"] == 1
+    by_method = {trial["method"]: trial for trial in document["trials"]}
+    assert set(by_method) == {"exact hull", *METHODS}
+    for trial in by_method.values():
+        assert (trial["body"], trial["rig"], trial["failure"]) == ("wedge", "true", None)
+    floor, hull = by_method["exact hull"]["distances"], by_method["hull"]["distances"]
+    assert hull["mean_mm"] == pytest.approx(floor["mean_mm"], abs=0.01)
+    assert by_method["estimate"]["distances"]["mean_mm"] < hull["mean_mm"]
+    assert by_method["hull"]["errors"]["volume_percent"] > 1
+
+    names = {path.name for path in pictures.iterdir()}
+    assert names == {
+        f"wedge-true-{method}.png" for method in ("exact-hull", "papers-field", "hull", "estimate")
+    }
+    picture = cv2.imread(str(pictures / "wedge-true-hull.png"))
+    assert picture is not None
+    blue, _, red = np.moveaxis(picture.astype(int), -1, 0)
+    n_outside, n_inside = (red - blue > 60).sum(), (blue - red > 60).sum()
+    assert n_outside > 20 * n_inside, "a hull lies outside of its body"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--bodies", "marble"], "neither a mesh file nor one of sphere"),
+        (["--bodies", " ,"], "names no body"),
+        (["--rigs", "nominal"], "none of true, paper, ours"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], message: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert message in " ".join(result.output.replace("│", " ").split())
+
+
+def test_a_body_too_large_for_the_cameras(tmp_path: Path) -> None:
+    path = tmp_path / "brick.stl"
+    trimesh.creation.box([240, 115, 71]).export(path)
+    result = run("--bodies", str(path))
+    assert result.exit_code == 1
+    assert "brick.stl: reaches 138 mm from its centre" in str(result.exception)
+
+
+def test_a_file_named_as_a_generated_body(wedge: Path) -> None:
+    result = run("--bodies", str(wedge.rename(wedge.with_name("cube.stl"))))
+    assert result.exit_code == 1
+    assert "rename the file" in str(result.exception)
+
+
+def test_times_of_each_stage() -> None:
+    result = RUNNER.invoke(build_app(["benchmark"]), ["benchmark", "--poses", "1", "--json"])
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)
+    assert [row["size_mm"] for row in rows] == [5.0, 15.0, 25.0, 40.0]
+    for row in rows:
+        assert {"load", "segment", "carve", "mesh", "measure", "store"} <= set(row["stages_ms"])
+        assert row["total_ms"] == pytest.approx(sum(row["stages_ms"].values()))
+        assert row["cpu_ms"] > 0

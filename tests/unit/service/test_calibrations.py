@@ -1,0 +1,328 @@
+"""Sessions and versions of calibrations, without cameras: the table, the disk, the crash between two writes."""
+
+import asyncio
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.calibration_desk import CONFIGURED, MadeUpSolver, a_drop, open_desk, other_rig
+
+import drivers.files
+from drivers.errors import RecordingError
+from drivers.rig_file import read_rig, write_rig
+from pipeline.calibration import Problem
+from pipeline.frames import BundleKind
+from service import calibrations
+from service.calibration_plan import CalibrationPlan
+from service.calibration_states import (
+    OPEN,
+    TRANSITIONS,
+    CalibrationAction,
+    CalibrationConflictError,
+    CalibrationState,
+    next_state,
+)
+from service.calibrations import Calibrations
+from service.control import AcquisitionState
+from service.errors import StoreError
+from service.verifications import VerificationPlan, VerificationState
+from service.workers import JobLostError
+
+ARMED = AcquisitionState.ARMED
+BALL = CalibrationPlan(ball_diameters_mm=(10.0,), by="an engineer")
+
+
+def state_of(desk: Calibrations, name: str) -> CalibrationState:
+    return next(record.state for record in desk.all() if record.id == name)
+
+
+async def solved(desk: Calibrations) -> str:
+    """The name of a session that was solved."""
+    record = await desk.start(BALL, ARMED)
+    await solve(desk, record.id)
+    return record.id
+
+
+async def solve(desk: Calibrations, name: str) -> None:
+    await desk.act(name, CalibrationAction.SOLVE)
+    await until(desk, lambda: state_of(desk, name) is not CalibrationState.SOLVING)
+
+
+async def until(desk: Calibrations, is_so: Callable[[], bool]) -> None:
+    """Let the task of the calibrations run until it is so."""
+    task = asyncio.create_task(desk.run())
+    async with asyncio.timeout(10):
+        while not is_so():  # noqa: ASYNC110 - nobody signals it
+            await asyncio.sleep(0.001)
+    task.cancel()
+    await asyncio.wait([task])
+
+
+async def accepted(desk: Calibrations) -> str:
+    name = await solved(desk)
+    await desk.act(name, CalibrationAction.ACCEPT)
+    return name
+
+
+def test_the_table_ends_every_session_and_asks_twice_for_free():
+    for state in CalibrationState:
+        assert (state in OPEN) == ((state, CalibrationAction.CANCEL) in TRANSITIONS and state != "cancelled")
+    for (_, action), following in TRANSITIONS.items():
+        assert next_state("0002", following, action) is following or action is CalibrationAction.SOLVE
+    for state in CalibrationState:
+        for action in CalibrationAction:
+            if (state, action) not in TRANSITIONS:
+                with pytest.raises(CalibrationConflictError, match=f"0002 is {state}: {action}"):
+                    next_state("0002", state, action)
+
+
+@pytest.mark.parametrize(
+    ("diameters_mm", "method"),
+    [
+        ((), "bundle"),
+        ((10.0, 11.0), "bundle"),
+        ((10.0, 15.0, 20.0), "paper"),
+        ((0.1,), "bundle"),
+        ((10.0,), "stones"),
+    ],
+)
+def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
+    with pytest.raises(ValueError, match="ball_diameters_mm"):
+        CalibrationPlan(ball_diameters_mm=diameters_mm, method=method)
+
+
+def test_the_configured_rig_is_the_first_version_and_wins_when_it_is_changed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    for _ in range(2):
+        desk = open_desk(tmp_path)
+        assert (desk.active.id, desk.rig.calibration_id) == ("0001", CONFIGURED.calibration_id)
+        assert [record.note for record in desk.all()] == ["initial"]
+    assert "configured rig file was changed" not in caplog.text
+    desk = open_desk(tmp_path, other_rig())
+    assert (desk.active.id, desk.rig.calibration_id) == ("0002", other_rig().calibration_id)
+    assert "configured rig file was changed" in caplog.text
+    desk = open_desk(tmp_path)  # changed back: it is version one again, not a third
+    assert (desk.active.id, len(desk.all()), len(desk.activations)) == ("0001", 2, 3)
+
+
+async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
+    told = []
+    solver = MadeUpSolver()
+    desk = open_desk(tmp_path, solver=solver)
+
+    async def on_activated(rig):
+        told.append(rig.name)
+
+    desk.on_activated = on_activated
+    record = await desk.start(BALL, ARMED)
+    assert desk.wants_balls
+    assert desk.facts().at_work == "calibration 0002 is collecting: what falls is a ball"
+    assert desk.collector is not None
+    await desk.collector.add(a_drop(), {}, None)
+    details = await desk.find(record.id)
+    assert details is not None
+    assert [drop.bundle for drop in details.drops] == ["000001-ball"]
+    assert details.residuals_px == {"c01": 2.0}
+    assert details.coverage.cameras[CONFIGURED.camera_ids[0]].n_drops == 1
+    await solve(desk, record.id)
+    assert solver.jobs[0].initial_path == desk.rig.path
+    before = desk.rig
+    await desk.act(record.id, CalibrationAction.ACCEPT, "the boss")
+    assert desk.rig == before
+    assert not desk.wants_balls
+    await desk.act(record.id, CalibrationAction.ACTIVATE, "an engineer")
+    assert desk.rig.calibration_id == read_rig(desk.rig.path).calibration_id == other_rig().calibration_id
+    assert (desk.activated.id, desk.activated.by) == ("0002", "an engineer")
+    assert (desk.active.by, desk.active.decided_by) == ("an engineer", "the boss")
+    assert open_desk(tmp_path).rig == desk.rig
+    await desk.act("0001", CalibrationAction.ACTIVATE)
+    assert desk.rig == open_desk(tmp_path).rig == before
+    assert told == ["another", "small"]
+
+
+async def test_somebody_is_at_work_already(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    version = await accepted(desk)
+    for state in (AcquisitionState.HELD, AcquisitionState.STOPPING):
+        with pytest.raises(CalibrationConflictError, match=f"acquisition is {state}"):
+            await desk.start(BALL, state)
+    await desk.start(BALL, ARMED)
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting: end it first"):
+        await desk.start(BALL, ARMED)
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting: end it first"):
+        await desk.verify(VerificationPlan(), ARMED)
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting and rests on 0001: end it first"):
+        await desk.act(version, CalibrationAction.ACTIVATE)
+    await desk.act("0003", CalibrationAction.CANCEL)
+    await desk.verify(VerificationPlan(), ARMED)
+    with pytest.raises(CalibrationConflictError, match="verification 0001 waits"):
+        await desk.start(BALL, ARMED)
+
+
+async def test_a_stone_session_leaves_stones_stones(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    await desk.start(CalibrationPlan(method="stones"), ARMED)
+    assert desk.collector is not None
+    assert desk.collector.kind is BundleKind.PARTICLE
+    assert not desk.wants_balls
+
+
+async def test_what_must_not_be_used_is_not_accepted(tmp_path: Path):
+    problem = Problem(code="wrong_diameter", detail="the ball is too small")
+    solver = MadeUpSolver(problems=(problem,))
+    desk = open_desk(tmp_path, solver=solver)
+    name = await solved(desk)
+    with pytest.raises(CalibrationConflictError, match="must not be used: the ball is too small"):
+        await desk.act(name, CalibrationAction.ACCEPT)
+    solver.problems = ()
+    await solve(desk, name)  # more drops, another try
+    await desk.act(name, CalibrationAction.ACCEPT)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        MadeUpSolver(rig=None, problems=(Problem(code="too_few", detail="too few drops"),)),
+        MadeUpSolver(failure=JobLostError("deadline", "too few drops")),
+    ],
+)
+async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: MadeUpSolver):
+    desk = open_desk(tmp_path, solver=solver)
+    name = await solved(desk)
+    details = await desk.find(name)
+    assert details is not None
+    assert details.record.state is CalibrationState.COLLECTING
+    assert "too few drops" in str(details.record.detail)
+    assert desk.wants_balls
+
+
+async def test_a_session_that_was_cancelled_while_it_was_solved_stays_so(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    record = await desk.start(BALL, ARMED)
+    await desk.act(record.id, CalibrationAction.SOLVE)
+    await desk.act(record.id, CalibrationAction.CANCEL)
+    following = await desk.start(BALL, ARMED)
+    await solve(desk, following.id)  # after the one before
+    assert state_of(desk, record.id) is CalibrationState.CANCELLED
+
+
+async def test_a_session_survives_a_restart_without_its_unfinished_solution(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    record = await desk.start(BALL, ARMED)
+    assert desk.collector is not None
+    await desk.collector.add(a_drop(), {}, None)
+    await desk.act(record.id, CalibrationAction.SOLVE)
+    again = open_desk(tmp_path)
+    details = await again.find(record.id)
+    assert details is not None
+    assert (details.record.state, len(details.drops)) == (CalibrationState.COLLECTING, 1)
+    await solve(again, record.id)
+    assert state_of(open_desk(tmp_path), record.id) is CalibrationState.SOLVED
+    write_rig(tmp_path / "calibrations" / record.id / "rig.json", other_rig("not what was solved"))
+    assert state_of(open_desk(tmp_path), record.id) is CalibrationState.COLLECTING
+    changed = open_desk(tmp_path, other_rig())  # what its drops were compared with is not in use any more
+    assert state_of(changed, record.id) is CalibrationState.CANCELLED
+
+
+async def test_an_idle_session_ends_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    desk = open_desk(tmp_path)
+    await desk.start(BALL, ARMED)
+    monkeypatch.setattr(calibrations, "IDLE_CHECK_S", 0.001)
+    start_s = time.monotonic()
+    await until(desk, lambda: time.monotonic() - start_s > 0.02)
+    assert desk.wants_balls
+    monkeypatch.setattr(calibrations, "IDLE_S", 0.0)
+    await until(desk, lambda: not desk.wants_balls)
+    assert "nothing fell" in str(open_desk(tmp_path).all()[0].detail)
+
+
+async def test_a_rig_of_other_cameras_or_a_damaged_one_is_not_activated(tmp_path: Path):
+    fewer = replace(other_rig(), cameras=CONFIGURED.cameras[:3])
+    desk = open_desk(tmp_path, solver=MadeUpSolver(rig=fewer))
+    name = await accepted(desk)
+    with pytest.raises(CalibrationConflictError, match="other cameras: c04"):
+        await desk.act(name, CalibrationAction.ACTIVATE)
+    (tmp_path / "calibrations" / name / "rig.json").write_text("{")
+    with pytest.raises(CalibrationConflictError, match="rig file is damaged"):
+        await desk.act(name, CalibrationAction.ACTIVATE)
+    assert desk.active.id == open_desk(tmp_path).active.id == "0001"
+
+
+async def test_when_the_one_in_use_is_damaged_the_one_before_is_used(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    desk = open_desk(tmp_path)
+    name = await accepted(desk)
+    await desk.act(name, CalibrationAction.ACTIVATE)
+    assert desk.facts().trouble is None
+    (tmp_path / "calibrations" / name / "rig.json").write_text("{")
+    again = open_desk(tmp_path)
+    assert again.active.id == "0001"
+    assert f"calibration {name} cannot be used, the one before is" in caplog.text
+    assert f"calibration {name} is damaged" in str(again.facts().trouble)
+    await again.act("0001", CalibrationAction.ACTIVATE)
+    assert again.facts().trouble is open_desk(tmp_path).facts().trouble is None
+    shutil.rmtree(tmp_path / "calibrations" / name)
+    (tmp_path / "calibrations/0001/rig.json").unlink()
+    assert (
+        open_desk(tmp_path).rig.calibration_id
+        == read_rig(tmp_path / "calibrations/0001/rig.json").calibration_id
+    )
+    (tmp_path / "calibrations/activations.json").write_text("{")
+    with pytest.raises(RecordingError, match=r"activations\.json.*removed"):
+        open_desk(tmp_path)
+
+
+async def test_a_damaged_drop_is_a_fault_of_the_store(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    record = await desk.start(BALL, ARMED)
+    (tmp_path / "calibrations" / record.id / "drops/00001.json").write_text('{"views": 3}')
+    with pytest.raises(StoreError, match=r"00001\.json"):
+        await desk.find(record.id)
+
+
+async def test_an_activation_ends_a_verification(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    name = await accepted(desk)
+    verification = await desk.verify(VerificationPlan(), ARMED)
+    await desk.act(name, CalibrationAction.ACTIVATE)
+    found = desk.verifications.find(verification.id)
+    assert found is not None
+    assert found.state is VerificationState.CANCELLED
+
+
+@contextmanager
+def snapshots_of(folder: Path, into: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Path]]:
+    """Copies of a folder as a kill would leave it, before each time something becomes durable."""
+    taken: list[Path] = []
+    sync = drivers.files.sync
+
+    def sync_and_copy(path: Path) -> None:
+        taken.append(into / str(len(taken)))
+        shutil.copytree(folder, taken[-1])
+        sync(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(drivers.files, "sync", sync_and_copy)
+        yield taken
+
+
+async def test_a_kill_between_two_writes_leaves_the_old_or_the_new_one_active(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    state = tmp_path / "state"
+    with snapshots_of(state, tmp_path / "killed", monkeypatch) as first:
+        desk = open_desk(state)
+    for left in first:
+        assert open_desk(left).active.calibration_id == CONFIGURED.calibration_id
+    with snapshots_of(state, tmp_path / "killed later", monkeypatch) as later:
+        name = await accepted(desk)
+        await desk.act(name, CalibrationAction.ACTIVATE)
+    active = [open_desk(left).active.id for left in later]
+    assert set(active) == {"0001", name}
+    assert active == sorted(active)
