@@ -99,6 +99,8 @@ def check_consistency(
             denied_px = min(parameters.max_denied_share * diameter_px, 0.7 * MARGIN_PX)
             claimed = _rms_outside(clearance) / parameters.max_residual_px
             denied = float(np.median(clearance)) / denied_px if len(clearance) else 0.0
+            if tangency_px.get(camera.id, np.inf) <= parameters.max_tangency_px:
+                denied = 0.0  # it only knows what no other view does: the hull without it is that much larger
             if max(claimed, denied) > score:
                 worst, score = camera.id, max(claimed, denied)
                 problem = "claims a body that other views exclude" if claimed > denied else "denies the body"

@@ -34,7 +34,7 @@ LEAST_DROPS = 3
 LEAST_NOISE_PX = 0.002
 OUTLIER_SIGMAS = 8.0
 LEAST_OUTLIER_PX = 0.3
-"""What is less off bends nothing: soft-L1 bounds it, and segmentation itself errs by some hundredths far off the axis."""
+"""What is less off does little harm: soft-L1 bounds it."""
 ROUNDS = 12
 """In each of them every camera may lose one view."""
 LEAST_SIZE_RATIO = 1.1
