@@ -226,6 +226,7 @@ class Calibrations:
         job = SolveJob(
             outline_paths=tuple(paths),
             initial_path=self.rig.path,
+            diameters_mm=record.ball_diameters_mm,
             method=cast(Method, record.method),  # as it was planned
             name=self.calibration.name,
             created_at=utc_now(),

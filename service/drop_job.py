@@ -20,7 +20,8 @@ from pipeline.calibration import (
     observe_ball,
     report_document,
 )
-from pipeline.calibration.ball_fit import apparent_diameter_mm, fit_ball
+from pipeline.calibration.ball_fit import fit_ball
+from pipeline.calibration.ball_sizes import apparent_diameter_mm, with_diameters
 from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
 from pipeline.calibration.tangency import epipolar_tangents, outlines_of, tangency_scores_px
 from pipeline.frames import BundleKind, CameraId, FrameBundle
@@ -51,6 +52,7 @@ class SolveJob:
 
     outline_paths: tuple[Path, ...]
     initial_path: Path  # rig file
+    diameters_mm: tuple[float, ...]  # of the balls
     method: Method
     name: str
     created_at: str
@@ -114,7 +116,8 @@ def solve(job: SolveJob) -> Solution:
             rig, problems = found.rig, _stone_problems(found)
             document = _stone_document(found, initial, drops, problems)
         else:
-            report = calibrate(drops, initial, method=job.method, created_at=job.created_at, name=job.name)
+            balls = with_diameters(drops, initial, job.diameters_mm)
+            report = calibrate(balls, initial, method=job.method, created_at=job.created_at, name=job.name)
             rig, problems, document = report.rig, report.problems, report_document(report)
         write_rig(job.folder / "rig.json", rig)
         write_json(job.folder / "report.json", document)
@@ -126,7 +129,7 @@ def solve(job: SolveJob) -> Solution:
 
 
 def _sized(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:
-    """The drop with that diameter of those entered which is nearest to what it looks like."""
+    """The drop with that diameter of those entered which is nearest to what it looks like; all drops decide later."""
     apparent_mm = apparent_diameter_mm(drop, rig)
     if not diameters_mm or apparent_mm is None:
         return drop

@@ -70,16 +70,6 @@ def fit_ball(drop: BallDrop, rig: RigCalibration) -> BallFit | None:
     )
 
 
-def apparent_diameter_mm(drop: BallDrop, rig: RigCalibration) -> float | None:
-    """About the diameter, even when the rig is hardly calibrated: median over the views, as if from the centre."""
-    diameters_mm = [
-        2 * drop.views[camera.id].radius_px * float(np.linalg.norm(camera.center_mm)) / camera.focal_px
-        for camera in rig.cameras
-        if camera.id in drop.views
-    ]
-    return float(np.median(diameters_mm)) if diameters_mm else None
-
-
 def _touching(ball_mm: Array, origins_mm: Array, directions: Array) -> tuple[Array, Array]:
     """Distance (N,) of each ray from the centre, and the unit normals (N, 3) where the rays pass it."""
     from_ball_mm = origins_mm - ball_mm

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.ball_drops import ball_view, drop
 
-from pipeline.calibration.ball_fit import apparent_diameter_mm, fit_ball
+from pipeline.calibration.ball_fit import fit_ball
 from pipeline.calibration.drops import BallDrop
 from pipeline.rig import CameraCalibration
 from pipeline.rig_design import as_built, nominal_rig
@@ -60,14 +60,8 @@ def test_a_camera_that_was_turned_stands_out():
     assert fit.residuals_px[turned.id] == pytest.approx(3.0, rel=0.15)
 
 
-def test_the_size_shows_before_the_rig_is_calibrated():
-    seen = drop("ball", RIG, (4.0, -5.0, 6.0), 10.0)
-    assert apparent_diameter_mm(seen, nominal_rig()) == pytest.approx(10.0, rel=0.06)
-
-
 def test_one_view_is_no_ball():
     seen = drop("ball", RIG, (0.0, 0.0, 0.0))
     first = RIG.cameras[0].id
     alone = BallDrop(name="ball", diameter_mm=10.0, views={first: seen.views[first]})
     assert fit_ball(alone, RIG) is None
-    assert apparent_diameter_mm(BallDrop(name="none", diameter_mm=None, views={}), RIG) is None

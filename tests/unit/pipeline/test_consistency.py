@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from support.forms import silhouettes_of
 from support.silhouettes import sphere_silhouette, sphere_silhouettes
 
 from pipeline.consistency import ConsistencyParameters, check_consistency
@@ -75,3 +78,15 @@ def test_views_of_nothing_in_common_are_inconsistent() -> None:
     }
     found = check_consistency(silhouettes, RIG, PARAMETERS)
     assert not found.is_consistent
+
+
+def test_a_view_that_alone_bounds_a_side_is_not_condemned() -> None:
+    # without c01, nobody else but c11 sees along two faces of this cube: the hull without it is far larger
+    turn = Rotation.from_rotvec([-47.97, -61.94, 67.18], degrees=True).as_matrix()
+    cube = trimesh.creation.box(extents=[15.0] * 3)
+    placed = trimesh.Trimesh(cube.vertices @ turn.T + [-2.4, -2.08, -0.45], cube.faces)
+    silhouettes = silhouettes_of(placed, RIG, np.random.default_rng(1))
+    del silhouettes[CameraId("c01")]
+    found = check_consistency(silhouettes, RIG, PARAMETERS)
+    assert not found.suspects
+    assert found.is_consistent

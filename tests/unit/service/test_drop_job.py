@@ -1,6 +1,7 @@
 """What workers do for a calibration, in this process: rendered bodies are observed, exact outlines are solved."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +91,13 @@ def test_another_rig_under_the_name_is_no_measurement(worker: None, tmp_path: Pa
         observe(job)
 
 
-def solution_of(folder: Path, drops: Sequence[BallDrop], initial: RigCalibration, method: Method) -> Solution:
+def solution_of(
+    folder: Path,
+    drops: Sequence[BallDrop],
+    initial: RigCalibration,
+    method: Method,
+    diameters_mm: tuple[float, ...] = (10.0,),
+) -> Solution:
     paths = []
     for number, drop in enumerate(drops):
         paths.append(folder / f"{number:03d}.npz")
@@ -100,6 +107,7 @@ def solution_of(folder: Path, drops: Sequence[BallDrop], initial: RigCalibration
         SolveJob(
             outline_paths=tuple(paths),
             initial_path=folder / "initial.json",
+            diameters_mm=diameters_mm,
             method=method,
             name="solved",
             created_at="2026-11-21T04:00:00Z",
@@ -116,6 +124,22 @@ def test_balls_are_solved_into_a_rig_and_a_report(tmp_path: Path):
     report = read_json(tmp_path / "report.json")
     assert report["calibration_id"] == found.calibration_id
     assert max(report["residuals_after_px"].values()) < 0.1 < min(report["residuals_before_px"].values())
+
+
+def test_all_drops_together_tell_which_ball_is_which(tmp_path: Path):
+    # one by one, against a lens that is 9 % off, the smaller ball would be taken for the larger
+    nominal = nominal_rig()
+    true = as_built(nominal, 5)
+    lens = np.array([[1.09, 1, 1], [1, 1.09, 1], [1, 1, 1]])
+    long = replace(true, cameras=tuple(replace(each, K=each.K * lens) for each in true.cameras))
+    small, large = drops_across(long, 8, seed=1), drops_across(long, 8, seed=2, diameter_mm=11.5)
+    drops = [
+        replace(drop, name=f"{number}", diameter_mm=11.5) for number, drop in enumerate((*small, *large))
+    ]
+    found = solution_of(tmp_path, drops, nominal, "bundle", (10.0, 11.5))
+    assert found.refusal is None
+    report = read_json(tmp_path / "report.json")
+    assert abs(report["edge_offset_px"]) < 0.05
 
 
 def test_stones_put_a_camera_back(tmp_path: Path):
