@@ -3,8 +3,8 @@
 A trigger at time T opens a window of T + expected delay +- `window_ms`; a frame belongs to the trigger in
 whose window it arrived, whatever its number. Windows are disjoint because the gate's dead time exceeds
 their width. One that arrives after its window, on a machine that is busy, is its trigger's all the same as
-long as that waits, if its camera's own clock says so. Every trigger leaves as exactly one bundle, in order:
-complete, or at its deadline with what is missing. Frame ids only count what was lost.
+long as that waits, if its camera's own clock and its counter both say so: neither moves a frame alone. Every
+trigger leaves as exactly one bundle, in order: complete, or at its deadline with what is missing.
 
 Events may come in any order within one window's half width; a frame that comes before its trigger waits.
 When none comes and most cameras exposed, the frames are a stone that the gate failed to announce: an
@@ -16,7 +16,6 @@ from bisect import insort
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
-from operator import itemgetter
 
 from drivers.interfaces import (
     CameraBack,
@@ -34,7 +33,7 @@ from service.bundle_counters import BundlingCounters, CameraCounters
 from service.bundle_windows import AMBIGUOUS, CAMERA_LOST, DEAD_TIME, NO_FRAME, UNSEEN, Window
 from service.bundling_parameters import IN_VIEW_NS, BundlingParameters
 from service.frame_account import FrameAccount
-from service.frame_checks import ExposureCheck
+from service.frame_checks import Exposure, ExposureCheck
 from service.missed_triggers import MissedTriggers
 
 DELIVERY_NS = 300_000_000
@@ -237,9 +236,7 @@ class BundleAssembler:
         if known is not None and known.frame_id == frame.frame_id:
             counters.duplicates += 1
             return
-        if not self._exposures[frame.camera].belongs(
-            frame.device_ns, window.trigger.received_ns, is_first_trigger=window.ordinal == 0
-        ):
+        if not self._exposures[frame.camera].belongs(_exposure(frame, window)):
             owner = self._owner(frame)
             if owner is not None and owner is not window:
                 self._take(owner, frame)
@@ -256,15 +253,18 @@ class BundleAssembler:
         window.frames[frame.camera] = frame
 
     def _owner(self, frame: Frame) -> Window | None:
-        """The trigger that a frame which comes too late was exposed for, while it waits; by the camera's clock."""
+        """The trigger that a frame which comes too late was exposed for, while it waits."""
         check = self._exposures[frame.camera]
-        owners = [
-            (distance_ns, window)
-            for window in self._open
-            if not window.in_dead_time and window.expected_ns < frame.received_ns
-            if (distance_ns := check.distance_ns(frame.device_ns, window.trigger.received_ns)) is not None
-        ]
-        return min(owners, key=itemgetter(0))[1] if owners else None
+        return next(
+            (
+                window
+                for window in self._open
+                if not window.in_dead_time
+                and window.expected_ns < frame.received_ns
+                and check.proves(_exposure(frame, window))
+            ),
+            None,
+        )
 
     def _close(self, window: Window, reason: str = NO_FRAME) -> FrameBundle:
         bundle = window.bundle(self._camera_ids, reason)
@@ -281,6 +281,10 @@ class BundleAssembler:
 
     def _deadline_ns(self, window: Window) -> int:
         return window.expected_ns + self._window_ns + DELIVERY_NS
+
+
+def _exposure(frame: Frame, window: Window) -> Exposure:
+    return Exposure(frame.device_ns, frame.frame_id, window.trigger.received_ns, window.ordinal)
 
 
 def _received_ns(event: Frame | FrameLost) -> int:

@@ -24,6 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.errors import RecordingError
 from drivers.files import new_folder, read_json, write_json
 from drivers.rig_file import read_rig, write_rig
+from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from service.calibration_states import CalibrationState
 from service.worker_job import RigFile
@@ -107,6 +108,10 @@ class CalibrationFiles:
                 log.error("calibration %s is not used: %s", path.name, err)
         return found
 
+    def drops(self, name: str) -> Path:
+        """The folder of its drops, see `service.drop_files`."""
+        return self.folder / name / DROPS
+
     def next_name(self) -> str:
         """A name that no calibration has or had."""
         taken = [int(path.name) for path in self.folder.iterdir() if CALIBRATION_NAME.fullmatch(path.name)]
@@ -123,7 +128,7 @@ class CalibrationFiles:
         write_json(self.folder / record.id / SESSION, self._records.dump_python(record, mode="json"))
 
     def activations(self) -> Activations:
-        """None when there are none; raises `RecordingError` when the file is damaged."""
+        """Empty before the first start; raises `RecordingError` when the file is damaged."""
         path = self.folder / ACTIVATIONS
         return read_document(path, self._activations) if path.exists() else Activations()
 
@@ -153,6 +158,11 @@ class CalibrationFiles:
         """What the solution found, None for a configured rig."""
         path = self.folder / record.id / REPORT
         return dict(read_json(path)) if path.exists() else None
+
+
+def image_sizes_px(rig: RigCalibration) -> dict[CameraId, tuple[int, int]]:
+    """Width and height of each camera's images: calibrations of the same cameras have the same."""
+    return {camera.id: camera.image_size_px for camera in rig.cameras}
 
 
 def read_document(path: Path, adapter: TypeAdapter[Document]) -> Document:

@@ -11,7 +11,13 @@ from pathlib import Path
 
 from drivers.errors import RecordingError
 from pipeline.rig import RigCalibration
-from service.calibration_files import Activation, Activations, CalibrationFiles, CalibrationRecord
+from service.calibration_files import (
+    Activation,
+    Activations,
+    CalibrationFiles,
+    CalibrationRecord,
+    image_sizes_px,
+)
 from service.calibration_states import OPEN, CalibrationState
 from service.store import utc_now
 
@@ -49,8 +55,19 @@ def find_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsF
         )
         raise RecordingError(err.path, f"{err.problem}; {remedy}") from err
     if activations.configured_calibration_id != configured.calibration_id:
-        activations = _take_over(files, records, activations, configured)
-    active, rig, trouble = _usable(files, records, activations, configured)
+        why = "the configured rig file was changed"
+        activations = _take_over(files, records, activations, configured, why)
+    found = _usable(files, records, activations, configured)
+    if found is None:
+        why = "no calibration that was in use can be read"
+        activations = _take_over(files, records, activations, configured, why)
+        record = records[activations.items[-1].id]
+        found = (
+            record,
+            _mended(files, record, configured),
+            f"{why}, the configured rig file is used: activate another",
+        )
+    active, rig, trouble = found
     for record in list(records.values()):
         if record.state in OPEN:
             records[record.id] = _resumed(files, record, active)
@@ -64,6 +81,7 @@ def _take_over(
     records: dict[str, CalibrationRecord],
     activations: Activations,
     configured: RigCalibration,
+    why: str,
 ) -> Activations:
     """Make the configured rig file a version, unless it is one, and the one in use."""
     known = [
@@ -81,13 +99,13 @@ def _take_over(
             method=configured.method,
             created_at=utc_now(),
             changed_at=utc_now(),
-            note="initial" if not records else "the configured rig file was changed",
+            note=why if records else "initial",
             calibration_id=configured.calibration_id,
         )
         files.create(record, configured)
         records[record.id] = record
     if activations.items:
-        log.warning("the configured rig file was changed and is used from now on calibration=%s", record.id)
+        log.warning("%s: the configured rig file is used from now on calibration=%s", why, record.id)
     chosen = Activation(
         id=record.id, calibration_id=configured.calibration_id, at=utc_now(), by="configuration"
     )
@@ -103,22 +121,25 @@ def _usable(
     records: Mapping[str, CalibrationRecord],
     activations: Activations,
     configured: RigCalibration,
-) -> tuple[CalibrationRecord, RigCalibration, str | None]:
-    """The calibration activated last whose rig can be read, and what is wrong with a later one."""
+) -> tuple[CalibrationRecord, RigCalibration, str | None] | None:
+    """The calibration activated last whose rig can be used, and what is wrong with a later one."""
     trouble = None
     for activation in reversed(activations.items):
         try:
             record = records[activation.id]
             if record.calibration_id == configured.calibration_id:
                 return record, _mended(files, record, configured), trouble
-            return record, files.rig(record), trouble
+            rig = files.rig(record)
+            if image_sizes_px(rig) == image_sizes_px(configured):
+                return record, rig, trouble
+            log.error("calibration %s cannot be used: it was made with other cameras", record.id)
         except (KeyError, RecordingError) as err:
             log.error("calibration %s cannot be used, the one before is: %s", activation.id, err)
             trouble = (
                 trouble
                 or f"calibration {activation.id} is damaged and an older one is in use: activate another"
             )
-    raise RecordingError(files.folder, "holds no calibration that can be used; the journal says why")
+    return None
 
 
 def _mended(files: CalibrationFiles, record: CalibrationRecord, configured: RigCalibration) -> RigCalibration:
@@ -139,7 +160,9 @@ def _resumed(
         detail = "another calibration is in use since the daemon was started again"
         record = replace(record, state=CalibrationState.CANCELLED, detail=detail, changed_at=utc_now())
     elif record.state is CalibrationState.SOLVING or not _is_whole(files, record):
-        record = replace(record, state=CalibrationState.COLLECTING, changed_at=utc_now())
+        record = replace(
+            record, state=CalibrationState.COLLECTING, calibration_id=None, detail=None, changed_at=utc_now()
+        )
     files.write(record)
     log.warning("calibration %s: %s after a restart", record.id, record.state)
     return record
@@ -150,6 +173,6 @@ def _is_whole(files: CalibrationFiles, record: CalibrationRecord) -> bool:
         return True
     try:
         files.rig(record)
+        return files.report(record) is not None
     except RecordingError:
         return False
-    return files.report(record) is not None

@@ -9,18 +9,18 @@ import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from statistics import fmean
-from typing import Any, cast
+from typing import Any
 
 from drivers.errors import RecordingError
-from pipeline.calibration.coverage import Coverage, coverage
-from pipeline.frames import BundleKind, CameraId
+from pipeline.frames import BundleKind
 from pipeline.rig import RigCalibration
-from service.calibration_files import DROPS, Activation, CalibrationRecord
+from service.calibration_details import CalibrationDetails, calibration_details
+from service.calibration_files import Activation, CalibrationRecord, image_sizes_px
 from service.calibration_plan import CalibrationPlan
+from service.calibration_solving import Solver, attempt, solve_apart
 from service.calibration_start import CalibrationsFound
 from service.calibration_states import (
     OPEN,
@@ -30,45 +30,32 @@ from service.calibration_states import (
     next_state,
 )
 from service.control import AcquisitionState
-from service.drop_files import ObservedDrop, keep_drop, kept_drops, outline_paths, rough_drop
-from service.drop_job import Method, SolveJob, solve
+from service.drop_files import ObservedDrop, keep_drop
 from service.errors import StoreError
 from service.health import CalibrationFacts
 from service.processing import DropCollector
 from service.store import utc_now
 from service.verifications import Verification, VerificationPlan, Verifications
-from service.workers import JobLostError, WorkerPool
 
 log = logging.getLogger(__name__)
 
 IDLE_S = 600.0
 """A session that sees no drop and hears of nobody for so long is cancelled."""
 IDLE_CHECK_S = 5.0
-SOLVE_DEADLINE_S = 300.0
-"""The paper's method takes half a minute of a core."""
 UNABLE = (AcquisitionState.HELD, AcquisitionState.DISARMING, AcquisitionState.STOPPING)
 """No drop would be seen. In a disarmed rig one may prepare a session and arm then."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationDetails:
-    """All that is known of one calibration."""
-
-    record: CalibrationRecord
-    drops: list[ObservedDrop]
-    coverage: Coverage
-    residuals_px: Mapping[CameraId, float]  # rms of the drops, with the calibration they were measured with
-    report: Mapping[str, Any] | None
 
 
 class Calibrations:
     """Called on the loop; `run` is its task."""
 
-    def __init__(self, found: CalibrationsFound, pool: WorkerPool, verifications: Verifications) -> None:
+    def __init__(
+        self, found: CalibrationsFound, verifications: Verifications, solver: Solver = solve_apart
+    ) -> None:
         self._files = found.files
         self._records = found.records
         self._activations = found.activations
-        self._pool = pool
+        self._solver = solver
         self._to_solve: asyncio.Queue[str] = asyncio.Queue()
         self._writing = asyncio.Lock()
         self._touched_s = time.monotonic()
@@ -139,8 +126,10 @@ class Calibrations:
     async def find(self, name: str) -> CalibrationDetails | None:
         """None when there is none of that name."""
         record = self._records.get(name)
+        if record is None:
+            return None
         try:
-            return None if record is None else await asyncio.to_thread(self._details, record)
+            return await asyncio.to_thread(calibration_details, self._files, record, self.calibration)
         except RecordingError as err:
             raise StoreError(str(err)) from err
 
@@ -221,33 +210,19 @@ class Calibrations:
 
     async def _solve(self, name: str) -> None:
         record = self._records[name]
-        folder = self._files.folder / name
-        paths = await asyncio.to_thread(outline_paths, folder / DROPS)
-        job = SolveJob(
-            outline_paths=tuple(paths),
-            initial_path=self.rig.path,
-            diameters_mm=record.ball_diameters_mm,
-            method=cast(Method, record.method),  # as it was planned
-            name=self.calibration.name,
-            created_at=utc_now(),
-            folder=folder,
+        if record.state is not CalibrationState.SOLVING:  # cancelled before its turn came
+            return
+        calibration_id, detail = await attempt(
+            self._files, record, self.rig, self.calibration.name, self._solver
         )
-        state, calibration_id = CalibrationState.COLLECTING, None
-        try:
-            solution = await self._pool.run(solve, job, SOLVE_DEADLINE_S)
-        except JobLostError as err:
-            detail: str | None = f"it could not be computed: {err}"
-        else:
-            calibration_id, detail = solution.calibration_id, solution.refusal
-            if calibration_id is not None:
-                state = CalibrationState.SOLVED
+        state = CalibrationState.COLLECTING if calibration_id is None else CalibrationState.SOLVED
         async with self._writing:
             record = self._records[name]
             if record.state is not CalibrationState.SOLVING:  # cancelled meanwhile
                 return
             await self._become(record, state, calibration_id=calibration_id, detail=detail)
             self._touched_s = time.monotonic()
-        log.info("calibration %s calibration=%s drops=%d %s", state, name, len(paths), detail or "")
+        log.info("calibration %s calibration=%s %s", state, name, detail or "")
 
     async def _cancel_idle(self) -> None:
         async with self._writing:
@@ -309,33 +284,9 @@ class Calibrations:
     async def _add(self, name: str, drop: ObservedDrop, outlines: Path | None) -> None:
         if self._records[name].state not in OPEN:
             return
-        await asyncio.to_thread(keep_drop, self._files.folder / name / DROPS, drop, outlines)
+        await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
         if drop.views:
             self._touched_s = time.monotonic()
-
-    def _details(self, record: CalibrationRecord) -> CalibrationDetails:
-        drops = kept_drops(self._files.folder / record.id / DROPS)
-        rig = self.calibration if record.calibration_id is None else self._files.rig(record)
-        return CalibrationDetails(
-            record=record,
-            drops=drops,
-            coverage=coverage([rough_drop(drop) for drop in drops], rig),
-            residuals_px=_rms(drops),
-            report=None if record.calibration_id is None else self._files.report(record),
-        )
-
-
-def image_sizes_px(rig: RigCalibration) -> dict[CameraId, tuple[int, int]]:
-    """Width and height of each camera's images."""
-    return {camera.id: camera.image_size_px for camera in rig.cameras}
-
-
-def _rms(drops: list[ObservedDrop]) -> dict[CameraId, float]:
-    squares: dict[CameraId, list[float]] = {}
-    for drop in drops:
-        for camera, residual_px in drop.residuals_px.items():
-            squares.setdefault(camera, []).append(residual_px**2)
-    return {camera: fmean(squares[camera]) ** 0.5 for camera in sorted(squares)}
 
 
 async def _nobody(rig: RigCalibration) -> None:

@@ -7,34 +7,35 @@ what is not measured yet. Whatever a part cannot handle ends the group, and with
 import asyncio
 import logging
 import shutil
-import signal
 import time
 from contextlib import AsyncExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.factory import build_devices
 from drivers.rig_file import read_rig
 from pipeline.fall import speed_mm_s
-from pipeline.frames import CameraId, FrameBundle
+from pipeline.frames import FrameBundle
 from pipeline.rig import RigCalibration
 from service.acquisition import Acquisition
 from service.api.app import create_app
 from service.api.server import server_config
+from service.calibration_files import image_sizes_px
 from service.calibration_start import find_calibrations
-from service.calibrations import Calibrations, image_sizes_px
-from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
-from service.health import Facts, assess
+from service.calibrations import Calibrations
+from service.control import AcquisitionTarget
 from service.kept_background import KeptBackground
 from service.loop_watch import LoopWatch
+from service.parts import Daemon
 from service.processing import Processing, ProcessingContext
 from service.record import ALGORITHM_VERSION
 from service.recording_live import recording_source
-from service.recordings import Recordings, open_recordings
+from service.recordings import open_recordings
 from service.rest_server import RestServer, listen
-from service.rig_watch import CameraScore, RigWatch, WatchedResults
+from service.rig_watch import RigWatch, WatchedResults
 from service.settings import Settings
 from service.spool import Spool
+from service.stopping import StopRequests, finish
 from service.store import Store, open_store
 from service.supervision import Heartbeats
 from service.systemd import ServiceManager, feed_watchdog
@@ -52,106 +53,6 @@ ACQUISITION_LIMIT_S = 20.0
 """An armed rig moves twenty times a second; to open or close cameras of which some are dead takes longer."""
 COMMIT_LIMIT_S = 30.0
 """A bundle has its outcome so long after its second attempt at the latest."""
-
-
-@dataclass(slots=True)
-class StopRequests:
-    """What the signals have asked for."""
-
-    stop: asyncio.Event = field(default_factory=asyncio.Event)
-    hurry: asyncio.Event = field(default_factory=asyncio.Event)
-
-    def listen(self) -> None:
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._on_stop, number)
-        loop.add_signal_handler(
-            signal.SIGHUP, log.warning, "SIGHUP ignored: a new configuration needs a restart"
-        )
-
-    def _on_stop(self, number: signal.Signals) -> None:
-        log.info("stop requested signal=%s", number.name)
-        if self.stop.is_set():
-            self.hurry.set()
-        self.stop.set()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Daemon:
-    """The parts at work; to the REST interface they are its `Control`."""
-
-    settings: Settings
-    store: Store
-    session: int
-    calibrations: Calibrations
-    folder: Path  # on tmpfs, for bundles and for the workers' files
-    pool: WorkerPool
-    spool: Spool
-    recordings: Recordings
-    rig: Acquisition
-    processing: Processing
-    heartbeats: Heartbeats
-    loop_watch: LoopWatch
-    rig_watch: RigWatch
-
-    def acquisition(self) -> AcquisitionStatus:
-        return self.rig.status()
-
-    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
-        state = self.rig.request(target)
-        log.info("acquisition requested target=%s state=%s", target, state)
-        return state
-
-    def cameras(self) -> list[CameraStatus]:
-        scores = self.rig_watch.scores()
-        return [
-            replace(status, **asdict(scores.get(status.id, CameraScore())))
-            for status in self.rig.cameras.statuses()
-        ]
-
-    async def snapshot(self, camera: CameraId) -> bytes | None:
-        return await self.rig.cameras.snapshot(camera)
-
-    def health(self) -> Health:
-        return assess(
-            Facts(
-                acquisition=self.rig.status(),
-                blind_triggers=self.rig.cameras.blind_triggers,
-                cameras=self.cameras(),
-                views=self.settings.views,
-                waiting=self.spool.held,
-                max_waiting=self.spool.max_bundles,
-                overflows=self.spool.overflows,
-                workers=len(self.pool.pids),
-                slots=self.pool.size,
-                worker_restarts=self.pool.restarts,
-                loop_ms=self.loop_watch.worst_ms(),
-                clock_step_s=self.loop_watch.clock_step_s(),
-                late=self.late(),
-                has_background=self.processing.has_background,
-                calibration=self.calibrations.facts(),
-                last_seq=self.store.last_seq,
-                free_bytes=shutil.disk_usage(self.settings.store.dir).free,
-                recording_trouble=self.recordings.trouble,
-                suspicions=self.rig_watch.suspicions(),
-            )
-        )
-
-    def late(self) -> list[str]:
-        """Parts that have something to do and make no progress."""
-        return self.heartbeats.late(time.monotonic())
-
-    def watch(self) -> list[str]:
-        """Look after the parts, often: those with nothing to do are not late, the others are named."""
-        if not self.rig.is_at_work:
-            self.heartbeats.beat("acquisition", time.monotonic())
-        if self.spool.held == 0:
-            self.heartbeats.beat("processing", time.monotonic())
-        return self.late()
-
-    def status(self) -> str:
-        """One line for `systemctl status`."""
-        return f"{self.rig.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"
 
 
 async def build(settings: Settings, store: Store) -> Daemon:
@@ -174,7 +75,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         open_verifications, settings.store.dir / "verifications", settings.verification
     )
     found = await asyncio.to_thread(find_calibrations, settings.store.dir / "calibrations", configured)
-    calibrations = Calibrations(found, pool, verifications)
+    calibrations = Calibrations(found, verifications)
     is_simulated = devices.is_simulated
     camera_ids = tuple(devices.cameras)
     session = await store.begin_session(
@@ -320,22 +221,15 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 log.error("the rig does not disarm in time and is left alone")
                 daemon.rig.abandon()
                 await acquiring
+            calibrating.cancel()  # a solution that is under way is asked for again
             daemon.spool.finish()
             await finish(processing, requests, DRAIN_S)
             daemon.processing.abandon()
             await processing
             daemon.pool.close()
             log.info("stopped %s", await store.accounting(daemon.session))
-            calibrating.cancel()
             watching.cancel()
             watching_loop.cancel()
             store.release_waiters()
             server.should_exit = True
             await serving
-
-
-async def finish(part: "asyncio.Task[None]", requests: StopRequests, limit_s: float) -> None:
-    """Wait until the part is through, somebody is in a hurry, or it takes too long."""
-    hurry = asyncio.create_task(requests.hurry.wait())
-    await asyncio.wait([part, hurry], timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
-    hurry.cancel()

@@ -110,6 +110,7 @@ def read_drop(path: Path) -> BallDrop:
 def keep_drop(folder: Path, drop: ObservedDrop, outlines_path: Path | None) -> None:
     """Keep a drop durably, behind those that are there; `outlines_path` is None when nothing was observed."""
     path = folder / f"{len(list(folder.glob('*.json'))) + 1:05d}.npz"
+    path.unlink(missing_ok=True)  # of a drop that was never there
     if outlines_path is not None:
         with replacing(path) as unfinished:
             shutil.copyfile(outlines_path, unfinished)

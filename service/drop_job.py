@@ -28,7 +28,8 @@ from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
 from service.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
-from service.worker_job import RigFile, WorkerFailure, this_worker
+from service.errors import WorkerFailure
+from service.worker_job import RigFile, this_worker
 
 Method = Literal["bundle", "paper", "stones"]
 

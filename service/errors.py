@@ -7,6 +7,8 @@
     ├── StoreError          the result store cannot be opened or written; fatal for the daemon
     ├── VolumeModelError    a file of volume coefficients; names the file and the field
     └── UsageError          a command's arguments contradict each other or the files they name
+
+`WorkerFailure` is none of them: nothing was refused, something broke.
 """
 
 
@@ -28,3 +30,7 @@ class VolumeModelError(ServiceError):
 
 class UsageError(ServiceError):
     """The arguments of a command cannot be carried out."""
+
+
+class WorkerFailure(Exception):  # noqa: N818 - a bug or a broken environment, with its traceback as text
+    """A job in a worker process ended with an exception that says nothing about the stone."""

@@ -1,11 +1,12 @@
 """What a camera's own clock and counter tell about frames that were matched by time.
 
-The clock can refuse a frame that arrived a whole period late, exactly when the next was due, and, compared with
-an earlier frame, tell which trigger it was exposed for. The counter never matches a frame to a trigger: it
-reveals what was lost and where.
+The clock can refuse a frame that arrived a whole period late, exactly when the next was due. Only both together,
+compared with an earlier frame, tell which trigger one was exposed for: a clock may be set by a whole period, and a
+counter skips what the camera missed. Alone, the counter reveals what was lost and where.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 CLOCK_DRIFT = 2e-4
 """Relative drift allowed between two unsynchronised crystals: four times what their makers allow."""
@@ -15,26 +16,34 @@ LARGEST_ID_STEP = 0x7FFF
 """A larger step of the counter is a restart, not a loss."""
 
 
+class Exposure(NamedTuple):
+    """A frame, and a trigger it may have been exposed for."""
+
+    device_ns: int
+    frame_id: int
+    trigger_ns: int  # when the host heard of the trigger
+    ordinal: int  # of the trigger, among those that expose
+
+
 @dataclass(slots=True)
 class ExposureCheck:
     """Compares the time between two exposures on a camera's own clock with that between their triggers."""
 
     tolerance_ns: int
-    _reference: tuple[int, int] | None = None  # device_ns of a frame, received_ns of its trigger
-    _candidate: tuple[int, int] | None = None
+    _reference: Exposure | None = None
+    _candidate: Exposure | None = None
 
-    def belongs(self, device_ns: int, trigger_ns: int, *, is_first_trigger: bool) -> bool:
+    def belongs(self, here: Exposure) -> bool:
         """Whether a frame can have been exposed for this trigger.
 
         Without a trusted frame to compare with, only one of the very first trigger is believed: any
         other may be a predecessor's that came late. It is trusted as soon as a second one agrees.
         After the clock was set anew it takes two agreeing frames as well.
         """
-        if device_ns == 0:  # a camera without a clock
+        if here.device_ns == 0:  # a camera without a clock
             return True
-        here = (device_ns, trigger_ns)
         misfit_ns = None if self._reference is None else self._misfit_ns(self._reference, here)
-        fits = is_first_trigger if misfit_ns is None else misfit_ns == 0
+        fits = here.ordinal == 0 if misfit_ns is None else misfit_ns == 0
         if not fits and self._candidate is not None:
             fits = self._misfit_ns(self._candidate, here) == 0
         if fits:
@@ -43,30 +52,42 @@ class ExposureCheck:
             self._candidate = here
         return fits
 
-    def distance_ns(self, device_ns: int, trigger_ns: int) -> int | None:
-        """How far from a trigger's exposure this frame's was; None when it was not that one, or nobody can tell."""
-        if device_ns == 0 or self._reference is None:
-            return None
-        here = (device_ns, trigger_ns)
+    def proves(self, here: Exposure) -> bool:
+        """Whether clock and counter both say, by a trusted frame, that this one was exposed for this trigger."""
+        reference = self._reference
         return (
-            _disagreement_ns(self._reference, here) if self._misfit_ns(self._reference, here) == 0 else None
+            reference is not None
+            and self._misfit_ns(reference, here) == 0
+            and _is_counted(*sorted((reference, here), key=_ordinal))
         )
 
     def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
         """Whether a trusted frame proves that this one was not exposed for a trigger at that time."""
         if device_ns == 0 or self._reference is None:
             return False
-        return 0 < self._misfit_ns(self._reference, (device_ns, trigger_ns)) <= LATEST_FRAME_NS
+        here = self._reference._replace(device_ns=device_ns, trigger_ns=trigger_ns)
+        return 0 < self._misfit_ns(self._reference, here) <= LATEST_FRAME_NS
 
-    def _misfit_ns(self, earlier: tuple[int, int], later: tuple[int, int]) -> float:
+    def _misfit_ns(self, earlier: Exposure, later: Exposure) -> float:
         """How far the two durations differ beyond what jitter and drift explain; 0 when they agree."""
-        allowed_ns = self.tolerance_ns + CLOCK_DRIFT * abs(later[1] - earlier[1])
-        return max(0.0, _disagreement_ns(earlier, later) - allowed_ns)
+        by_camera_ns, by_triggers_ns = (
+            later.device_ns - earlier.device_ns,
+            later.trigger_ns - earlier.trigger_ns,
+        )
+        allowed_ns = self.tolerance_ns + CLOCK_DRIFT * abs(by_triggers_ns)
+        return max(0.0, abs(by_camera_ns - by_triggers_ns) - allowed_ns)
 
 
-def _disagreement_ns(earlier: tuple[int, int], later: tuple[int, int]) -> int:
-    """How far the time between two frames by their camera's clock is from that between their triggers."""
-    return abs((later[0] - earlier[0]) - (later[1] - earlier[1]))
+def _is_counted(earlier: Exposure, later: Exposure) -> bool:
+    """Whether the camera counted as many exposures from one to the other as there were triggers."""
+    n_triggers = later.ordinal - earlier.ordinal
+    if n_triggers == 0:
+        return earlier.frame_id == later.frame_id
+    return id_step(earlier.frame_id, later.frame_id) == n_triggers
+
+
+def _ordinal(exposure: Exposure) -> int:
+    return exposure.ordinal
 
 
 def id_step(earlier: int, later: int) -> int | None:

@@ -219,8 +219,8 @@ class Processing:
                 self._last_loss = ("", "")
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
                 if turn.collector is not None and drop is not None:
-                    outlines = folder / OUTLINES
-                    await turn.collector.add(drop, record, outlines if outlines.exists() else None)
+                    outlines = folder / OUTLINES if drop.problem is None else None
+                    await turn.collector.add(drop, record, outlines)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
 
@@ -278,6 +278,7 @@ class Processing:
         )
         try:
             drop = await self._pool.run(observe, observing)
-        except JobLostError as err:  # it has its result all the same
-            drop = ObservedDrop(bundle=record["bundle"], problem=str(err))
+        except (JobLostError, RecordingError) as err:  # it has its result all the same
+            problem = err.problem if isinstance(err, RecordingError) else str(err)
+            drop = ObservedDrop(bundle=record["bundle"], problem=problem)
         return _Measured(record, folder, drop)

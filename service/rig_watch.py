@@ -41,7 +41,7 @@ class CameraScore:
     """Of one camera, medians over the latest stones; `None` while too few have been seen."""
 
     tangency_px: float | None = None
-    tangency_drift_px: float | None = None  # against the first stones of this calibration
+    tangency_drift_px: float | None = None  # against the first stones since `restart`
     residual_px: float | None = None
     residual_drift_px: float | None = None
 

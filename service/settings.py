@@ -25,7 +25,7 @@ from service.paths import ConfiguredPath
 from service.recordings import RecordingsSettings
 from service.rig_settings import BACKENDS, RigSettings
 from service.store import KEEP_RAW
-from service.verifications import VerificationParameters
+from service.verification_limits import VerificationParameters
 from service.volume_models import MeasuringSettings
 
 

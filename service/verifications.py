@@ -1,7 +1,6 @@
 """Verifications while measuring: balls of a known diameter fall, and are measured as stones are.
 
-What is judged is the whole chain with the calibration in use: the mean error of the diameter, its scatter, and the
-vertical against the horizontal diameter, which differ when a ball moves too far while it is exposed.
+What they are judged by is in `service.verification_limits`.
 """
 
 import asyncio
@@ -12,7 +11,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
-from statistics import fmean, stdev
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -24,6 +22,7 @@ from service.calibration_files import CALIBRATION_NAME, read_document
 from service.drop_files import ObservedDrop
 from service.processing import DropCollector
 from service.store import utc_now
+from service.verification_limits import Summary, VerificationParameters, VerifiedBall, summarize
 
 log = logging.getLogger(__name__)
 
@@ -38,67 +37,6 @@ class VerificationState(StrEnum):
     PASSED = "passed"
     FAILED = "failed"
     CANCELLED = "cancelled"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VerificationParameters:
-    """How often a rig is verified, and what a good one keeps: 0.1 mm of 15 mm are 2 % of a stone's volume."""
-
-    every_h: float = 0.0  # it is overdue so long after the last one; 0: never
-    error_mm: float = 0.10  # of the mean of the equivalent diameter
-    sd_mm: float = 0.05
-    vertical_minus_horizontal_mm: float = 0.05  # 20 us of exposure
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("every_h", 0.0, 10_000.0),
-            ("error_mm", 1e-3, 10.0),
-            ("sd_mm", 1e-3, 10.0),
-            ("vertical_minus_horizontal_mm", 1e-3, 10.0),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} must be in {low:g}..{high:g}, not {getattr(self, name):g}")
-
-    def problems(self, balls: "tuple[VerifiedBall, ...]", diameter_mm: float) -> list[str]:
-        """What is out of bounds, with the remedy."""
-        summary = summarize(balls, diameter_mm)
-        found = []
-        if abs(summary.error_mm) > self.error_mm:
-            found.append(
-                f"the diameter is {summary.error_mm:+.3f} mm off on average, {self.error_mm:g} is the limit:"
-                " is it the right ball? then calibrate anew"
-            )
-        if summary.sd_mm > self.sd_mm:
-            found.append(
-                f"the diameter scatters by {summary.sd_mm:.3f} mm, {self.sd_mm:g} is the limit:"
-                " look at views that were dropped, at the light and at dust"
-            )
-        uneven_mm = summary.vertical_minus_horizontal_mm
-        if uneven_mm is not None and abs(uneven_mm) > self.vertical_minus_horizontal_mm:
-            found.append(
-                f"the vertical diameter is {uneven_mm:+.3f} mm against the horizontal,"
-                f" {self.vertical_minus_horizontal_mm:g} is the limit: expose for less, or calibrate anew"
-            )
-        return found
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VerifiedBall:
-    """One ball as it was measured."""
-
-    bundle: str
-    equivalent_diameter_mm: float | None  # None: rejected, see `detail`
-    vertical_minus_horizontal_mm: float | None
-    detail: str | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
-    """Over the balls that were measured."""
-
-    error_mm: float  # mean of the equivalent diameters minus the true one
-    sd_mm: float
-    vertical_minus_horizontal_mm: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,17 +82,6 @@ class VerificationPlan:
             raise ValueError(f"count must be in 2..100, not {self.count}")
 
 
-def summarize(balls: tuple[VerifiedBall, ...], diameter_mm: float) -> Summary:
-    """Mean error and scatter of balls that were measured, at least one."""
-    diameters_mm = [each for ball in balls if (each := ball.equivalent_diameter_mm) is not None]
-    uneven_mm = [each for ball in balls if (each := ball.vertical_minus_horizontal_mm) is not None]
-    return Summary(
-        error_mm=fmean(diameters_mm) - diameter_mm,
-        sd_mm=stdev(diameters_mm) if len(diameters_mm) > 1 else 0.0,
-        vertical_minus_horizontal_mm=fmean(uneven_mm) if uneven_mm else None,
-    )
-
-
 def open_verifications(folder: Path, parameters: VerificationParameters) -> "Verifications":
     """Read what was verified; one that was under way when the daemon ended is cancelled. Blocks."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -185,6 +112,7 @@ class Verifications:
         self._known = known
         self._parameters = parameters
         self._adapter = TypeAdapter(Verification)
+        self._writing = asyncio.Lock()
         self._touched_s = time.monotonic()
 
     @property
@@ -294,7 +222,8 @@ class Verifications:
     async def _keep(self, verification: Verification) -> None:
         self._known[verification.id] = verification
         document = self._adapter.dump_python(verification, mode="json")
-        await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
+        async with self._writing:  # a ball may come in while somebody cancels
+            await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
 
 
 def _cancelled(verification: Verification, why: str) -> Verification:

@@ -60,7 +60,7 @@ def read_volume_model(path: Path) -> VolumeModel:
         value = document.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise VolumeModelError(f"{path}: {name}: must be a number, not {value!r}")
-        shares[name] = float(value)
+        shares[name] = value
     if not isinstance(document.get("id"), str):
         raise VolumeModelError(f"{path}: id: must be a text, not {document.get('id')!r}")
     try:

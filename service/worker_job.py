@@ -26,11 +26,8 @@ from pipeline.segmentation import BackgroundModel, Segmenter
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.background import learn_background as learn
 from pipeline.segmentation.subtraction import BackgroundSegmenter
+from service.errors import WorkerFailure
 from service.record import result_record
-
-
-class WorkerFailure(Exception):  # noqa: N818 - a bug or a broken environment, with its traceback as text
-    """A job ended with an exception that says nothing about the stone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,20 +106,25 @@ _worker: Worker | None = None
 
 
 def initialize(context: WorkerContext) -> None:
-    """Prepare this process; frames come first, so workers yield the processor to the daemon.
+    """Prepare this process.
 
     Ends with a first measurement, which also builds the tables that all later ones share.
     """
     global _worker
-    os.nice(10)
-    # N processes with M library threads each would only stall one another
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
+    step_back()
     _worker = Worker(
         context=context,
         segmenter=build_segmenter(context.segmenter, context.parameters),
     )
     measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
+
+
+def step_back(context: None = None) -> None:
+    """Frames come first: this process yields the processor to the daemon, and uses one core."""
+    os.nice(10)
+    # N processes with M library threads each would only stall one another
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
 
 
 def this_worker() -> Worker:

@@ -19,8 +19,7 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from service.errors import ServiceError
-from service.worker_job import WorkerFailure
+from service.errors import ServiceError, WorkerFailure
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -78,12 +77,8 @@ class WorkerPool:
         for slot in self._slots:
             self._idle.put_nowait(slot)
 
-    async def run(
-        self, function: Callable[[Job], Result], job: Job, deadline_s: float | None = None
-    ) -> Result:
+    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
         """Return `function(job)`, computed in the first idle slot; a `WorkerFailure` counts as a crash.
-
-        `deadline_s` is that of a job which takes longer than a bundle may.
 
         Raises
         ------
@@ -92,16 +87,15 @@ class WorkerPool:
         WorkerStartError
             The slot could not be rebuilt.
         """
-        deadline_s = deadline_s or self._deadline_s
         slot = await self._idle.get()
         try:
             try:
-                return await slot.run(function, job, deadline_s)
+                return await slot.run(function, job, self._deadline_s)
             except JobLostError as err:
                 log.warning("%s; retrying in a fresh worker", err)
             await self._rebuild(slot)
             try:
-                return await slot.run(function, job, deadline_s)
+                return await slot.run(function, job, self._deadline_s)
             except JobLostError:
                 await self._rebuild(slot)
                 raise
@@ -120,6 +114,26 @@ class WorkerPool:
             slot.kill()
         for process in processes:  # their folder is about to be removed
             wait([process.sentinel], timeout=CLOSE_DEADLINE_S)
+
+
+async def run_apart(
+    function: Callable[[Job], Result], job: Job, *, deadline_s: float, initialize: Callable[[Any], None]
+) -> Result:
+    """Return `function(job)`, computed in a process made for it: bundles do not wait for what takes long.
+
+    Raises
+    ------
+    JobLostError
+        It failed twice.
+    WorkerStartError
+        The process does not start.
+    """
+    pool = WorkerPool(slots=1, deadline_s=deadline_s, initialize=initialize, context=None)
+    try:
+        await pool.start()
+        return await pool.run(function, job)
+    finally:
+        pool.close()
 
 
 class _Slot:

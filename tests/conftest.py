@@ -3,12 +3,16 @@
 import asyncio
 import functools
 import inspect
+import os
 import threading
 import time
 from collections.abc import Generator, Iterator
 
 import hypothesis
 import pytest
+
+# as systemd/stonefall.service has it; before NumPy is imported: its threads only spin on matrices as small as ours
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 hypothesis.settings.register_profile(
     "gate", deadline=None, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration.bundle_adjustment import (
-    N_CAMERA,
     Noise,
     Solution,
     Tolerances,
@@ -19,11 +18,9 @@ from pipeline.calibration.bundle_adjustment import (
     solve,
     triangulated,
 )
-from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.robust import Adjusted
-from pipeline.calibration.sphere_image import Sightings, sightings_of, view_offsets_px
+from pipeline.calibration.sphere_image import Sightings, view_offsets_px
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
 
 Array = NDArray[np.float64]
 
@@ -61,19 +58,6 @@ def held_out_px(adjusted: Adjusted, tolerances: Tolerances) -> float | None:
         offsets_px = located_offsets_px(fitted, held)
         squares.append((offsets_px**2).sum(axis=1))
     return float(np.sqrt(np.concatenate(squares).mean()))
-
-
-def held_against(rig: RigCalibration, drops: Sequence[BallDrop], edge_px: float = 0.0) -> float:
-    """Rms distance in px of the centres of drops, each of at least two views, from where this rig has them."""
-    sightings = sightings_of(drops, rig.camera_ids)
-    solution = Solution(
-        initial=rig.cameras,
-        parameters=np.zeros((len(rig.cameras), N_CAMERA)),
-        centers_mm=np.zeros((0, 3)),
-        edge_px=edge_px,
-    )
-    offsets_px = located_offsets_px(solution, sightings)
-    return float(np.sqrt((offsets_px**2).sum(axis=1).mean()))
 
 
 def rms_by_camera(

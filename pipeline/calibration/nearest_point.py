@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 def nearest_point(origins_mm: Array, directions: Array) -> Array:
     """(3,) the point of least sum of squared distances to rays from (N, 3) along unit directions (N, 3), N >= 2.
 
-    p = [sum (I - d d^T)]^-1 sum (I - d d^T) c
+    p = [sum (I - d d^T)]^-1 sum (I - d d^T) c; of parallel rays that of these points that is nearest to the origin.
     """
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    return np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, origins_mm))
+    return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origins_mm))[0]

@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
-from pipeline.segmentation.silhouette import Silhouette
+from pipeline.segmentation.silhouette import Silhouette, is_beside_gap
 
 Array = NDArray[np.float64]
 Outlines = Mapping[CameraId, Array]
 
 ALARM_PX = 0.3
 """Score from which a camera is said to have moved, three times that of a healthy one."""
-GAP_PX = 4.0
-"""Neighbouring points of an outline are closer; further apart, the edge between them was not seen."""
 MAX_SLOPE = 5.0
 """Of a touching plane against the one through the body's middle; beyond it the baseline (nearly) pierces the
 silhouette, and a plane through it has nothing to touch."""
@@ -83,14 +81,9 @@ def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
     for camera in views:
         outline = outlines[camera.id]
         on_hull = cv2.convexHull(outline.astype(np.float32), returnPoints=False)[:, 0]
-        points = outline[on_hull]
-        gap_px = np.maximum(
-            np.linalg.norm(outline[(on_hull + 1) % len(outline)] - points, axis=1),
-            np.linalg.norm(outline[on_hull - 1] - points, axis=1),
-        )
-        directions = camera.rays(points) @ camera.R.T
+        directions = camera.rays(outline[on_hull]) @ camera.R.T
         corners.append(directions / directions[:, 2:])
-        trusted.append(gap_px < GAP_PX)
+        trusted.append(~is_beside_gap(outline)[on_hull])
     longest = max((len(points) for points in corners), default=1)
     rays = np.empty((len(views), longest, 3))
     is_trusted = np.empty((len(views), longest), bool)

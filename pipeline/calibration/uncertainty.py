@@ -37,6 +37,7 @@ BALL_TOLERANCE_MM = 0.001
 HALF_LENGTH_MM = 10.0
 """Lengths whose uncertainty is predicted reach so far to both sides of the origin."""
 MARK_PX = 20.0
+"""Radius of the round marks at their ends; without noise any size gives the same."""
 
 
 def covariance(

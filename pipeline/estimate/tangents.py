@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
+from pipeline.segmentation.silhouette import is_beside_gap
 
 Array = NDArray[np.float64]
 
@@ -26,8 +27,6 @@ SLACK_MM = 0.004
 a ray would otherwise cut it anywhere, by the noise of the outlines."""
 MAX_OVERLAP_MM = 0.3
 """A ray that the planes leave less than minus this much of misses the body: its view is at odds with others."""
-MAX_STEP_PX = 3.0
-"""Longest step between neighbours on an outline that has no gap between them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +93,7 @@ def _tangents_of_view(view: View, center_mm: Array) -> tuple[Array, Array, Array
     flat = rays[:, :2] / rays[:, 2:]
     heights = flat @ outwards.T
     best = heights.argmax(axis=0)
-    known = ~_is_beside_gap(outline_uv)[candidates][best]
+    known = ~is_beside_gap(outline_uv)[candidates][best]
     best, outwards, heights = best[known], outwards[known], heights.max(axis=0)[known]
 
     normals = np.column_stack([outwards, -heights])
@@ -103,13 +102,6 @@ def _tangents_of_view(view: View, center_mm: Array) -> tuple[Array, Array, Array
     eye_mm = camera.center_mm - center_mm
     points_mm = eye_mm - (directions @ eye_mm)[:, None] * directions
     return normals, normals @ eye_mm, points_mm, directions
-
-
-def _is_beside_gap(outline_uv: Array) -> NDArray[np.bool_]:
-    """Points (N,) from which the outline goes on unseen: the body may reach further there."""
-    step_px = np.abs(outline_uv - np.roll(outline_uv, 1, axis=0)).max(axis=1)
-    before = step_px > MAX_STEP_PX
-    return before | np.roll(before, -1)
 
 
 def segments_mm(

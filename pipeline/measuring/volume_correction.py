@@ -28,9 +28,9 @@ class VolumeModel:
         if not self.id:
             raise ValueError("id must not be empty")
         if not 0 <= self.gap_share <= 3:
-            raise ValueError(f"gap_share must be in 0..3, not {self.gap_share:g}")
+            raise ValueError(f"gap_share must be in 0..3, not {self.gap_share}")
         if not -0.2 <= self.hidden_share <= 0.5:
-            raise ValueError(f"hidden_share must be in -0.2..0.5, not {self.hidden_share:g}")
+            raise ValueError(f"hidden_share must be in -0.2..0.5, not {self.hidden_share}")
 
     def volume_mm3(self, hull_mm3: float, estimate_mm3: float) -> float:
         """The volume, never more than the hull's."""

@@ -13,6 +13,9 @@ OUTSIDE, UNKNOWN, INSIDE = np.uint8(0), np.uint8(128), np.uint8(255)
 MARGIN_PX = 40
 """Width of the known surroundings of a silhouette; further out, all is outside by at least this much."""
 
+MAX_STEP_PX = 3.0
+"""Neighbouring points of an outline are closer; further apart, the edge between them was not seen."""
+
 
 class ViewStatus(StrEnum):
     """What a view shows."""
@@ -54,6 +57,12 @@ class Silhouette:
         height, width = self.labels.shape
         image[v : v + height, u : u + width] = self.labels
         return image
+
+
+def is_beside_gap(outline_uv: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Points (N,) of an outline (N, 2) from which the edge goes on unseen: the body may reach further there."""
+    before = np.linalg.norm(outline_uv - np.roll(outline_uv, 1, axis=0), axis=1) > MAX_STEP_PX
+    return before | np.roll(before, -1)
 
 
 SilhouetteSet = dict[CameraId, Silhouette]

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 Field = Callable[[Array, np.random.Generator], Array]
 """Values (N,) at points (N, 3) within the cube from -1 to 1, about a distance to the surface."""
 
-N_GRID = 112
-"""Samples an edge of the cube: facets of 0.02 radii."""
+N_GRID = 80
+"""Samples an edge of the cube: facets of 0.025 of its half edge."""
 HURST = 0.8
 """Heights of a fracture surface grow with this power of the distance (Bouchaud, Lapasset and Planes 1990)."""
 ROUGHNESS = 0.03

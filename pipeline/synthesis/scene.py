@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pipeline.calibration import BallDrop, observe_ball
+from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import FrameBundle
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
@@ -61,39 +63,37 @@ def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RigError:
+class RigDifference:
     """How a calibrated rig differs from the true one: x_true = R @ x + t, and what is left of the distances."""
 
     R: Array  # (3, 3)
     t_mm: Array  # (3,)
     rms_mm: float  # of points within +-12 mm, after the rigid motion
-    scale_percent: float  # of lengths
+    scale_percent: float  # of lengths, on average
+    length_percent: float  # greatest relative error of a length, over all directions
 
 
-def rig_error(rig: RigCalibration, true_rig: RigCalibration) -> RigError:
+def rig_error(rig: RigCalibration, true_rig: RigCalibration) -> RigDifference:
     """Points in the measuring volume as `true_rig` images them and `rig` finds them again.
 
-    Found where their rays pass nearest, [sum (I - d d^T)]^-1 sum (I - d d^T) c, and brought back by least
-    squares (Kabsch 1976). A calibration has no absolute place, and particles do not feel it.
+    Found where their rays pass nearest, and brought back by least squares (Kabsch 1976): a calibration has no
+    absolute place, and particles do not feel it.
     """
     axis_mm = np.linspace(-COMPARED_MM, COMPARED_MM, 5)
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)
-    normal, moment_mm = np.zeros((len(points_mm), 3, 3)), np.zeros((len(points_mm), 3))
-    for camera, true_camera in zip(rig.cameras, true_rig.cameras, strict=True):
-        rays = camera.rays(true_camera.project(points_mm)[0])
-        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-        normal += across
-        moment_mm += across @ camera.center_mm
-    found_mm = np.linalg.solve(normal, moment_mm[..., None])[..., 0]
+    cameras = zip(rig.cameras, true_rig.cameras, strict=True)
+    rays = np.stack([camera.rays(true.project(points_mm)[0]) for camera, true in cameras], axis=1)
+    origins_mm = np.array([camera.center_mm for camera in rig.cameras])
+    found_mm = np.array([nearest_point(origins_mm, directions) for directions in rays])
     middle_mm = found_mm.mean(axis=0)
-    U, _, Vt = np.linalg.svd((found_mm - middle_mm).T @ points_mm)
-    R = Vt.T @ np.diag([1, 1, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    R = Rotation.align_vectors(points_mm, found_mm - middle_mm)[0].as_matrix()
     t_mm = -R @ middle_mm  # the points' own mean is the origin
-    scale = float(np.sqrt(((found_mm - middle_mm) ** 2).sum() / (points_mm**2).sum()))
-    left_mm = found_mm @ R.T + t_mm - points_mm
-    return RigError(
+    back_mm = found_mm @ R.T + t_mm
+    strain = np.linalg.lstsq(points_mm, back_mm)[0] - np.eye(3)
+    return RigDifference(
         R=R,
         t_mm=t_mm,
-        rms_mm=float(np.sqrt((left_mm**2).sum(axis=1).mean())),
-        scale_percent=100 * (scale - 1),
+        rms_mm=float(np.sqrt(((back_mm - points_mm) ** 2).sum(axis=1).mean())),
+        scale_percent=100 * (float(np.linalg.norm(back_mm) / np.linalg.norm(points_mm)) - 1),
+        length_percent=100 * float(np.abs(np.linalg.eigvalsh((strain + strain.T) / 2)).max()),
     )

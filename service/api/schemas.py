@@ -207,13 +207,13 @@ class Camera(BaseModel):
         description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved"
     )
     tangency_drift_px: float | None = Field(
-        description="The same against the first stones of this calibration"
+        description="The same against the first 20 stones since the start, or since this calibration was activated"
     )
     residual_px: float | None = Field(
         description="By how much its outlines leave the hull of the other views, median of the latest 20 stones"
     )
     residual_drift_px: float | None = Field(
-        description="The same against the first stones of this calibration"
+        description="The same against the first 20 stones since the start, or since this calibration was activated"
     )
     warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 

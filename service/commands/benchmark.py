@@ -225,6 +225,8 @@ def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:
             names.append(name)
         else:
             body = _body_from_file(name, [*STANDARDS, *groups, *STONE_FORMS, *IRREGULAR_FORMS])
+            if body.name in own_bodies:
+                raise UsageError(f"{name}: another mesh file is named {body.name} too; rename one of them")
             own_bodies[body.name] = body
             names.append(body.name)
     if not names:

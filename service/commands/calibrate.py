@@ -4,19 +4,20 @@ import json
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from threadpoolctl import threadpool_limits
 
 from drivers.errors import RecordingError
 from drivers.recording import (
@@ -39,8 +40,9 @@ from pipeline.calibration import (
 )
 from pipeline.calibration.ball_sizes import with_diameters
 from pipeline.calibration.coverage import Coverage, coverage
-from pipeline.frames import BundleKind
-from pipeline.segmentation import BackgroundModel
+from pipeline.calibration.tangency import Outlines, outlines_of
+from pipeline.frames import BundleKind, FrameBundle
+from pipeline.segmentation import BackgroundModel, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.commands.calibrate_stones import calibrate_from_stones
@@ -48,6 +50,8 @@ from service.errors import UsageError
 
 DIAMETERS_MM = (1.0, 45.0)
 """What is fully in view."""
+
+Seen = TypeVar("Seen")
 
 
 class Method(StrEnum):
@@ -88,18 +92,32 @@ def command(
     Drops are the recording's bundles of kind `ball`; if it has none, all that do not show the empty rig.
     """
     diameters_mm = _distinct_diameters_mm(ball_diameter_mm or [])
+    if method is Method.STONES and diameters_mm:
+        raise typer.BadParameter(
+            "stones do not show the scale; leave it out", param_hint="--ball-diameter-mm"
+        )
     if out.is_dir():
         raise UsageError(f"--out {out} is a folder; name a rig file")
+    threadpool_limits(1)  # many threads on matrices as small as these only wait for one another
     source = open_recording(recording)
     start = read_rig(initial)
     require_rig_of(source, start, initial)
     unreadable = [str(error) for error in source.unreadable]
-    background = _learn_background(source, unreadable)
+    background, segmenter = _learn_background(source, unreadable), BackgroundSegmenter()
     if method is Method.STONES:
-        calibrate_from_stones(source, background, start, out, force=force, workers=workers, as_json=as_json)
+
+        def outlines(bundle: FrameBundle) -> Outlines:
+            return outlines_of(segment_all(bundle.frames, background, segmenter))
+
+        stones = _observed(source, _fallen(source), outlines, workers, unreadable)
+        calibrate_from_stones(stones, unreadable, start, out, force=force, as_json=as_json)
         return
+
+    def ball(bundle: FrameBundle) -> BallDrop:
+        return observe_ball(bundle, background, segmenter, None)
+
+    drops = _observed(source, _balls(source), ball, workers, unreadable)
     try:
-        drops = _observe_drops(source, background, workers, unreadable)
         report = calibrate(
             with_diameters(drops, start, diameters_mm),
             start,
@@ -155,29 +173,42 @@ def _learn_background(source: Recording, unreadable: list[str]) -> BackgroundMod
     return model
 
 
-def _observe_drops(
-    source: Recording, background: BackgroundModel, workers: int, unreadable: list[str]
-) -> list[BallDrop]:
-    """The balls in order of their drops, whatever the number of workers; damaged bundles go to `unreadable`."""
-    headers = playback_order(source)
-    balls = [header for header in headers if header.kind is BundleKind.BALL]
-    balls = balls or [header for header in headers if header.kind is not BundleKind.BACKGROUND]
-    segmenter = BackgroundSegmenter()
+def _balls(source: Recording) -> list[BundleHeader]:
+    """The drops of the calibration ball; all that fell if the recording names none."""
+    fell = _fallen(source)
+    return [header for header in fell if header.kind is BundleKind.BALL] or fell
 
-    def observe(header: BundleHeader) -> BallDrop | str:
+
+def _fallen(source: Recording) -> list[BundleHeader]:
+    return [header for header in playback_order(source) if header.kind is not BundleKind.BACKGROUND]
+
+
+def _observed(
+    source: Recording,
+    headers: Sequence[BundleHeader],
+    look: Callable[[FrameBundle], Seen],
+    workers: int,
+    unreadable: list[str],
+) -> list[Seen]:
+    """What `look` sees in the bundles, in their order whatever the number of workers.
+
+    Damaged bundles go to `unreadable`.
+    """
+
+    def observe(header: BundleHeader) -> Seen | RecordingError:
         try:
             bundle = read_bundle(header.path, source.camera_ids)
         except RecordingError as err:
-            return str(err)
-        return observe_ball(bundle, background, segmenter, None)
+            return err
+        return look(bundle)
 
     # threads: nearly all of it is spent in OpenCV and NumPy, which let others run
     with ThreadPoolExecutor(workers) as pool:
-        observed = list(
-            track(pool.map(observe, balls), "observing", total=len(balls), console=Console(file=sys.stderr))
-        )
-    unreadable += [problem for problem in observed if isinstance(problem, str)]
-    return [drop for drop in observed if isinstance(drop, BallDrop)]
+        seen = pool.map(observe, headers)
+        console = Console(file=sys.stderr)
+        observed = list(track(seen, "observing", total=len(headers), console=console))
+    unreadable += [str(each) for each in observed if isinstance(each, RecordingError)]
+    return [each for each in observed if not isinstance(each, RecordingError)]
 
 
 # --- what people read ---

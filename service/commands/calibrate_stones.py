@@ -1,41 +1,32 @@
 """`stonefall calibrate --method stones`: where the cameras are now, from a recording of any stones."""
 
 import json
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
 import typer
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from drivers.errors import RecordingError
-from drivers.recording import BundleHeader, Recording, playback_order, read_bundle
 from drivers.rig_file import write_rig
 from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
-from pipeline.calibration.tangency import ALARM_PX, Outlines, outlines_of
-from pipeline.frames import BundleKind
+from pipeline.calibration.tangency import ALARM_PX, Outlines
 from pipeline.rig import RigCalibration, rig_to_document
-from pipeline.segmentation import BackgroundModel, segment_all
-from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.errors import UsageError
 
 
 def calibrate_from_stones(
-    source: Recording,
-    background: BackgroundModel,
+    stones: Sequence[Outlines],
+    unreadable: Sequence[str],
     initial: RigCalibration,
     out: Path,
     *,
     force: bool,
-    workers: int,
     as_json: bool,
 ) -> None:
-    """Solve for the cameras that the stones of a recording contradict, report, and write the rig.
+    """Solve for the cameras that the stones contradict, report, and write the rig.
 
     Raises
     ------
@@ -44,7 +35,6 @@ def calibrate_from_stones(
     UsageError
         The cameras still contradict one another, and the rig is not forced.
     """
-    stones, unreadable = _observe_stones(source, background, workers)
     created_at = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     found = recalibrate(stones, initial, created_at=created_at, name=out.stem)
     if as_json:
@@ -58,32 +48,6 @@ def calibrate_from_stones(
         )
     out.parent.mkdir(parents=True, exist_ok=True)
     write_rig(out, found.rig)
-
-
-def _observe_stones(
-    source: Recording, background: BackgroundModel, workers: int
-) -> tuple[list[Outlines], list[str]]:
-    """The outlines of all that fell, in order, and what is damaged."""
-    segmenter = BackgroundSegmenter()
-
-    def observe(header: BundleHeader) -> Outlines | str:
-        try:
-            bundle = read_bundle(header.path, source.camera_ids)
-        except RecordingError as err:
-            return str(err)
-        return outlines_of(segment_all(bundle.frames, background, segmenter))
-
-    stones: list[Outlines] = []
-    unreadable = [str(error) for error in source.unreadable]
-    headers = [header for header in playback_order(source) if header.kind is not BundleKind.BACKGROUND]
-    with ThreadPoolExecutor(workers) as pool:
-        observed = pool.map(observe, headers)
-        for stone in track(observed, "observing", total=len(headers), console=Console(file=sys.stderr)):
-            if isinstance(stone, str):
-                unreadable.append(stone)
-            else:
-                stones.append(stone)
-    return stones, unreadable
 
 
 def _document(found: StoneCalibration, unreadable: Sequence[str]) -> dict[str, object]:

@@ -2,22 +2,17 @@
 
 import json
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Mapping
-from http.client import HTTPException
 from typing import Annotated, Any
-from urllib.parse import urlsplit
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from service.calibration_states import OPEN, CalibrationState
-from service.errors import ServiceError
+from service.rest_client import DaemonError, ask
 from service.verifications import VerificationState
 
-ANSWER_S = 30.0
 FOLLOW_S = 1.0
 DEFAULT_URL = "http://127.0.0.1:8080"
 
@@ -36,10 +31,6 @@ Key = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer.")]
 Name = Annotated[str, typer.Argument(metavar="ID", help="Which calibration, as `list` shows it.")]
 By = Annotated[str | None, typer.Option(help="Who decides; it is kept.")]
-
-
-class DaemonError(ServiceError):
-    """The daemon cannot be reached, or refuses what was asked for."""
 
 
 @command.command()
@@ -191,42 +182,6 @@ def list_all(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -
             each["detail"] or each["note"] or "",
         )
     Console().print(table)
-
-
-def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the daemon's answer; with a `body` it is asked to do something.
-
-    Raises
-    ------
-    DaemonError
-        It does not answer, or refuses; in its own words.
-    """
-    if urlsplit(url).scheme not in ("http", "https"):
-        raise DaemonError(f"--url {url}: begin with http:// or https://")
-    headers = {"Accept": "application/json"}
-    data = None
-    if body is not None:
-        headers["Content-Type"] = "application/json"
-        data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
-    if key is not None:
-        headers["Authorization"] = f"Bearer {key}"
-    request = urllib.request.Request(f"{url.rstrip('/')}/api/v1{path}", data, headers)  # noqa: S310 - see above
-    try:
-        with urllib.request.urlopen(request, timeout=ANSWER_S) as answer:  # noqa: S310 - as above
-            return dict(json.load(answer))
-    except urllib.error.HTTPError as err:
-        with err:
-            raise DaemonError(_refusal(err)) from None
-    except (OSError, HTTPException, ValueError) as err:
-        reason = getattr(err, "reason", err)
-        raise DaemonError(f"no answer from {url}: {reason}: does the daemon run there?") from None
-
-
-def _refusal(error: urllib.error.HTTPError) -> str:
-    try:
-        return f"refused: {json.load(error)['detail']}"
-    except (ValueError, KeyError, TypeError):
-        return f"refused: {error.code} {error.reason}"
 
 
 def _act(url: str, key: str | None, name: str, action: str, by: str | None, as_json: bool) -> None:

@@ -1,6 +1,7 @@
 """`stonefall fit-volume`: the volume's correction from stones that were measured and weighed."""
 
 import csv
+import io
 import json
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +12,9 @@ import typer
 from pipeline.measuring.volume_correction import fit_volume_model
 from service.errors import VolumeModelError
 from service.volume_models import write_volume_model
+
+MAX_VOLUME_MM3 = 1e6
+"""Of a cube of 100 mm: more than the cameras see."""
 
 
 def command(
@@ -31,9 +35,8 @@ def command(
             f"{weighed}: {results} has no measured bundle {', '.join(unknown[:3])};"
             " remove these lines or name the results of the same stones"
         )
-    stones = [measured[bundle] for bundle in masses_g]
-    hull_mm3 = [stone["volume_raw_mm3"] for stone in stones]
-    estimate_mm3 = [stone["volume_estimate_mm3"] for stone in stones]
+    hull_mm3 = [measured[bundle][0] for bundle in masses_g]
+    estimate_mm3 = [measured[bundle][1] for bundle in masses_g]
     true_mm3 = [1000 * mass_g / density_g_cm3 for mass_g in masses_g.values()]
     try:
         model = fit_volume_model(out.stem, hull_mm3, estimate_mm3, true_mm3)
@@ -42,7 +45,7 @@ def command(
     fitted_mm3 = [model.volume_mm3(*volumes) for volumes in zip(hull_mm3, estimate_mm3, strict=True)]
     rms_percent = 100 * float(np.sqrt(np.mean((np.array(fitted_mm3) / true_mm3 - 1) ** 2)))
     summary: dict[str, float | int | str] = {
-        "n_stones": len(stones),
+        "n_stones": len(masses_g),
         "density_g_cm3": density_g_cm3,
         "rms_percent": round(rms_percent, 3),
     }
@@ -53,45 +56,59 @@ def command(
     else:
         typer.echo(
             f"{out}: gap_share {model.gap_share:.3f}, hidden_share {100 * model.hidden_share:.2f} %;"
-            f" {len(stones)} stones fit within {rms_percent:.2f} % rms"
+            f" {len(masses_g)} stones fit within {rms_percent:.2f} % rms"
         )
 
 
-def _measured(path: Path) -> dict[str, dict[str, Any]]:
-    """Records of measured stones by bundle, those that a correction can be fitted to."""
-    records: dict[str, dict[str, Any]] = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+def _measured(path: Path) -> dict[str, tuple[float, float]]:
+    """Volumes of hull and estimate, in mm3, of the measured stones by bundle."""
+    volumes_mm3: dict[str, tuple[float, float]] = {}
+    for number, line in enumerate(_text(path).splitlines(), start=1):
+        where = f"{path}: line {number}"
         try:
             record = json.loads(line)
-            bundle, is_measured = record["bundle"], record["outcome"] == "measured"
-            if is_measured and "volume_estimate_mm3" not in record:
-                raise VolumeModelError(
-                    f"{path}: line {number}: has no volume_estimate_mm3; measure the recording again"
-                )
+            bundle, is_measured = str(record["bundle"]), record["outcome"] == "measured"
         except (ValueError, LookupError, TypeError) as err:
-            raise VolumeModelError(f"{path}: line {number}: is no result of stonefall measure") from err
+            raise VolumeModelError(f"{where}: is no result of stonefall measure") from err
         if is_measured:
-            records[bundle] = record
-    return records
+            volumes_mm3[bundle] = (
+                _volume_mm3(record, "volume_raw_mm3", where),
+                _volume_mm3(record, "volume_estimate_mm3", where),
+            )
+    return volumes_mm3
+
+
+def _volume_mm3(record: dict[str, Any], field: str, where: str) -> float:
+    volume_mm3 = record.get(field)
+    if isinstance(volume_mm3, int | float) and 0 < volume_mm3 < MAX_VOLUME_MM3:
+        return float(volume_mm3)
+    raise VolumeModelError(f"{where}: has no {field}; measure the recording again")
 
 
 def _masses_g(path: Path) -> dict[str, float]:
     """Masses by bundle, in the order of the file."""
     masses_g: dict[str, float] = {}
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.DictReader(file)
-        if not {"bundle", "mass_g"} <= set(rows.fieldnames or ()):
-            raise VolumeModelError(f"{path}: the first line must name the columns bundle and mass_g")
-        for row in rows:
-            try:
-                mass_g = float(row["mass_g"])
-            except (TypeError, ValueError):
-                mass_g = float("nan")
-            if not 0 < mass_g < 1e6:
-                raise VolumeModelError(
-                    f"{path}: line {rows.line_num}: mass_g must be a positive number, not {row['mass_g']!r}"
-                )
-            if row["bundle"] in masses_g:
-                raise VolumeModelError(f"{path}: line {rows.line_num}: {row['bundle']} was weighed before")
-            masses_g[row["bundle"]] = mass_g
+    rows = csv.DictReader(io.StringIO(_text(path), newline=""))
+    if not {"bundle", "mass_g"} <= set(rows.fieldnames or ()):
+        raise VolumeModelError(f"{path}: the first line must name the columns bundle and mass_g")
+    for row in rows:
+        bundle = row["bundle"] or ""
+        try:
+            mass_g = float(row["mass_g"])
+        except (TypeError, ValueError):
+            mass_g = float("nan")
+        if not 0 < mass_g < 1e6:
+            raise VolumeModelError(
+                f"{path}: line {rows.line_num}: mass_g must be a positive number, not {row['mass_g']!r}"
+            )
+        if bundle in masses_g:
+            raise VolumeModelError(f"{path}: line {rows.line_num}: {bundle} was weighed before")
+        masses_g[bundle] = mass_g
     return masses_g
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as err:
+        raise VolumeModelError(f"{path}: is not written in UTF-8; save it again as such") from err

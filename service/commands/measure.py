@@ -68,7 +68,7 @@ def command(
     config: Annotated[Path | None, typer.Option(help="Take the parameters of this configuration.")] = None,
     field: Annotated[Field | None, typer.Option(help="view_count is the paper's field.")] = None,
     body: Annotated[
-        BodyName | None, typer.Option(help="What mesh and shape describe; default: estimate.")
+        BodyName | None, typer.Option(help="What mesh and shape describe; as configured, else the estimate.")
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
     save_silhouettes: Annotated[bool, typer.Option("--save-silhouettes")] = False,

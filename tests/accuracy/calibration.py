@@ -22,36 +22,32 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from pipeline.calibration import BallDrop, CalibrationReport, calibrate, observe_ball
-from pipeline.calibration.held_out import held_against
-from pipeline.calibration.nearest_point import nearest_point
+from pipeline.calibration.bundle_adjustment import N_CAMERA, Solution
+from pipeline.calibration.held_out import located_offsets_px
 from pipeline.calibration.paper import ball_points_mm, residuals_px
-from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.calibration.sphere_image import sightings_of
+from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig import RigCalibration
-from pipeline.rig_design import as_built, nominal_rig
-from pipeline.segmentation import BackgroundModel
-from pipeline.segmentation.background import learn_background
+from pipeline.rig_design import nominal_rig
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import ball
-from pipeline.synthesis.bundles import render_bundle, render_empty, stream
-from pipeline.synthesis.placement import drop_across
-from pipeline.synthesis.renderer import PlacedBody, simulate_rig
-
-Array = NDArray[np.float64]
+from pipeline.synthesis.bundles import stream
+from pipeline.synthesis.renderer import PlacedBody
+from pipeline.synthesis.scene import BALL, build_scene, drop_ball, rig_error
 
 N_DROPS = 20
-N_HELD_OUT = 4
+N_HELD_OUT = 2
 N_LARGE = 4
-LARGE_MM = 16.0
+SMALL_MM, LARGE_MM = 10.0, 16.0
 CUT_OFF_MM = (23.0, 3.0, -2.0)
 """Where a 10 mm ball reaches beyond the border of most images."""
+SPOTTED_MM = (-3.0, 4.0, 2.0)
 SPOTTED = tuple(CameraId(name) for name in ("c02", "c07", "c12"))
 OUTLIER_SHARE = 0.03
 OUTLIER_PX = 8.0
@@ -71,35 +67,22 @@ class Photographed:
 
 def photographed(seed: int, n_drops: int = N_DROPS, n_large: int = 0) -> Photographed:
     """A rig of this seed and its drops, found in rendered images."""
-    rig = as_built(nominal_rig(), seed)
-    simulated = simulate_rig(rig, stream(seed, 0))
-    background: BackgroundModel = {}
-    for number in range(4):
-        empty = render_empty(simulated, stream(seed, 1, number), sequence=number + 1)
-        background = learn_background(background, empty.frames)
+    scene = build_scene(seed)
 
-    def bundle_of(
-        number: int, diameter_mm: float = 10.0, at_mm: Sequence[float] | None = None
-    ) -> FrameBundle:
-        rng, body = stream(seed, 2, number), ball(diameter_mm)
-        placed = (
-            drop_across(body, rig, rng)
-            if at_mm is None
-            else PlacedBody(body=body, R=np.eye(3), offset_mm=np.array(at_mm))
-        )
-        return render_bundle([placed], simulated, rng, sequence=10 + number, kind=BundleKind.BALL)
+    def seen(bundle: FrameBundle) -> BallDrop:
+        return observe_ball(bundle, scene.background, BackgroundSegmenter(), SMALL_MM)
 
-    def seen(bundle: FrameBundle, diameter_mm: float = 10.0) -> BallDrop:
-        return observe_ball(bundle, background, BackgroundSegmenter(), diameter_mm)
+    def ball_at(at_mm: Sequence[float], number: int, label: str) -> FrameBundle:
+        placed = PlacedBody(body=ball(SMALL_MM), R=np.eye(3), offset_mm=np.array(at_mm))
+        return scene.photograph(placed, stream(seed, BALL, number), label)
 
-    n_plain = n_drops - 2
-    to_be_spotted = bundle_of(301)
+    to_be_spotted = ball_at(SPOTTED_MM, 301, "spotted")
     return Photographed(
-        rig=rig,
-        drops=tuple(seen(bundle_of(number)) for number in range(n_plain)),
-        held_out=tuple(seen(bundle_of(100 + number)) for number in range(N_HELD_OUT)),
-        large=tuple(seen(bundle_of(200 + number, LARGE_MM), LARGE_MM) for number in range(n_large)),
-        cut_off=seen(bundle_of(300, at_mm=CUT_OFF_MM)),
+        rig=scene.true_rig,
+        drops=tuple(drop_ball(scene, number, SMALL_MM) for number in range(n_drops - 2)),
+        held_out=tuple(drop_ball(scene, 100 + number, SMALL_MM) for number in range(N_HELD_OUT)),
+        large=tuple(drop_ball(scene, 200 + number, LARGE_MM) for number in range(n_large)),
+        cut_off=seen(ball_at(CUT_OFF_MM, 300, "cut-off")),
         spotted=seen(_with_dots(to_be_spotted, seen(to_be_spotted))),
     )
 
@@ -147,32 +130,27 @@ class Accuracy:
 
 def accuracy(report: CalibrationReport, true: RigCalibration, held_out: Sequence[BallDrop]) -> Accuracy:
     """What the rig makes of drops that it has not seen, and of points whose true images it is shown."""
-    rig = report.rig
-    axis_mm = np.linspace(-12, 12, 5)
-    points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)
-    origins_mm = np.array([camera.center_mm for camera in rig.cameras])
-    rays = np.stack(
-        [
-            camera.rays(truth.project(points_mm)[0])
-            for camera, truth in zip(rig.cameras, true.cameras, strict=True)
-        ],
-        axis=1,
-    )
-    measured_mm = np.array([nearest_point(origins_mm, directions) for directions in rays])
-    centered_mm = measured_mm - measured_mm.mean(axis=0)
-    rotation, _ = Rotation.align_vectors(points_mm, centered_mm)
-    aligned_mm = rotation.apply(centered_mm)
-    strain = np.linalg.lstsq(points_mm, aligned_mm)[0] - np.eye(3)
+    rig, error = report.rig, rig_error(report.rig, true)
     if rig.method == "paper":
         residuals = residuals_px(held_out, ball_points_mm(held_out, rig), rig.cameras)
         reprojection_px = float(np.sqrt(np.mean(np.square(list(residuals.values())))))
     else:
         reprojection_px = held_against(rig, held_out, report.edge_offset_px or 0.0)
     return Accuracy(
-        reprojection_px=reprojection_px,
-        length_percent=100 * float(np.abs(np.linalg.eigvalsh((strain + strain.T) / 2)).max()),
-        rigid_um=1e3 * float(np.sqrt(((aligned_mm - points_mm) ** 2).sum(axis=1).mean())),
+        reprojection_px=reprojection_px, length_percent=error.length_percent, rigid_um=1e3 * error.rms_mm
     )
+
+
+def held_against(rig: RigCalibration, drops: Sequence[BallDrop], edge_px: float) -> float:
+    """Rms distance in px of the centres of drops from where this rig has them."""
+    solution = Solution(
+        initial=rig.cameras,
+        parameters=np.zeros((len(rig.cameras), N_CAMERA)),
+        centers_mm=np.zeros((0, 3)),
+        edge_px=edge_px,
+    )
+    offsets_px = located_offsets_px(solution, sightings_of(drops, rig.camera_ids))
+    return float(np.sqrt((offsets_px**2).sum(axis=1).mean()))
 
 
 def solved(drops: Sequence[BallDrop], method: str) -> CalibrationReport:

@@ -1,7 +1,6 @@
 """The daemon and `stonefall measure` give the same results, bit for bit, whatever the number of workers."""
 
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -19,39 +18,50 @@ COMPARED = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("slots", [1, 3])
-def test_daemon_equals_offline(tmp_path: Path, slots: int) -> None:
-    recording = tmp_path / "recording"
-    write_small_recording(recording, n_stones=5)
-    document = json.loads((recording / "recording.json").read_text())
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five spheres; one bundle cannot be read at all, one only in part."""
+    path = tmp_path_factory.mktemp("spheres") / "recording"
+    write_small_recording(path, n_stones=5)
+    document = json.loads((path / "recording.json").read_text())
     document["gate_settings"] = {"speed_at_gate_mm_s": 100.0}
-    (recording / "recording.json").write_text(json.dumps(document))
-    header, torn, page = sorted((recording / "bundles").iterdir())[-3:]
+    (path / "recording.json").write_text(json.dumps(document))
+    header, torn, page = sorted((path / "bundles").iterdir())[-3:]
     header.write_bytes(header.read_bytes()[:50])  # cannot be read at all
     torn.write_bytes(torn.read_bytes()[:-2000])  # the header is sound, the last pages are not
     assert page.exists()
+    return path
+
+
+@pytest.fixture(scope="module")
+def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
+    """What `stonefall measure` makes of it with two workers."""
+    folder = tmp_path_factory.mktemp("offline")
+    config = DaemonProcess(folder, recording).config_path
+    arguments = ["measure", str(recording), "--out", str(folder / "out"), "--workers", "2"]
+    result = CliRunner().invoke(build_app(), [*arguments, "--config", str(config)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return folder / "out"
+
+
+@pytest.mark.parametrize("slots", [1, 3])
+def test_daemon_equals_offline(tmp_path: Path, recording: Path, offline: Path, slots: int) -> None:
     with DaemonProcess(tmp_path, recording, slots=slots) as daemon:
         daemon.hear("READY=1")
-        deadline = time.monotonic() + 60
-        while (counts := daemon.get("/accounting"))["triggers"] < 5 or counts["in_progress"]:
-            assert time.monotonic() < deadline, daemon.log
-            time.sleep(0.1)
+        daemon.wait_for(
+            "/accounting", lambda counts: counts["triggers"] == 5 and not counts["in_progress"], 60
+        )
         live = daemon.get("/results?after=0")["items"]
-        arguments = ["measure", str(recording), "--out", str(tmp_path / "out"), "--workers", "2"]
-        arguments += ["--config", str(daemon.config_path)]
-        result = CliRunner().invoke(build_app(), arguments, catch_exceptions=False)
-        assert result.exit_code == 0, result.output
-        offline = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
-        assert len(live) == len(offline) == 5
-        assert [record["outcome"] for record in offline] == [*["measured"] * 4, "lost"]
-        assert offline[-1]["reason"] == "unreadable"
-        assert offline[2]["dropped_views"]
-        for record in offline[:4]:  # the pulses are those of spheres of 15 mm that were let go at the beam
-            assert record["gate_extent_mm"] == pytest.approx(15.0 + 100 * 0.0553, abs=0.2)
-            assert record["gate_extent_is_plausible"] is False
-        for ours, theirs in zip(live, offline, strict=True):
-            assert {key: ours[key] for key in COMPARED} == {key: theirs[key] for key in COMPARED}
-            if ours["mesh"] is None:
-                continue
+    theirs = [json.loads(line) for line in (offline / "results.jsonl").read_text().splitlines()]
+    assert len(live) == len(theirs) == 5
+    assert [record["outcome"] for record in theirs] == [*["measured"] * 4, "lost"]
+    assert theirs[-1]["reason"] == "unreadable"
+    assert theirs[2]["dropped_views"]
+    for record in theirs[:4]:  # the pulses are those of spheres of 15 mm that were let go at the beam
+        assert record["gate_extent_mm"] == pytest.approx(15.0 + 100 * 0.0553, abs=0.2)
+        assert record["gate_extent_is_plausible"] is False
+    for ours, other in zip(live, theirs, strict=True):
+        assert {key: ours[key] for key in COMPARED} == {key: other[key] for key in COMPARED}
+        if ours["mesh"] is not None:
             kept = tmp_path / "state" / ours["mesh"]
-            assert kept.read_bytes() == (tmp_path / "out" / theirs["mesh"]).read_bytes()
+            assert kept.read_bytes() == (offline / other["mesh"]).read_bytes()

@@ -18,7 +18,7 @@ COMPARED = (
     *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
     "view_residuals_px", "calibration_id", "is_simulated",
 )  # fmt: skip
-N_STONES = 10
+N_STONES = 7
 
 
 def test_a_recording_measures_as_the_daemon_did(tmp_path: Path) -> None:

@@ -1,10 +1,8 @@
 """Calibrations on a folder of a test, and a solver in the place of the workers that makes up what it finds."""
 
 import asyncio
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from support.recordings import small_rig
 
@@ -16,7 +14,8 @@ from service.calibration_start import find_calibrations
 from service.calibrations import Calibrations
 from service.drop_files import ObservedDrop, SeenCircle
 from service.drop_job import Solution, SolveJob
-from service.verifications import VerificationParameters, open_verifications
+from service.verification_limits import VerificationParameters
+from service.verifications import open_verifications
 
 CONFIGURED = small_rig()
 
@@ -34,9 +33,7 @@ class MadeUpSolver:
     failure: Exception | None = None
     jobs: list[SolveJob] = field(default_factory=list)
 
-    async def run(
-        self, function: Callable[[Any], Any], job: SolveJob, deadline_s: float | None = None
-    ) -> Solution:
+    async def __call__(self, job: SolveJob) -> Solution:
         await asyncio.sleep(0)
         self.jobs.append(job)
         if self.failure is not None:
@@ -57,7 +54,7 @@ def open_desk(
     """As the daemon opens them when it starts."""
     found = find_calibrations(folder / "calibrations", configured)
     verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
-    return Calibrations(found, solver or MadeUpSolver(), verifications)
+    return Calibrations(found, verifications, solver or MadeUpSolver())
 
 
 def a_drop(name: str = "000001-ball") -> ObservedDrop:

@@ -8,10 +8,10 @@ from pipeline.frames import FrameBundle
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel
-from pipeline.segmentation.background import learn_background
 from pipeline.synthesis.bodies import Body, sphere
-from pipeline.synthesis.bundles import render_bundle, render_empty, stream
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+from pipeline.synthesis.bundles import render_bundle, stream
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig
+from pipeline.synthesis.scene import Scene, build_scene
 
 SEED = 20
 
@@ -22,17 +22,16 @@ def rig() -> RigCalibration:
 
 
 @cache
+def scene() -> Scene:
+    return build_scene(SEED)
+
+
 def simulated() -> SimulatedRig:
-    return simulate_rig(rig(), stream(SEED, 0))
+    return scene().simulated
 
 
-@cache
 def background() -> BackgroundModel:
-    model: BackgroundModel = {}
-    for number in range(4):
-        empty = render_empty(simulated(), stream(SEED, 1, number), sequence=number + 1)
-        model = learn_background(model, empty.frames)
-    return model
+    return scene().background
 
 
 def placed(body: Body, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> PlacedBody:

@@ -2,18 +2,19 @@
 
 import os
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from drivers.recording import RecordingWriter
-from pipeline.frames import BundleKind
+from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across, tumble
-from pipeline.synthesis.renderer import PlacedBody, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
 
 SHRINK = 4
 
@@ -36,17 +37,31 @@ def _shrunk(camera: CameraCalibration) -> CameraCalibration:
     return replace(camera, image_size_px=(width_px // SHRINK, height_px // SHRINK), K=scale @ camera.K)
 
 
+@cache
+def _simulated() -> SimulatedRig:
+    return simulate_rig(thumbnail_rig(), stream(1, 0))
+
+
+@cache
+def _empty(number: int) -> FrameBundle:
+    return render_empty(_simulated(), stream(1, 1, number), sequence=number)
+
+
+@cache
+def _sphere(number: int) -> FrameBundle:
+    """One exposure of a falling sphere; tests of one process share them, as each takes a third of a second."""
+    rng = stream(1, 2, number)
+    placed = tumble(sphere(), _simulated().rig, rng)
+    return render_bundle([placed], _simulated(), rng, sequence=number, label="sphere")
+
+
 def write_small_recording(path: Path, *, n_stones: int, n_backgrounds: int = 2) -> None:
     """Spheres falling through the rig as built, after some exposures of the empty rig."""
-    rig = thumbnail_rig()
-    simulated = simulate_rig(rig, stream(1, 0))
-    with _writer(path, rig) as writer:
+    with _writer(path, _simulated().rig) as writer:
         for number in range(1, n_backgrounds + 1):
-            writer.add(render_empty(simulated, stream(1, 1, number), sequence=number))
+            writer.add(_empty(number))
         for number in range(n_backgrounds + 1, n_backgrounds + n_stones + 1):
-            rng = stream(1, 2, number)
-            placed = tumble(sphere(), rig, rng)
-            writer.add(render_bundle([placed], simulated, rng, sequence=number, label="sphere"))
+            writer.add(_sphere(number))
 
 
 def write_ball_recording(path: Path, *, n_balls: int, diameter_mm: float = 10.0) -> None:

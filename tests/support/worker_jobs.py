@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.worker_job import WorkerFailure
+from service.errors import WorkerFailure
 
 TRACEBACK = """Traceback (most recent call last):
   File "/opt/stonefall/service/worker_job.py", line 1, in measure

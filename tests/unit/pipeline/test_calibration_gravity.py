@@ -41,7 +41,8 @@ def test_one_bad_drop_does_not_matter() -> None:
     centers_mm, times_ns = falling(tilted(0.5), 0.01)
     centers_mm[4] += [6.0, 0.0, 0.0]
     fall = fall_of(centers_mm, times_ns)
-    assert fall is None or np.rad2deg(np.arccos(tilted(0.5) @ fall.direction)) < 0.3
+    assert fall is not None
+    assert np.rad2deg(np.arccos(tilted(0.5) @ fall.direction)) < 0.1
 
 
 @pytest.mark.parametrize("times", ["same", "few", "unknown"])

@@ -34,6 +34,11 @@ def test_eq_9() -> None:
     assert nearest_point(origins_mm, directions) == pytest.approx(point_mm, abs=1e-9)
 
 
+def test_parallel_rays_meet_nowhere_and_raise_nothing() -> None:
+    along = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    assert nearest_point(np.array([[1.0, 0, -9], [3.0, 0, 7]]), along) == pytest.approx([2, 0, 0])
+
+
 def test_points_are_those_of_the_initial_rig(true: RigCalibration) -> None:
     drops = drops_across(NOMINAL, 4, seed=3, noise_px=0.0, spread_mm=(2, 2, 2))
     rng = np.random.default_rng(3)

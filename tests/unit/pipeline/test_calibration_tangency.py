@@ -11,7 +11,6 @@ from support.outlines import bumped, seen_by, stone_outlines, stone_points
 
 from pipeline.calibration.tangency import (
     ALARM_PX,
-    GAP_PX,
     epipolar_residuals_px,
     epipolar_tangents,
     image_shifts_px,
@@ -20,6 +19,7 @@ from pipeline.calibration.tangency import (
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, looking_along, nominal_rig
+from pipeline.segmentation.silhouette import MAX_STEP_PX
 
 RIG = as_built(nominal_rig(), seed=11)
 seeds = st.integers(0, 2**32 - 1)
@@ -112,7 +112,7 @@ def test_a_plane_that_touches_where_the_edge_was_not_seen_is_not_trusted(seed: i
     is_seen = u < u.max() - 0.1 * np.ptp(u)  # something dark hides the stone's right end
     outlines[camera] = outline[is_seen]
     steps = outlines[camera] - np.roll(outlines[camera], 1, axis=0)
-    assert np.linalg.norm(steps, axis=1).max() > GAP_PX
+    assert np.linalg.norm(steps, axis=1).max() > MAX_STEP_PX
     tangents = epipolar_tangents(outlines, RIG)
     assert np.nanmax(np.abs(tangents.residuals_px)) < 1e-6
     untrusted = tangents.pairs[np.isnan(tangents.residuals_px).any(axis=1)]

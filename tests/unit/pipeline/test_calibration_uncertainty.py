@@ -19,7 +19,7 @@ def solved(true: RigCalibration, n_drops: int, seed: int, noise_px: float = 0.1)
 
 @pytest.fixture(scope="module")
 def reports() -> list[tuple[RigCalibration, CalibrationReport]]:
-    rigs = [as_built(NOMINAL, 500 + seed) for seed in range(6)]
+    rigs = [as_built(NOMINAL, 500 + seed) for seed in range(4)]
     return [(rig, solved(rig, 8, seed)) for seed, rig in enumerate(rigs)]
 
 

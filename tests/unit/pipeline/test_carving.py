@@ -33,7 +33,7 @@ def occupied(hull: VisualHull) -> set[tuple[int, ...]]:
 
 def test_sub_voxel_hull_of_a_sphere_has_the_volume_of_its_sixteen_cones() -> None:
     mesh = meshed(carve(sphere_silhouettes(RIG), RIG, CarvingParameters()))
-    # the exact hull is +0.76 % (accuracy.md, section 3); marching cubes cuts the ridges by 0.05 %
+    # the exact hull of the design is +0.76 %; marching cubes cuts the ridges by 0.05 %
     assert mesh.volume / SPHERE_MM3 == pytest.approx(1.0071, abs=0.0008)
     radii = np.linalg.norm(mesh.vertices, axis=1)
     assert radii.min() > 7.5 - 0.01, "over-carved"

@@ -19,7 +19,7 @@ from pipeline.synthesis.stones import stone
 
 RIG = rendered.rig()
 C05 = CameraId("c05")
-FORMS = ("round", "angular", "flaky", "elongated")
+FORMS = ("round", "flaky")
 SEED = 91
 
 
@@ -27,7 +27,7 @@ SEED = 91
 def bundles() -> Sequence[FrameBundle]:
     return [
         rendered.bundle_of(
-            tumble(stone(form, 10.0 + 4 * number, stream(SEED, number)), RIG, stream(SEED, 9, number)),
+            tumble(stone(form, 10.0 + 12 * number, stream(SEED, number)), RIG, stream(SEED, 9, number)),
             number=SEED + number,
         )
         for number, form in enumerate(FORMS)

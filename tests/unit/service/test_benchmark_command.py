@@ -10,6 +10,7 @@ import trimesh
 from typer.testing import CliRunner, Result
 
 from pipeline.synthesis.trials import METHODS
+from service import performance_bench
 from service.cli import build_app
 
 RUNNER = CliRunner()
@@ -83,11 +84,21 @@ def test_a_file_named_as_a_generated_body(wedge: Path) -> None:
     assert "rename the file" in str(result.exception)
 
 
-def test_times_of_each_stage() -> None:
+def test_two_files_of_one_name(wedge: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / wedge.name
+    other.write_bytes(wedge.read_bytes())
+    result = run("--bodies", f"{wedge},{other}")
+    assert result.exit_code == 1
+    assert "another mesh file is named wedge too" in str(result.exception)
+
+
+def test_times_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(performance_bench, "SIZES_MM", performance_bench.SIZES_MM[:2])
     result = RUNNER.invoke(build_app(["benchmark"]), ["benchmark", "--poses", "1", "--json"])
     assert result.exit_code == 0, result.output
     rows = json.loads(result.stdout)
-    assert [row["size_mm"] for row in rows] == [5.0, 15.0, 25.0, 40.0]
+    assert [row["size_mm"] for row in rows] == [5.0, 15.0]
     for row in rows:
         assert {"load", "segment", "carve", "mesh", "measure", "store"} <= set(row["stages_ms"])
         assert row["total_ms"] == pytest.approx(sum(row["stages_ms"].values()))

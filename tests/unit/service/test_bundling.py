@@ -357,6 +357,22 @@ def test_a_camera_whose_clock_was_set_anew_loses_one_frame() -> None:
     assert [set(bundle.missing) for bundle in bundles] == [set(), set(), {A}, set(), set()]
 
 
+@pytest.mark.parametrize("step_ms", [-250, 250, -500])
+def test_a_clock_that_is_set_by_whole_periods_moves_no_frame(step_ms: int) -> None:
+    """A trigger that waits for a frame does not get the next one's: the camera's counter knows better."""
+    assembler, period_ns, bundles = BundleAssembler(CAMERAS, PARAMETERS), 250 * MS, []
+    for number in range(6):
+        at_ns = number * period_ns
+        bundles += assembler.feed(trigger(number, at_ns))
+        device_ns = 10**9 + at_ns + (step_ms * MS if number >= 2 else 0)
+        for camera in CAMERAS:
+            shot = frame(camera, number, at_ns + DELAY_NS, device_ns=device_ns if camera == A else 0)
+            bundles += assembler.feed(shot)
+    bundles += assembler.flush()
+    assert [tags(bundle) for bundle in bundles] == [{number} for number in range(6)]
+    assert assembler.counters.cameras[A].other_exposure == 4
+
+
 def test_ids_tell_losses_from_missed_exposures() -> None:
     assembler = BundleAssembler([A, B, C], PARAMETERS)
     ids = {A: [65534, 1, None, 3, 1], B: [7, 8, None, 9, 10], C: [5, 6, 8, 9, 10]}
@@ -489,7 +505,7 @@ def check_each_trigger_once(
         assert accounted(counters.cameras[camera]) == n_frames
 
 
-@settings(max_examples=200)
+@settings(max_examples=120)
 @given(data=st.data(), times_ns=trigger_times_ns(), has_clock=st.booleans())
 def test_each_trigger_gets_one_bundle_with_the_right_missing_set(
     data: st.DataObject, times_ns: list[int], has_clock: bool
@@ -526,7 +542,7 @@ late = st.builds(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(data=st.data(), times_ns=trigger_times_ns())
 def test_no_bundle_ever_holds_a_frame_of_another_trigger(data: st.DataObject, times_ns: list[int]) -> None:
     """Not even when frames arrive whole periods late, exactly when the next one is due."""
@@ -562,6 +578,27 @@ def test_no_frame_that_comes_before_the_deadline_is_wasted(data: st.DataObject, 
     bundles, assembler = run(times_ns, deliveries)
     check_each_trigger_once(bundles, assembler, times_ns, deliveries)
     assert not any(bundle.missing for bundle in bundles)
+
+
+@settings(max_examples=60)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_a_clock_that_is_set_while_stones_fall_moves_no_frame(
+    data: st.DataObject, times_ns: list[int]
+) -> None:
+    """By a master that comes and goes, be it by whole periods: the camera's counter still knows better."""
+    deliveries = []
+    for camera in CAMERAS:
+        fates = [data.draw(on_time), *(data.draw(on_time | lost) for _ in times_ns[1:])]
+        at_ns = data.draw(st.sampled_from(times_ns))
+        step_ns = data.draw(st.sampled_from([-500, -250, -225, 225, 250]) | st.integers(-600, 600)) * MS
+        for delivered_ns, event in exposures(camera, times_ns, fates, data.draw(cameras(has_clock=True))):
+            if isinstance(event, Frame) and times_ns[int(event.image[0, 0])] >= at_ns:
+                event = replace(event, device_ns=event.device_ns + 10**9 + step_ns)
+            elif isinstance(event, Frame):
+                event = replace(event, device_ns=event.device_ns + 10**9)
+            deliveries.append((delivered_ns, event))
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
 
 
 def test_every_counter_is_covered_by_the_account() -> None:

@@ -201,14 +201,16 @@ async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: 
     assert desk.wants_balls
 
 
-async def test_a_session_that_was_cancelled_while_it_was_solved_stays_so(tmp_path: Path):
-    desk = open_desk(tmp_path)
+async def test_a_session_that_was_cancelled_before_it_was_solved_stays_so(tmp_path: Path):
+    solver = MadeUpSolver()
+    desk = open_desk(tmp_path, solver=solver)
     record = await desk.start(BALL, ARMED)
     await desk.act(record.id, CalibrationAction.SOLVE)
     await desk.act(record.id, CalibrationAction.CANCEL)
     following = await desk.start(BALL, ARMED)
     await solve(desk, following.id)  # after the one before
     assert state_of(desk, record.id) is CalibrationState.CANCELLED
+    assert len(solver.jobs) == 1
 
 
 async def test_a_session_survives_a_restart_without_its_unfinished_solution(tmp_path: Path):
@@ -223,8 +225,17 @@ async def test_a_session_survives_a_restart_without_its_unfinished_solution(tmp_
     assert (details.record.state, len(details.drops)) == (CalibrationState.COLLECTING, 1)
     await solve(again, record.id)
     assert state_of(open_desk(tmp_path), record.id) is CalibrationState.SOLVED
+    report = tmp_path / "calibrations" / record.id / "report.json"
+    report.write_text("{")
+    again = open_desk(tmp_path)
+    details = await again.find(record.id)
+    assert details is not None
+    assert (details.record.state, details.record.calibration_id) == (CalibrationState.COLLECTING, None)
+    await solve(again, record.id)
     write_rig(tmp_path / "calibrations" / record.id / "rig.json", other_rig("not what was solved"))
-    assert state_of(open_desk(tmp_path), record.id) is CalibrationState.COLLECTING
+    again = open_desk(tmp_path)
+    assert state_of(again, record.id) is CalibrationState.COLLECTING
+    assert await again.find(record.id) is not None
     changed = open_desk(tmp_path, other_rig())  # what its drops were compared with is not in use any more
     assert state_of(changed, record.id) is CalibrationState.CANCELLED
 
@@ -276,6 +287,19 @@ async def test_when_the_one_in_use_is_damaged_the_one_before_is_used(
     (tmp_path / "calibrations/activations.json").write_text("{")
     with pytest.raises(RecordingError, match=r"activations\.json.*removed"):
         open_desk(tmp_path)
+
+
+async def test_when_none_in_use_can_be_read_the_configured_one_is_used(tmp_path: Path):
+    calibrations, fewer = tmp_path / "calibrations", replace(CONFIGURED, cameras=CONFIGURED.cameras[:3])
+    open_desk(tmp_path, fewer)
+    open_desk(tmp_path)
+    shutil.rmtree(calibrations / "0002")  # and the one before is of other cameras
+    desk = open_desk(tmp_path)
+    assert (desk.active.id, desk.rig.calibration_id) == ("0002", CONFIGURED.calibration_id)
+    assert read_rig(desk.rig.path).calibration_id == CONFIGURED.calibration_id
+    assert "no calibration that was in use can be read" in str(desk.facts().trouble)
+    (calibrations / "0002/session.json").write_text("{")
+    assert open_desk(tmp_path).active.id == "0003"
 
 
 async def test_a_damaged_drop_is_a_fault_of_the_store(tmp_path: Path):

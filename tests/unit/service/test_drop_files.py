@@ -30,5 +30,7 @@ def test_drops_stay_in_order_and_outlines_alone_are_none(tmp_path: Path):
     (kept / "00004.npz").touch()  # of a daemon that was killed
     assert [each.bundle for each in kept_drops(kept)] == ["first", "second", "third"]
     assert [path.name for path in outline_paths(kept)] == ["00001.npz", "00002.npz"]
-    keep_drop(kept, a_drop("fourth"), tmp_path / "a.npz")
+    keep_drop(kept, a_drop("fourth"), None)
+    assert [path.name for path in outline_paths(kept)] == ["00001.npz", "00002.npz"]
+    keep_drop(kept, a_drop("fifth"), tmp_path / "a.npz")
     assert read_drop(outline_paths(kept)[-1]).name == "a"

@@ -90,6 +90,7 @@ def test_without_a_file_the_built_in_model_is_used() -> None:
         ("000000-particle,2.5", "000000-particle was weighed before"),
         ("another,2.5", "has no measured bundle another"),
         ("lost,2.5", "has no measured bundle lost"),
+        (",2.5", "has no measured bundle"),
     ],
 )
 def test_wrong_lines_of_the_scale_are_named(tmp_path: Path, line: str, named: str) -> None:
@@ -105,7 +106,14 @@ def test_wrong_lines_of_the_scale_are_named(tmp_path: Path, line: str, named: st
     [
         ("no json", "results.jsonl: line 1"),
         ("[1]", "results.jsonl: line 1"),
-        ('{"bundle": "a", "outcome": "measured"}', "volume_estimate_mm3; measure the recording again"),
+        (
+            '{"bundle": "a", "outcome": "measured"}',
+            "line 1: has no volume_raw_mm3; measure the recording again",
+        ),
+        (
+            '{"bundle": ["a"], "outcome": "measured", "volume_raw_mm3": 9, "volume_estimate_mm3": null}',
+            "line 1: has no volume_estimate_mm3",
+        ),
     ],
 )
 def test_wrong_results_are_named(tmp_path: Path, text: str, named: str) -> None:
@@ -115,9 +123,19 @@ def test_wrong_results_are_named(tmp_path: Path, text: str, named: str) -> None:
         fit(results, weighed, tmp_path / "out.json")
 
 
+def test_files_of_another_encoding_are_named(tmp_path: Path) -> None:
+    results, weighed = write_stones(tmp_path, 1.0, 0.0)
+    weighed.write_bytes(weighed.read_text().encode() + "Größe,2.5\n".encode("latin-1"))
+    with pytest.raises(VolumeModelError, match=r"weighed\.csv: is not written in UTF-8"):
+        fit(results, weighed, tmp_path / "out.json")
+
+
 def test_too_few_stones_and_missing_columns_are_refused(tmp_path: Path) -> None:
     results, weighed = write_stones(tmp_path, 1.0, 0.0, n=4)
     with pytest.raises(VolumeModelError, match="4 bodies of known volume are too few"):
+        fit(results, weighed, tmp_path / "out.json")
+    weighed.write_text("bundle,mass_g\n")
+    with pytest.raises(VolumeModelError, match="0 bodies"):
         fit(results, weighed, tmp_path / "out.json")
     weighed.write_text("stone;mass\n")
     with pytest.raises(VolumeModelError, match="columns bundle and mass_g"):
@@ -130,6 +148,7 @@ def test_too_few_stones_and_missing_columns_are_refused(tmp_path: Path) -> None:
         ({"format": "stonefall-volume/9"}, "format"),
         ({"gap_share": "much"}, "gap_share: must be a number"),
         ({"gap_share": 7}, "gap_share must be in 0..3"),
+        ({"gap_share": 10**400}, "gap_share must be in 0..3"),
         ({"hidden_share": None}, "hidden_share: must be a number"),
         ({"id": 7}, "id: must be a text"),
     ],

@@ -72,9 +72,9 @@ class ScriptedPool:
         }
 
     def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
+        job.out_path.touch()  # a process that dies may leave half a file
         if name in self.unseen:
             raise self.unseen[name]
-        job.out_path.touch()
         return ObservedDrop(bundle=f"{name} {job.rig.calibration_id}")
 
 
@@ -259,17 +259,27 @@ async def test_every_bundle_is_measured_with_the_calibration_of_its_turn(tmp_pat
 async def test_drops_are_collected_in_order_and_stones_are_not(tmp_path: Path):
     ball, stone = BundleKind.BALL, BundleKind.PARTICLE
     pool, desk = ScriptedPool(), Desk(kind=ball)
-    pool.unseen["b"] = JobLostError("worker_crash", "died")
-    bundles = [turn("a", kind=ball), turn("s", kind=stone), turn("b", kind=ball), turn("c", kind=ball)]
+    pool.unseen = {
+        "b": JobLostError("worker_crash", "died"),
+        "d": RecordingError(tmp_path, "has no pages"),
+    }
+    names = {"a": ball, "s": stone, "b": ball, "c": ball, "d": ball}
+    bundles = [turn(name, kind=kind) for name, kind in names.items()]
     bench = Bench(tmp_path, bundles, pool, desk)
     await bench.processing.run()
-    assert [name for name, _ in bench.outcomes] == ["a", "s", "b", "c"]
+    assert [name for name, _ in bench.outcomes] == list(names)
     assert [(drop.bundle, name, has_file) for drop, name, has_file in desk.collected] == [
         ("a rig", "a", True),
         ("b", "b", False),
         ("c rig", "c", True),
+        ("d", "d", False),
     ]
-    assert desk.collected[1][0].problem == "worker_crash: died"
+    assert [drop.problem for drop, _, _ in desk.collected] == [
+        None,
+        "worker_crash: died",
+        None,
+        "has no pages",
+    ]
     assert list_names(tmp_path) == []
 
 

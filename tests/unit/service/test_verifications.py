@@ -1,3 +1,6 @@
+import asyncio
+import threading
+import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -7,8 +10,8 @@ import pytest
 from support.calibration_desk import a_drop
 
 from service import verifications
+from service.verification_limits import VerificationParameters
 from service.verifications import (
-    VerificationParameters,
     VerificationPlan,
     Verifications,
     VerificationState,
@@ -109,6 +112,27 @@ async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.Mon
         (first.id, VerificationState.CANCELLED, "the daemon w"),
     ]
     assert await desk.cancel("0009", "why") is None
+
+
+async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Both replace the same file by way of the same temporary one."""
+    desk = opened(tmp_path)
+    name = (await desk.start(PLAN, "rig")).id
+    write, is_writing = verifications.write_json, threading.Lock()
+
+    def write_slowly(path: Path, document: Any) -> None:
+        assert is_writing.acquire(blocking=False)
+        time.sleep(0.01)
+        write(path, document)
+        is_writing.release()
+
+    monkeypatch.setattr(verifications, "write_json", write_slowly)
+    await asyncio.gather(let_fall(desk, [15.0]), desk.cancel(name, "somebody cancelled it"))
+    found = opened(tmp_path).find(name)
+    assert found is not None
+    assert (found.state, len(found.balls)) == (VerificationState.CANCELLED, 1)
 
 
 def test_a_damaged_one_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture):

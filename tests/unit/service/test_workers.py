@@ -1,4 +1,5 @@
 import asyncio
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -9,9 +10,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from support.worker_jobs import TRACEBACK, Stumble, greeting_and_pid, initialize, stumble
+from support.worker_jobs import TRACEBACK, Stumble, greeting_and_pid, initialize, stay, stumble
 
-from service.workers import JobLostError, WorkerPool, WorkerStartError
+from service.worker_job import step_back
+from service.workers import JobLostError, WorkerPool, WorkerStartError, run_apart
 
 
 @asynccontextmanager
@@ -35,7 +37,7 @@ async def test_each_slot_is_one_warm_process_of_its_own():
 
 @pytest.mark.parametrize("way", ["kill", "hang", "raise"])
 async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
-    async with pool_of(1, deadline_s=1.0) as pool:
+    async with pool_of(1, deadline_s=0.5) as pool:
         (before,) = pool.pids
         assert await pool.run(stumble, Stumble(tmp_path, way, failures=1)) == "done"
         first, second = noted_pids(tmp_path)
@@ -49,7 +51,7 @@ async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path
     ("way", "reason"), [("kill", "worker_crash"), ("hang", "deadline"), ("raise", "worker_crash")]
 )
 async def test_the_second_failure_loses_this_job_alone(way: str, reason: str, tmp_path: Path):
-    async with pool_of(1, deadline_s=1.0) as pool:
+    async with pool_of(1, deadline_s=0.5) as pool:
         with pytest.raises(JobLostError) as lost:
             await pool.run(stumble, Stumble(tmp_path, way, failures=9))
         assert lost.value.reason == reason
@@ -83,6 +85,23 @@ async def test_a_worker_that_cannot_start_is_fatal():
     pool = WorkerPool(slots=1, deadline_s=5, initialize=initialize, context="die")
     with pytest.raises(WorkerStartError):
         await pool.start()
+
+
+async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
+    assert (
+        await run_apart(stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, initialize=step_back) == "done"
+    )
+    (pid,) = noted_pids(tmp_path)
+    assert pid != os.getpid()
+    others = set(multiprocessing.active_children())
+    staying = asyncio.create_task(run_apart(stay, None, deadline_s=60.0, initialize=step_back))
+    while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - nobody signals it
+        await asyncio.sleep(0.01)
+    staying.cancel()
+    await asyncio.wait([staying])
+    async with asyncio.timeout(5):
+        while any(process_exists(each) for each in [pid, *(process.pid for process in started)]):  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
 
 
 DAEMON = """

@@ -1,0 +1,54 @@
+"""Asking a running daemon: a thin client of its REST interface, for commands."""
+
+import json
+import urllib.error
+import urllib.request
+from collections.abc import Mapping
+from http.client import HTTPException
+from typing import Any
+from urllib.parse import urlsplit
+
+from service.api.version import BASE
+from service.errors import ServiceError
+
+ANSWER_S = 30.0
+
+
+class DaemonError(ServiceError):
+    """The daemon cannot be reached, or refuses what was asked for."""
+
+
+def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the daemon's answer; with a `body` it is asked to do something.
+
+    Raises
+    ------
+    DaemonError
+        It does not answer, or refuses; in its own words.
+    """
+    if urlsplit(url).scheme not in ("http", "https"):
+        raise DaemonError(f"--url {url}: begin with http:// or https://")
+    headers = {"Accept": "application/json"}
+    data = None
+    if body is not None:
+        headers["Content-Type"] = "application/json"
+        data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
+    if key is not None:
+        headers["Authorization"] = f"Bearer {key}"
+    request = urllib.request.Request(f"{url.rstrip('/')}{BASE}{path}", data, headers)  # noqa: S310 - see above
+    try:
+        with urllib.request.urlopen(request, timeout=ANSWER_S) as answer:  # noqa: S310 - as above
+            return dict(json.load(answer))
+    except urllib.error.HTTPError as err:
+        with err:
+            raise DaemonError(_refusal(err)) from None
+    except (OSError, HTTPException, ValueError) as err:
+        reason = getattr(err, "reason", err)
+        raise DaemonError(f"no answer from {url}: {reason}: does the daemon run there?") from None
+
+
+def _refusal(error: urllib.error.HTTPError) -> str:
+    try:
+        return f"refused: {json.load(error)['detail']}"
+    except (ValueError, KeyError, TypeError):
+        return f"refused: {error.code} {error.reason}"
