@@ -18,10 +18,10 @@ from drivers.factory import build_devices
 from drivers.files import require_unused
 from drivers.rig_file import read_rig
 from pipeline.frames import Trigger
-from service.acquisition import Acquisition
+from service.acquisition import INBOX_TRIGGERS, Acquisition
 from service.control import AcquisitionState, AcquisitionTarget
 from service.errors import ServiceError, SettingsError
-from service.recording_live import MAX_WAITING, EndedBy, LiveRecording, recording_source
+from service.recording_live import EndedBy, LiveRecording, recording_source
 from service.recordings import require_room
 from service.settings import Settings, load_settings, problems
 
@@ -86,7 +86,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
         on_through=(lambda: None) if devices.belt is None else devices.belt.permit,
     )
     if devices.belt is not None:
-        devices.belt.permit(MAX_WAITING // 2)  # in fast pace; the next ones as these are written
+        devices.belt.permit(INBOX_TRIGGERS // 2)  # in fast pace; the next ones as these are written
     rig = Acquisition(
         devices,
         session=0,
