@@ -72,16 +72,22 @@ def check_consistency(
 
     Views that tangency names are dropped first. Of the rest, the worst is dropped and the others judged again,
     until all agree or `max_suspect_views` are exceeded. While r more views may be dropped, r votes against a
-    point are not counted, so that a bad view does not condemn the good ones.
+    point are not counted, so that a bad view does not condemn the good ones. Where all tangents agree, all votes
+    are counted first: if nothing contradicts even then, that was all.
     """
     views = usable_views(silhouettes, rig)
     tangents = epipolar_tangents(outlines_of(silhouettes), rig)
     tangency_px, shifts_px = tangency_scores_px(tangents), image_shifts_px(tangents)
     suspects, is_consistent = displaced_views(tangents, parameters)
     views = [view for view in views if view[0].id not in suspects]
+    agree = all(tangency_px.get(camera.id, np.inf) <= parameters.max_tangency_px for camera, _ in views)
     while True:
-        overruled = max(min(parameters.max_suspect_views - len(suspects), len(views) - 3), 0)
+        may_be_dropped = max(min(parameters.max_suspect_views - len(suspects), len(views) - 3), 0)
+        overruled = 0 if agree else may_be_dropped
         sphere = _body_sphere(views, overruled)
+        if sphere is None and agree:
+            agree = False
+            continue
         if sphere is None:
             return Consistency(
                 residuals_px={},
@@ -104,6 +110,9 @@ def check_consistency(
             if max(claimed, denied) > score:
                 worst, score = camera.id, max(claimed, denied)
                 problem = "claims a body that other views exclude" if claimed > denied else "denies the body"
+        if worst is not None and agree:
+            agree = False
+            continue
         if worst is None or len(suspects) == parameters.max_suspect_views:
             break
         suspects[worst] = f"contradicts the other views: {problem}"
