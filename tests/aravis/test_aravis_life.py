@@ -289,7 +289,8 @@ def test_a_hundred_cycles_leave_nothing_behind(simulated: SimulatedCamera) -> No
         if n in (N_CYCLES // 4, N_CYCLES - 1):
             used.append((entries("fd"), entries("task"), resident_kb()))
     (fds, threads, kb), (fds_after, threads_after, kb_after) = used
-    assert (fds_after, threads_after) == (fds, threads)
+    assert fds_after <= fds
+    assert threads_after <= threads  # a thread of GLib's pool may have ended between
     assert kb_after - kb < 1000
     counters = simulated.counters
     assert counters.frames == counters.triggers == N_CYCLES
