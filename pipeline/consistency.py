@@ -11,8 +11,8 @@ it of the other views' field is its signed clearance: about zero or a little abo
 and large where it denies a body that all others see.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +24,20 @@ from pipeline.calibration.tangency import (
     outlines_of,
     tangency_scores_px,
 )
-from pipeline.carving import View, distances_mm, smallest, usable_views
+from pipeline.carving import View, distances_mm, usable_views
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
+from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette
+
+Array = NDArray[np.float64]
 
 RAYS = 64
 """Rays a view, spread evenly over its outline."""
 STEPS = (40, 9, 9)
 """Samples a ray within the sphere around the body, then around the highest of the last ones."""
+ROUNDING_MM = 1e-3
+HOPELESS_MM = -0.5
+"""Samples that far outside are given up first; only where a ray has no better ones are they taken up again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,69 +70,42 @@ class Consistency:
     image_shifts_px: Mapping[CameraId, tuple[float, float]]  # of a view against where the others expect it
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Judgement:
+    """The clearances of some views in the field of the others, and the view they speak against."""
+
+    views: Sequence[View]
+    sphere: tuple[Array, float]  # around the hull: centre (3,) and radius in mm
+    clearances_px: Sequence[Array]  # one for each view, of each of its rays
+    worst: CameraId | None
+    problem: str = ""
+
+
 def check_consistency(
     silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, parameters: ConsistencyParameters
 ) -> Consistency:
     """Residuals of every usable view, and the views that contradict the rest.
 
-    Views that tangency names are dropped first. Of the rest, the worst is dropped and the others judged again,
-    until all agree or `max_suspect_views` are exceeded. While r more views may be dropped, r votes against a
-    point are not counted, so that a bad view does not condemn the good ones. Where all tangents agree, all votes
-    are counted first: if nothing contradicts even then, that was all.
+    Views that tangency names are dropped first. Where the tangents of the rest agree, all of their votes are
+    counted: if nothing contradicts even then, that is all. If something does, they are judged carefully.
     """
-    views = usable_views(silhouettes, rig)
     tangents = epipolar_tangents(outlines_of(silhouettes), rig)
-    tangency_px, shifts_px = tangency_scores_px(tangents), image_shifts_px(tangents)
+    tangency_px = tangency_scores_px(tangents)
+    agreeing = {camera for camera, score_px in tangency_px.items() if score_px <= parameters.max_tangency_px}
     suspects, is_consistent = displaced_views(tangents, parameters)
-    views = [view for view in views if view[0].id not in suspects]
-    agree = all(tangency_px.get(camera.id, np.inf) <= parameters.max_tangency_px for camera, _ in views)
-    while True:
-        may_be_dropped = max(min(parameters.max_suspect_views - len(suspects), len(views) - 3), 0)
-        overruled = 0 if agree else may_be_dropped
-        sphere = _body_sphere(views, overruled)
-        if sphere is None and agree:
-            agree = False
-            continue
-        if sphere is None:
-            return Consistency(
-                residuals_px={},
-                suspects=suspects,
-                is_consistent=False,
-                tangency_px=tangency_px,
-                image_shifts_px=shifts_px,
-            )
-        clearances = _clearances_px(views, sphere, overruled)
-        worst, score = None, 1.0
-        for (camera, _), clearance in zip(views, clearances, strict=True):
-            # the smallest diameter of a body in a sphere around its box is some 1 / sqrt(3) of the sphere's
-            diameter_px = 1.2 * sphere[1] * camera.focal_px / float(np.linalg.norm(camera.center_mm))
-            # clearances are cut off like the distances they come from
-            denied_px = min(parameters.max_denied_share * diameter_px, 0.7 * MARGIN_PX)
-            claimed = _rms_outside(clearance) / parameters.max_residual_px
-            denied = float(np.median(clearance)) / denied_px if len(clearance) else 0.0
-            if tangency_px.get(camera.id, np.inf) <= parameters.max_tangency_px:
-                denied = 0.0  # it only knows what no other view does: the hull without it is that much larger
-            if max(claimed, denied) > score:
-                worst, score = camera.id, max(claimed, denied)
-                problem = "claims a body that other views exclude" if claimed > denied else "denies the body"
-        if worst is not None and agree:
-            agree = False
-            continue
-        if worst is None or len(suspects) == parameters.max_suspect_views:
-            break
-        suspects[worst] = f"contradicts the other views: {problem}"
-        views = [view for view in views if view[0].id != worst]
-    if overruled:
-        clearances = _clearances_px(views, sphere, 0)
-    residuals_px = {
-        camera.id: _rms_outside(clearance) for (camera, _), clearance in zip(views, clearances, strict=True)
-    }
+    views = [view for view in usable_views(silhouettes, rig) if view[0].id not in suspects]
+    judgement = None
+    if all(camera.id in agreeing for camera, _ in views):
+        judgement = _judgement(views, 0, agreeing, parameters)
+    if judgement is None or judgement.worst is not None:
+        judgement, contradicting = _careful_judgement(views, len(suspects), agreeing, parameters)
+        suspects |= contradicting
     return Consistency(
-        residuals_px=residuals_px,
+        residuals_px={} if judgement is None else _residuals_px(judgement),
         suspects=suspects,
-        is_consistent=is_consistent and worst is None,
+        is_consistent=is_consistent and judgement is not None and judgement.worst is None,
         tangency_px=tangency_px,
-        image_shifts_px=shifts_px,
+        image_shifts_px=image_shifts_px(tangents),
     )
 
 
@@ -150,48 +128,149 @@ def displaced_views(
     return suspects, True
 
 
-def _rms_outside(clearance_px: NDArray[np.float64]) -> float:
+def _careful_judgement(
+    views: Sequence[View], n_suspects: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
+) -> tuple[_Judgement | None, dict[CameraId, str]]:
+    """The last judgement, `None` without a hull, and the views that were dropped on the way to it, worst first.
+
+    The worst is dropped and the others judged again, until all agree or no more may be dropped. While r more
+    may be, r votes against a point are not counted, so that a bad view does not condemn the good ones.
+    """
+    suspects: dict[CameraId, str] = {}
+    while True:
+        n_left = parameters.max_suspect_views - n_suspects - len(suspects)
+        overruled = max(min(n_left, len(views) - 3), 0)
+        judgement = _judgement(views, overruled, agreeing, parameters)
+        if judgement is None or judgement.worst is None or n_left == 0:
+            break
+        suspects[judgement.worst] = f"contradicts the other views: {judgement.problem}"
+        views = [view for view in views if view[0].id != judgement.worst]
+    if judgement is not None and overruled > 0:
+        all_counted_px = _clearances_px(views, judgement.sphere, 0)
+        judgement = replace(judgement, clearances_px=all_counted_px)
+    return judgement, suspects
+
+
+def _judgement(
+    views: Sequence[View], overruled: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
+) -> _Judgement | None:
+    """What the views' field says with `overruled` votes against each point not counted; `None` without a hull."""
+    sphere = _body_sphere(views, overruled)
+    if sphere is None:
+        return None
+    clearances_px = _clearances_px(views, sphere, overruled)
+    worst, problem, score = None, "", 1.0
+    for (camera, _), clearance_px in zip(views, clearances_px, strict=True):
+        claimed = _rms_outside(clearance_px) / parameters.max_residual_px
+        # what an agreeing view excludes, no other knows of: the hull without it is that much larger
+        denied = 0.0 if camera.id in agreeing else _denied(clearance_px, camera, sphere[1], parameters)
+        if max(claimed, denied) > score:
+            worst, score = camera.id, max(claimed, denied)
+            problem = "claims a body that other views exclude" if claimed > denied else "denies the body"
+    return _Judgement(views=views, sphere=sphere, clearances_px=clearances_px, worst=worst, problem=problem)
+
+
+def _denied(
+    clearance_px: Array, camera: CameraCalibration, radius_mm: float, parameters: ConsistencyParameters
+) -> float:
+    """How much of the body a view denies: above 1, too much."""
+    if len(clearance_px) == 0:
+        return 0.0
+    # the smallest diameter of a body in a sphere around its box is some 1 / sqrt(3) of the sphere's
+    diameter_px = 1.2 * radius_mm * camera.focal_px / float(np.linalg.norm(camera.center_mm))
+    # clearances are cut off like the distances they come from
+    return float(np.median(clearance_px)) / min(parameters.max_denied_share * diameter_px, 0.7 * MARGIN_PX)
+
+
+def _residuals_px(judgement: _Judgement) -> dict[CameraId, float]:
+    return {
+        camera.id: _rms_outside(clearance_px)
+        for (camera, _), clearance_px in zip(judgement.views, judgement.clearances_px, strict=True)
+    }
+
+
+def _rms_outside(clearance_px: Array) -> float:
     return float(np.sqrt(np.mean(np.minimum(clearance_px, 0) ** 2))) if len(clearance_px) else 0.0
 
 
-def _body_sphere(views: list[View], overruled: int) -> tuple[NDArray[np.float64], float] | None:
+def _body_sphere(views: Sequence[View], overruled: int) -> tuple[Array, float] | None:
     """Centre (3,) and radius in mm of a sphere around the hull, from a coarse grid; `None` without a hull."""
     pitch_mm, half_mm = 2.0, 30.0
     axis_mm = np.arange(-half_mm, half_mm + pitch_mm / 2, pitch_mm, dtype=np.float32)
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = points_mm[smallest(distances_mm(views, points_mm), overruled) > -pitch_mm * np.sqrt(3) / 2]
-    if len(inside) == 0:
+    votes_against = np.zeros(len(points_mm), np.int64)
+    for view in views:
+        votes_against += distances_mm([view], points_mm)[0] <= -pitch_mm * np.sqrt(3) / 2
+        is_left = votes_against <= overruled
+        points_mm, votes_against = points_mm[is_left], votes_against[is_left]
+    if len(points_mm) == 0:
         return None
-    low, high = inside.min(axis=0), inside.max(axis=0)
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     return ((low + high) / 2).astype(np.float64), float(np.linalg.norm(high - low) / 2 + pitch_mm)
 
 
-def _clearances_px(
-    views: list[View], sphere: tuple[NDArray[np.float64], float], overruled: int
-) -> list[NDArray[np.float64]]:
+def _clearances_px(views: Sequence[View], sphere: tuple[Array, float], overruled: int) -> list[Array]:
     """Per view the clearances (RAYS,) in px of its outline's rays in the field of the other views.
 
     The highest value along a ray is sought on ever shorter stretches: where the body touches the ray
     with a sharp corner the peak is narrow.
     """
     center_mm, radius_mm = sphere
-    clearances = []
-    for index, (camera, silhouette) in enumerate(views):
-        n = len(silhouette.outline_uv)
-        chosen = silhouette.outline_uv[np.linspace(0, n, min(RAYS, n), endpoint=False).astype(int)]
-        directions = camera.rays(chosen)
-        others = views[:index] + views[index + 1 :]
-        closest_mm = directions @ (center_mm - camera.center_mm)
-        peak_mm, reach_mm = closest_mm, radius_mm
-        highest_mm: NDArray[np.floating] = np.zeros(len(chosen))
-        for steps in STEPS:
-            along_mm = peak_mm[:, None] + np.linspace(-reach_mm, reach_mm, steps)
-            points_mm = camera.center_mm + along_mm[..., None] * directions[:, None]
-            values = smallest(distances_mm(others, points_mm.reshape(-1, 3).astype(np.float32)), overruled)
-            values = values.reshape(len(chosen), steps)
-            best = values.argmax(axis=1, keepdims=True)
-            peak_mm = np.take_along_axis(along_mm, best, axis=1)[:, 0]
-            highest_mm = np.take_along_axis(values, best, axis=1)[:, 0]
-            reach_mm *= 2 / (steps - 1)
-        clearances.append(highest_mm * camera.focal_px / np.maximum(closest_mm, 1.0))
-    return clearances
+    chosen_uv = [_spread(silhouette.outline_uv) for _, silhouette in views]
+    owners = np.repeat(np.arange(len(views)), [len(chosen) for chosen in chosen_uv])
+    eyes_mm = np.array([camera.center_mm for camera, _ in views])[owners]
+    directions = np.concatenate([camera.rays(uv) for (camera, _), uv in zip(views, chosen_uv, strict=True)])
+    closest_mm = ((center_mm - eyes_mm) * directions).sum(axis=1)
+    peak_mm, reach_mm, highest_mm = closest_mm, radius_mm, np.full(len(owners), HOPELESS_MM)
+    for steps in STEPS:
+        along_mm = peak_mm[:, None] + np.linspace(-reach_mm, reach_mm, steps)
+        points_mm = eyes_mm[:, None] + along_mm[..., None] * directions[:, None]
+        best, highest_mm = _highest(
+            views, points_mm.astype(np.float32), owners, overruled, highest_mm - ROUNDING_MM
+        )
+        peak_mm = along_mm[np.arange(len(owners)), best]
+        reach_mm *= 2 / (steps - 1)
+    focal_px = np.array([camera.focal_px for camera, _ in views])[owners]
+    clearances_px = highest_mm * focal_px / np.maximum(closest_mm, 1.0)
+    return [clearances_px[owners == view] for view in range(len(views))]
+
+
+def _spread(outline_uv: Array) -> Array:
+    """At most `RAYS` points, evenly spread over an outline (N, 2)."""
+    n = len(outline_uv)
+    return outline_uv[np.linspace(0, n, min(RAYS, n), endpoint=False).astype(int)]
+
+
+def _highest(
+    views: Sequence[View],
+    points_mm: NDArray[np.float32],
+    owners: NDArray[np.int64],
+    overruled: int,
+    at_least_mm: Array,
+) -> tuple[NDArray[np.int64], Array]:
+    """Of the samples (R, S, 3) of each ray the one highest in the field of the views but its owner, and its value.
+
+    A sample is given up as soon as so many views have it below `at_least_mm` (R,) that its value must be; after
+    three or four views few are left.
+    """
+    n_rays, n_samples, _ = points_mm.shape
+    values_mm = np.full((n_rays, n_samples), -np.inf, np.float32)
+    sample, left_mm = np.arange(values_mm.size), points_mm.reshape(-1, 3)
+    owner, bound_mm = np.repeat(owners, n_samples), np.repeat(at_least_mm, n_samples)
+    smallest_mm = np.full((overruled + 1, len(sample)), np.inf, np.float32)  # so far, in order
+    for index, view in enumerate(views):
+        found_mm = distances_mm([view], left_mm)[0]
+        found_mm[owner == index] = np.inf
+        for kept_mm in smallest_mm:
+            kept_mm[:], found_mm = np.minimum(kept_mm, found_mm), np.maximum(kept_mm, found_mm)
+        is_left = np.flatnonzero(smallest_mm[-1] > bound_mm)
+        sample, left_mm, smallest_mm = sample[is_left], left_mm[is_left], smallest_mm[:, is_left]
+        owner, bound_mm = owner[is_left], bound_mm[is_left]
+    values_mm.ravel()[sample] = smallest_mm[-1]
+    best, highest_mm = values_mm.argmax(axis=1), values_mm.max(axis=1)
+    given_up = np.isneginf(highest_mm) & np.isfinite(at_least_mm)
+    if given_up.any():
+        best[given_up], highest_mm[given_up] = _highest(
+            views, points_mm[given_up], owners[given_up], overruled, np.full(given_up.sum(), -np.inf)
+        )
+    return best, highest_mm

@@ -32,7 +32,7 @@ class Step:
     significance: float  # the shift in standard deviations of itself
 
 
-def image_shifts_px(rig: RigCalibration, initial: RigCalibration) -> Mapping[CameraId, float]:
+def image_changes_px(rig: RigCalibration, initial: RigCalibration) -> Mapping[CameraId, float]:
     """Rms difference between the images of the measuring volume in two rigs, for each camera.
 
     A camera's turn, place, focal length and principal point trade against one another; what they do to the image

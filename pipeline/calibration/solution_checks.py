@@ -9,7 +9,7 @@ from pipeline.calibration.ball_sizes import either_wrong, ratio_per_edge_px
 from pipeline.calibration.bundle_adjustment import Tolerances
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.limits import CalibrationLimits
-from pipeline.calibration.movement import image_shifts_px, steps
+from pipeline.calibration.movement import image_changes_px, steps
 from pipeline.calibration.problem import Problem
 from pipeline.calibration.report import CalibrationReport, Estimate
 from pipeline.calibration.robust import adjust
@@ -85,7 +85,7 @@ def contradiction_problems(
 
 
 def moved_problems(report: CalibrationReport, limits: CalibrationLimits) -> Iterator[Problem]:
-    shifts_px = image_shifts_px(report.rig, report.initial)
+    shifts_px = image_changes_px(report.rig, report.initial)
     median_px = float(np.median(list(shifts_px.values())))
     focal_px = {camera.id: camera.focal_px for camera in report.rig.cameras}
     for camera, shift_px in shifts_px.items():

@@ -24,6 +24,7 @@ from pipeline.estimate.surface import inner_surface
 from pipeline.frames import CameraId
 from pipeline.meshing import ParticleMesh
 from pipeline.rig import RigCalibration
+from pipeline.segmentation.compiled import compiled
 from pipeline.segmentation.silhouette import Silhouette
 
 Array = NDArray[np.float64]
@@ -62,19 +63,10 @@ def estimate_body(
     ValueError
         A silhouette of a camera that the rig does not know.
     """
-    center_mm = (hull.vertices_mm.min(axis=0) + hull.vertices_mm.max(axis=0)) / 2
+    center_mm = np.array([(column.min() + column.max()) / 2 for column in hull.vertices_mm.T])
     from_center_mm = hull.vertices_mm - center_mm
-    radii_mm = np.linalg.norm(from_center_mm, axis=1)
-    first, second, third = np.ascontiguousarray(hull.faces.T)
-    columns_mm = np.ascontiguousarray(from_center_mm.T)
-    wedges_mm3 = _wedges_mm3(*(columns_mm[:, corner] for corner in (first, second, third)))
-
-    def volume_of(scale: Array) -> float:
-        """Volume when each vertex (N,) is at so many times its distance from the centre."""
-        return float(wedges_mm3 @ (scale[first] * scale[second] * scale[third]))
-
-    hull_volume_mm3 = float(wedges_mm3.sum())
-    inner = inner_surface(usable_views(silhouettes, rig), center_mm, from_center_mm / radii_mm[:, None])
+    hull_volume_mm3 = _volume_mm3(from_center_mm, hull.faces)
+    inner = inner_surface(usable_views(silhouettes, rig), center_mm, from_center_mm)
     if isinstance(inner, str):
         return BodyEstimate(
             mesh=hull,
@@ -84,20 +76,29 @@ def estimate_body(
             smoothness=0.0,
             fallback=inner,
         )
+    radii_mm = np.linalg.norm(from_center_mm, axis=1)
     excess_mm = np.maximum(radii_mm - inner.radii_mm, 0)
     smooth = smoothness(inner.local_share, bulge_share(inner.half_heights_mm, excess_mm))
     bulge_mm = smooth * np.minimum(inner.half_heights_mm, excess_mm)
-    scale = 1 - PULL * (excess_mm - bulge_mm) / radii_mm
+    moved_mm = (1 - PULL * (excess_mm - bulge_mm) / radii_mm)[:, None] * from_center_mm
+    innermost_mm = (1 - excess_mm / radii_mm)[:, None] * from_center_mm
     return BodyEstimate(
-        mesh=ParticleMesh(center_mm + scale[:, None] * from_center_mm, hull.faces),
-        volume_mm3=volume_of(scale),
+        mesh=ParticleMesh(center_mm + moved_mm, hull.faces),
+        volume_mm3=_volume_mm3(moved_mm, hull.faces),
         hull_volume_mm3=hull_volume_mm3,
-        inner_volume_mm3=volume_of(1 - excess_mm / radii_mm),
+        inner_volume_mm3=_volume_mm3(innermost_mm, hull.faces),
         smoothness=float(smooth.mean()),
     )
 
 
-def _wedges_mm3(a: Array, b: Array, c: Array) -> Array:
-    """Signed volumes (M,) of the tetrahedra of the origin and the triangles a, b, c, each (3, M)."""
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
-    return (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)) / 6
+@compiled
+def _volume_mm3(points_mm: Array, faces: NDArray[np.int64]) -> float:
+    """Volume of a closed mesh around the origin: the tetrahedra of the origin and each face."""
+    sixfold_mm3 = 0.0
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        ax, ay, az = points_mm[a, 0], points_mm[a, 1], points_mm[a, 2]
+        bx, by, bz = points_mm[b, 0], points_mm[b, 1], points_mm[b, 2]
+        cx, cy, cz = points_mm[c, 0], points_mm[c, 1], points_mm[c, 2]
+        sixfold_mm3 += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return sixfold_mm3 / 6

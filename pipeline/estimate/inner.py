@@ -13,6 +13,7 @@ import scipy.spatial
 from numpy.typing import NDArray
 
 from pipeline.estimate.tangents import Tangents
+from pipeline.segmentation.compiled import compiled
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -31,6 +32,7 @@ class InnerBody:
     points_mm: Array  # (P, 3)
     rays: NDArray[np.int64]  # (P,) the tangent whose point of contact each is
     faces: NDArray[np.int64]  # (F, 3) counter-clockwise seen from outside
+    neighbors: NDArray[np.int64]  # (F, 3) the faces opposite to these corners
     normals: Array  # (F, 3) of the faces, outwards
     offsets_mm: Array  # (F,) distances of the faces' planes from the centre, negative behind it
     volume_mm3: float
@@ -52,10 +54,12 @@ def inner_body(tangents: Tangents) -> InnerBody | None:
                 hull = scipy.spatial.ConvexHull(np.vstack([hull.points[hull.vertices], added_mm]))
     except (scipy.spatial.QhullError, ValueError):  # flat, or too few points
         return None
+    inward = _are_inward(hull)
     return InnerBody(
         points_mm=hull.points,
         rays=rays,
-        faces=_outward(hull),
+        faces=_turned(hull.simplices, inward),
+        neighbors=_turned(hull.neighbors, inward),
         normals=hull.equations[:, :3],
         offsets_mm=-hull.equations[:, 3],
         volume_mm3=float(hull.volume),
@@ -69,16 +73,15 @@ def _nearest(tangents: Tangents, rays: NDArray[np.int64], planes: Array) -> tupl
     and piecewise linear: two planes, one rising and one falling, meet below its minimum, and each step
     replaces one of them by the plane that is greatest there (Kelley's cutting planes in one dimension).
     """
-    normals, offsets_mm = planes[:, :3].T.astype(np.float32), planes[:, 3].astype(np.float32)
-    slopes = tangents.directions[rays].astype(np.float32) @ normals
-    heights = tangents.points_mm[rays].astype(np.float32) @ normals + offsets_mm
-    low_mm, high_mm = (end[rays].astype(np.float32) for end in (tangents.low_mm, tangents.high_mm))
+    normals, single = planes[:, :3].astype(np.float32), np.float32
+    slopes = normals @ tangents.directions[rays].T.astype(single)
+    heights_mm = normals @ tangents.points_mm[rays].T.astype(single) + planes[:, 3:].astype(single)
+    low_mm, high_mm = (end[rays].astype(single) for end in (tangents.low_mm, tangents.high_mm))
     every = np.arange(len(rays))
 
     def greatest(t_mm: Single) -> tuple[Single, Single, Single]:
-        values = heights + t_mm[:, None] * slopes
-        index = values.argmax(axis=1)
-        return values[every, index], slopes[every, index], heights[every, index]
+        value_mm, index = _greatest(heights_mm, slopes, t_mm)
+        return value_mm, slopes[index, every], heights_mm[index, every]
 
     _, falling, falling_mm = greatest(low_mm)
     _, rising, rising_mm = greatest(high_mm)
@@ -98,9 +101,25 @@ def _nearest(tangents: Tangents, rays: NDArray[np.int64], planes: Array) -> tupl
     return t_mm, best_mm
 
 
-def _outward(hull: scipy.spatial.ConvexHull) -> NDArray[np.int64]:
-    faces = hull.simplices.astype(np.int64)
-    a, b, c = (hull.points[faces[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    faces[inward] = faces[inward, ::-1]
-    return faces
+@compiled
+def _greatest(heights_mm: Single, slopes: Single, t_mm: Single) -> tuple[Single, NDArray[np.int32]]:
+    """The greatest value (R,) at `t_mm` (R,) of lines (P, R), and which it is; in vectors, as the rays are last."""
+    best_mm, index = np.full(len(t_mm), -np.inf, np.float32), np.zeros(len(t_mm), np.int32)
+    for plane in range(len(slopes)):
+        for ray in range(len(t_mm)):
+            value_mm = heights_mm[plane, ray] + t_mm[ray] * slopes[plane, ray]
+            is_better = value_mm > best_mm[ray]
+            best_mm[ray] = value_mm if is_better else best_mm[ray]
+            index[ray] = plane if is_better else index[ray]
+    return best_mm, index
+
+
+def _are_inward(hull: scipy.spatial.ConvexHull) -> NDArray[np.bool_]:
+    """Whether the corners of faces (F,) run clockwise seen from outside."""
+    a, b, c = hull.points[hull.simplices.T]
+    return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0)
+
+
+def _turned(corners: NDArray[np.int32], which: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """`corners` (F, 3) with the order of some faces (F,) reversed."""
+    return np.where(which[:, None], corners[:, ::-1], corners).astype(np.int64)

@@ -39,7 +39,9 @@ def local_share(inner: InnerBody, tangents: Tangents, shares: Array) -> Array:
     """Mean of `segment_shares` (P,) of the planes that look like the one at each point of an inner body."""
     normals = tangents.normals.astype(np.float32)
     limit = np.float32(np.cos(np.deg2rad(REACH_DEG)))
-    weights = np.maximum(normals[inner.rays] @ normals.T - limit, 0)
+    weights = normals[inner.rays] @ normals.T
+    weights -= limit
+    np.maximum(weights, 0, out=weights)
     return (weights @ shares.astype(np.float32) / weights.sum(axis=1)).astype(np.float64)
 
 

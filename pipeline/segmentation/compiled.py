@@ -1,0 +1,22 @@
+"""Loops over pixels, compiled."""
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import numba
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """The function, compiled by numba at its first call, without holding the GIL.
+
+    What is compiled is kept for later processes in `NUMBA_CACHE_DIR`, else beside the source or in the user's
+    cache folder. Where none of these can be written, every process compiles for itself.
+    """
+    # no fastmath: results are the same bit for bit on any number of workers
+    try:
+        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # no place to keep it
+        return numba.njit(nogil=True, error_model="numpy")(function)
