@@ -16,7 +16,7 @@ from service.api.calibration_schemas import (
     Signature,
 )
 from service.api.context import ApiContext, Context
-from service.api.problems import Problem, documented
+from service.api.problems import Problem, documented, found
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.calibration_details import CalibrationDetails
@@ -73,9 +73,7 @@ async def start_calibration(
 async def calibration(context: Context, calibration: CalibrationName) -> dict[str, Any]:
     """How far a session is: its drops, what they cover, what the calibration in use makes of them; the report."""
     details = await context.control.calibrations.find(calibration)
-    if details is None:
-        raise _unknown(calibration)
-    return _document(context, details)
+    return _document(context, found(details, "calibration", calibration))
 
 
 @router.get(
@@ -92,80 +90,44 @@ async def calibration_rig(context: Context, calibration: CalibrationName) -> Fil
     return FileResponse(path, media_type="application/json")
 
 
-@router.post(
-    "/{calibration}/solve",
-    status_code=202,
-    response_model=CalibrationSummary,
-    dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(404, 409),
+def _offer(action: CalibrationAction, scope: Scope, text: str, status: int = 200) -> None:
+    """Add the route of an action; `text` is its description."""
+
+    @router.post(
+        f"/{{calibration}}/{action}",
+        name=f"{action}_calibration",
+        description=text,
+        status_code=status,
+        response_model=CalibrationSummary,
+        dependencies=[Depends(require(scope))],
+        responses=documented(404, 409),
+    )
+    async def act(
+        context: Context, calibration: CalibrationName, signature: Signature | None = None
+    ) -> dict[str, Any]:
+        by = None if signature is None else signature.by
+        record = await context.control.calibrations.act(calibration, action, by)
+        return _summary(context, found(record, "calibration", calibration))
+
+
+_offer(
+    CalibrationAction.SOLVE,
+    Scope.OPERATE,
+    "Solve it from the drops so far, in a worker; ask for it again until it is `solved`, or `collecting` again.",
+    202,
 )
-async def solve_calibration(
-    context: Context, calibration: CalibrationName, signature: Signature | None = None
-) -> dict[str, Any]:
-    """Solve it from the drops so far, in a worker; ask for it again until it is `solved`, or `collecting` again."""
-    return await _act(context, calibration, CalibrationAction.SOLVE, signature)
-
-
-@router.post(
-    "/{calibration}/accept",
-    response_model=CalibrationSummary,
-    dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=documented(404, 409),
+_offer(
+    CalibrationAction.ACCEPT,
+    Scope.CONFIGURE,
+    "Make a solution a version; 409 when its report forbids its use. It is used when it is activated.",
 )
-async def accept_calibration(
-    context: Context, calibration: CalibrationName, signature: Signature | None = None
-) -> dict[str, Any]:
-    """Make a solution a version; 409 when its report forbids its use. It is used when it is activated."""
-    return await _act(context, calibration, CalibrationAction.ACCEPT, signature)
-
-
-@router.post(
-    "/{calibration}/reject",
-    response_model=CalibrationSummary,
-    dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(404, 409),
+_offer(CalibrationAction.REJECT, Scope.OPERATE, "End a session without using its solution; the record stays.")
+_offer(CalibrationAction.CANCEL, Scope.OPERATE, "End a session whatever it has come to; the record stays.")
+_offer(
+    CalibrationAction.ACTIVATE,
+    Scope.CONFIGURE,
+    "Measure with it from the next stone on; with an older one this is the roll back. Nothing is interrupted.",
 )
-async def reject_calibration(
-    context: Context, calibration: CalibrationName, signature: Signature | None = None
-) -> dict[str, Any]:
-    """End a session without using its solution; the record stays."""
-    return await _act(context, calibration, CalibrationAction.REJECT, signature)
-
-
-@router.post(
-    "/{calibration}/cancel",
-    response_model=CalibrationSummary,
-    dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(404, 409),
-)
-async def cancel_calibration(
-    context: Context, calibration: CalibrationName, signature: Signature | None = None
-) -> dict[str, Any]:
-    """End a session whatever it has come to; the record stays."""
-    return await _act(context, calibration, CalibrationAction.CANCEL, signature)
-
-
-@router.post(
-    "/{calibration}/activate",
-    response_model=CalibrationSummary,
-    dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=documented(404, 409),
-)
-async def activate_calibration(
-    context: Context, calibration: CalibrationName, signature: Signature | None = None
-) -> dict[str, Any]:
-    """Measure with it from the next stone on; with an older one this is the roll back. Nothing is interrupted."""
-    return await _act(context, calibration, CalibrationAction.ACTIVATE, signature)
-
-
-async def _act(
-    context: ApiContext, name: str, action: CalibrationAction, signature: Signature | None
-) -> dict[str, Any]:
-    by = None if signature is None else signature.by
-    record = await context.control.calibrations.act(name, action, by)
-    if record is None:
-        raise _unknown(name)
-    return _summary(context, record)
 
 
 def _valid_plan(wanted: CalibrationRequest) -> CalibrationPlan:
@@ -192,7 +154,3 @@ def _document(context: ApiContext, details: CalibrationDetails) -> dict[str, Any
 
 def _without_rig(report: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in report.items() if name != "rig"}
-
-
-def _unknown(name: str) -> Problem:
-    return Problem(404, "unknown-calibration", f"there is no calibration {name}")

@@ -15,7 +15,7 @@ from service.api.cameras import CameraName
 from service.api.context import ApiContext, Context
 from service.api.negotiation import FOREVER, best_match, names_etag
 from service.api.pictures import MeshFormat, NotKeptError
-from service.api.problems import Problem, documented
+from service.api.problems import Problem, documented, found
 from service.api.results import MAX_SEQ
 from service.api.schemas import ParticlesPage, Result, result_document
 from service.store import ParticleFilter, Record, rfc3339_ms
@@ -145,9 +145,7 @@ async def silhouette(
 
 async def _record(context: ApiContext, key: str) -> Record:
     record = await context.store.particle(int(key) if key.isdecimal() else key)
-    if record is None:
-        raise Problem(404, "unknown-particle", f"there is no particle {key}")
-    return record
+    return found(record, "particle", key)
 
 
 async def _record_seen_by(context: ApiContext, key: str, camera: str) -> Record:

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Mapping
 from http import HTTPStatus
-from typing import Any
+from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -15,6 +15,8 @@ from service.control import ConflictError
 from service.errors import StoreError
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 TITLES = {
     "calibration-conflict": "This cannot be done with a calibration now",
@@ -85,6 +87,13 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _of_bug)
 
 
+def found(thing: T | None, kind: str, name: str) -> T:
+    """Return the thing; where there is none the answer is 404, `unknown-<kind>`."""
+    if thing is None:
+        raise Problem(404, f"unknown-{kind}", f"there is no {kind} {name}")
+    return thing
+
+
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Describe for OpenAPI that a route answers with these problems, and any route with some."""
     schema = {"$ref": "#/components/schemas/Problem"}
@@ -98,13 +107,13 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
 async def _of_http(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, Problem):
         return problem_response(request, error)
-    assert isinstance(error, HTTPException)  # noqa: S101  the handler's registration says so, the type cannot
+    assert isinstance(error, HTTPException)  # noqa: S101 - the handler's registration says so, the type cannot
     slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
     return problem_response(request, Problem(error.status_code, slug, error.detail, headers=error.headers))
 
 
 async def _of_validation(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, RequestValidationError)  # noqa: S101  as above
+    assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
     errors = [
         {"field": ".".join(str(part) for part in item["loc"]), "message": item["msg"]}
         for item in error.errors()
@@ -114,14 +123,14 @@ async def _of_validation(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _of_conflict(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, ConflictError)  # noqa: S101  as above
+    assert isinstance(error, ConflictError)  # noqa: S101 - as above
     return problem_response(
         request, Problem(409, "transition-conflict", str(error), current=error.current, target=error.target)
     )
 
 
 async def _of_calibration(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, CalibrationConflictError)  # noqa: S101  as above
+    assert isinstance(error, CalibrationConflictError)  # noqa: S101 - as above
     return problem_response(request, Problem(409, "calibration-conflict", str(error), state=error.state))
 
 

@@ -8,11 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import Problem, documented
+from service.api.problems import Problem, documented, found
 from service.api.schemas import TIME
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.recording_live import RecordingState, RecordingStatus
+from service.recording_live import RecordingState
 from service.recordings import RecordingPlan, RecordingRefusedError, Refusal
 
 router = APIRouter(prefix="/recordings", tags=["recordings"])
@@ -96,7 +96,7 @@ async def start_recording(context: Context, wanted: RecordingRequest, response: 
 )
 async def recording(context: Context, name: RecordingName) -> dict[str, Any]:
     """How far a recording is, or what it has become."""
-    return _found(name, await context.control.recordings.find(name))
+    return asdict(found(await context.control.recordings.find(name), "recording", repr(name)))
 
 
 @router.post(
@@ -107,10 +107,4 @@ async def recording(context: Context, name: RecordingName) -> dict[str, Any]:
 )
 async def stop_recording(context: Context, name: RecordingName) -> dict[str, Any]:
     """End a recording early, keep what it has, and answer when it is complete; repeating changes nothing."""
-    return _found(name, await context.control.recordings.stop(name))
-
-
-def _found(name: str, status: RecordingStatus | None) -> dict[str, Any]:
-    if status is None:
-        raise Problem(404, "unknown-recording", f"there is no recording {name!r}")
-    return asdict(status)
+    return asdict(found(await context.control.recordings.stop(name), "recording", repr(name)))

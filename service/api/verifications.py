@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import Problem, documented
+from service.api.problems import documented, found
 from service.api.schemas import TIME
 from service.api.settings import Scope
 from service.api.version import BASE
@@ -112,7 +112,8 @@ async def start_verification(
 )
 async def verification(context: Context, verification: VerificationName) -> dict[str, Any]:
     """How far a verification is, or its verdict."""
-    return _document(_known(context.control.calibrations.verifications.find(verification), verification))
+    known = context.control.calibrations.verifications.find(verification)
+    return _document(found(known, "verification", verification))
 
 
 @router.post(
@@ -124,15 +125,9 @@ async def verification(context: Context, verification: VerificationName) -> dict
 async def cancel_verification(context: Context, verification: VerificationName) -> dict[str, Any]:
     """End a verification without a verdict; one that has ended stays as it is."""
     cancelled = await context.control.calibrations.verifications.cancel(verification, "somebody cancelled it")
-    return _document(_known(cancelled, verification))
+    return _document(found(cancelled, "verification", verification))
 
 
 def _document(verification: Verification) -> dict[str, Any]:
     summary = verification.summary
     return {**asdict(verification), "summary": None if summary is None else asdict(summary)}
-
-
-def _known(verification: Verification | None, name: str) -> Verification:
-    if verification is None:
-        raise Problem(404, "unknown-verification", f"there is no verification {name}")
-    return verification

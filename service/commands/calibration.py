@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.calibration_states import OPEN, CalibrationState
+from service.calibration_states import OPEN, CalibrationAction, CalibrationState
 from service.rest_client import DaemonError, ask
 from service.verifications import VerificationState
 
@@ -71,10 +71,7 @@ def status(
         _follow(url, key, name, as_json)
         return
     details = ask(url, f"/calibrations/{name}", key)
-    if as_json:
-        typer.echo(json.dumps(details))
-        return
-    _show(details)
+    _show(details, as_json)
 
 
 @command.command()
@@ -87,42 +84,28 @@ def solve(
         time.sleep(0.2)
     if details["state"] != CalibrationState.SOLVED:
         raise DaemonError(f"calibration {name} is {details['state']}: {details['detail']}")
-    if as_json:
-        typer.echo(json.dumps(details))
-        return
-    _show(details)
+    _show(details, as_json)
 
 
-@command.command()
-def accept(
-    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
-) -> None:
-    """Make a solution a version that can be activated."""
-    _act(url, key, name, "accept", by, as_json)
+def _decision(action: CalibrationAction, text: str) -> None:
+    """Add the command of an action that is done when the daemon answers; `text` is its help."""
+
+    @command.command(action, help=text)
+    def decide(
+        name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
+    ) -> None:
+        record = ask(url, f"/calibrations/{name}/{action}", key, {"by": by})
+        state = "in use" if record["is_active"] else record["state"]
+        typer.echo(json.dumps(record) if as_json else f"calibration {name} is {state}")
 
 
-@command.command()
-def reject(
-    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
-) -> None:
-    """End a session without using its solution."""
-    _act(url, key, name, "reject", by, as_json)
-
-
-@command.command()
-def cancel(
-    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
-) -> None:
-    """End a session whatever it has come to."""
-    _act(url, key, name, "cancel", by, as_json)
-
-
-@command.command()
-def activate(
-    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
-) -> None:
-    """Measure with a version from the next stone on; with an older one this is the roll back."""
-    _act(url, key, name, "activate", by, as_json)
+_decision(CalibrationAction.ACCEPT, "Make a solution a version that can be activated.")
+_decision(CalibrationAction.REJECT, "End a session without using its solution.")
+_decision(CalibrationAction.CANCEL, "End a session whatever it has come to.")
+_decision(
+    CalibrationAction.ACTIVATE,
+    "Measure with a version from the next stone on; with an older one this is the roll back.",
+)
 
 
 @command.command()
@@ -184,14 +167,6 @@ def list_all(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -
     Console().print(table)
 
 
-def _act(url: str, key: str | None, name: str, action: str, by: str | None, as_json: bool) -> None:
-    record = ask(url, f"/calibrations/{name}/{action}", key, {"by": by})
-    if as_json:
-        typer.echo(json.dumps(record))
-        return
-    typer.echo(f"calibration {name} is {'in use' if record['is_active'] else record['state']}")
-
-
 def _follow(url: str, key: str | None, name: str, as_json: bool) -> None:
     """Print each ball as it is observed, until the session ends."""
     n_shown = 0
@@ -218,7 +193,10 @@ def _line(number: int, ball: Mapping[str, Any], details: Mapping[str, Any]) -> s
     )
 
 
-def _show(details: Mapping[str, Any]) -> None:
+def _show(details: Mapping[str, Any], as_json: bool = False) -> None:
+    if as_json:
+        typer.echo(json.dumps(details))
+        return
     coverage, report = details["coverage"], details["report"]
     typer.echo(
         f"calibration {details['id']}: {'in use' if details['is_active'] else details['state']},"

@@ -47,7 +47,7 @@ def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> Resul
 def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
     """Find the result with this id (text) or this seq (number)."""
     column = "seq" if isinstance(key, int) else "id"
-    row = connection.execute(f"SELECT record FROM results WHERE {column} = ?", (key,)).fetchone()  # noqa: S608 - ours
+    row = connection.execute(f"SELECT record FROM results WHERE {column} = ?", (key,)).fetchone()  # noqa: S608 - one of two names above
     return json.loads(row[0]) if row else None
 
 
@@ -67,7 +67,7 @@ def particles(
     }
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
-        f"SELECT record FROM results WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?",  # noqa: S608 - ours
+        f"SELECT record FROM results WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?",  # noqa: S608 - keys of the table above
         (*given.values(), limit),
     ).fetchall()
     return [json.loads(record) for (record,) in rows]

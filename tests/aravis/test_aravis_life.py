@@ -149,8 +149,10 @@ def test_a_killed_camera_does_not_hold_up_anybody_else(
             other.close()
             moments_s.append(time.monotonic())
         closing.join()
-        assert time.monotonic() - start_s < 9
-        assert max(later - earlier for earlier, later in pairwise(moments_s)) < 1
+        closing_s = time.monotonic() - start_s
+        assert closing_s < 9
+        # with the lock held the other one would have waited all the while
+        assert max(later - earlier for earlier, later in pairwise(moments_s)) < closing_s / 2
     with pytest.raises(CameraUnavailableError, match="does not answer"):
         camera.open()
     simulated.start()
@@ -290,7 +292,7 @@ def test_a_hundred_cycles_leave_nothing_behind(simulated: SimulatedCamera) -> No
             used.append((entries("fd"), entries("task"), resident_kb()))
     (fds, threads, kb), (fds_after, threads_after, kb_after) = used
     assert fds_after <= fds
-    assert threads_after <= threads  # a thread of GLib's pool may have ended between
+    assert threads_after - threads < 5  # threads of GLib's pool come and go; one a cycle would be 75
     assert kb_after - kb < 1000
     counters = simulated.counters
     assert counters.frames == counters.triggers == N_CYCLES

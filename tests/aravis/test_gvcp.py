@@ -43,9 +43,12 @@ def test_everybody_answers_a_broadcast_in_order_of_addresses() -> None:
 def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
         mute.bind((f"{NET}.9", GVCP_PORT))
-        start_s = time.monotonic()
-        assert probe(f"{NET}.9") is None
-        assert time.monotonic() - start_s < 0.3
+        lasted_s = []
+        for _ in range(3):  # a busy machine may be late, but not always
+            start_s = time.monotonic()
+            assert probe(f"{NET}.9") is None
+            lasted_s.append(time.monotonic() - start_s)
+        assert min(lasted_s) < 0.3
     assert probe(f"{NET}.9") is None  # refused
     assert probe("240.0.0.1") is None  # unreachable
 

@@ -1,18 +1,15 @@
 """A calibration in the running daemon: collected, solved, accepted, activated, killed, verified, rolled back."""
 
-import json
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.calibration_cli import run
 from support.daemon_process import DaemonProcess
-from support.live_rig import live_rig
 from support.small_recording import write_ball_recording
-from typer.testing import CliRunner
 
 from drivers.rig_file import read_rig
-from service.cli import build_app
 
 N_BALLS = 8
 LOOP = 'pace = "fast"\nloop = true'
@@ -33,14 +30,6 @@ def results_of(daemon: DaemonProcess, calibration_id: str, n_results: int) -> li
 
     path = "/results?after=0&limit=1000"
     return latest(daemon.wait_for(path, lambda page: len(latest(page)) == n_results))
-
-
-def run(daemon: DaemonProcess, *words: str) -> dict[str, Any]:
-    """What `stonefall calibration` prints with --json."""
-    url = daemon.url("").removesuffix("/api/v1")
-    done = CliRunner().invoke(build_app(["calibration"]), ["calibration", *words, "--url", url, "--json"])
-    assert done.exit_code == 0, done.output
-    return dict(json.loads(done.stdout))
 
 
 def test_a_session_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
@@ -80,21 +69,3 @@ def test_a_session_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: P
         new_id,
         nominal_id,
     ]
-
-
-def test_on_live_cameras_what_falls_is_a_ball_until_the_session_ends(balls: Path, tmp_path: Path):
-    nominal_id = read_rig(balls / "rig.json").calibration_id
-    with live_rig(tmp_path, balls, by_address=True, number=7) as live:
-        name = live.daemon.post("/calibrations", {"ball_diameters_mm": [10.0]})["id"]
-        fallen = live.measure(N_BALLS)
-        assert {(item["kind"], item["calibration_id"]) for item in fallen} == {("ball", nominal_id)}
-        solved = run(live.daemon, "solve", name)
-        assert len(solved["report"]["drops_used"]) == N_BALLS
-        assert run(live.daemon, "accept", name)["state"] == "accepted"
-        new_id = run(live.daemon, "activate", name)["calibration_id"]
-        (after,) = live.measure(1)
-        assert (after["kind"], after["outcome"], after["calibration_id"]) == ("particle", "measured", new_id)
-        assert len(after["views"]) == 16
-        assert run(live.daemon, "activate", "0001")["is_active"]
-        (back,) = live.measure(1)
-        assert back["calibration_id"] == nominal_id

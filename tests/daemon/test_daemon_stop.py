@@ -83,7 +83,7 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     monkeypatch.setattr(daemon, "ACQUISITION_LIMIT_S", 0.1)
     manager = ListeningManager(watchdog_s=0.15)
     try:
-        await asyncio.wait_for(daemon.run(settings, manager), 30)
+        await asyncio.wait_for(daemon.run(settings, manager), 100)
     finally:
         gate.is_over.set()
     assert "READY=1" not in manager.heard

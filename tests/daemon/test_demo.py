@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.daemon_process import DaemonProcess
+from support.daemon_process import PATIENCE_S, DaemonProcess
 from support.small_recording import write_small_recording
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -39,7 +39,7 @@ def read_rows(watch: subprocess.Popen[str]) -> None:
 
 def test_every_stone_is_printed_and_accounted_for(daemon: DaemonProcess):
     watch = start_watch(daemon, daemon.process.pid, "--once")
-    out, errors = watch.communicate(timeout=30)
+    out, errors = watch.communicate(timeout=PATIENCE_S)
     assert (watch.returncode, errors) == (0, "")
     rows = re.findall(r"^ +(\d+)  (\S+) .* (measured) +(\w+) +\d+\.\d ", out, re.MULTILINE)
     assert [int(seq) for seq, *_ in rows] == list(range(1, N_STONES + 1))
@@ -51,7 +51,7 @@ def test_stones_of_a_stranger_are_not_printed(daemon: DaemonProcess):
     with subprocess.Popen([sys.executable, "-c", ""]) as own:
         own.wait()
     watch = start_watch(daemon, own.pid)
-    assert watch.communicate(timeout=30) == ("", "the daemon ended\n")
+    assert watch.communicate(timeout=PATIENCE_S) == ("", "the daemon ended\n")
     assert watch.returncode == 1
 
 
@@ -59,7 +59,7 @@ def test_ctrl_c_ends_it_quietly(daemon: DaemonProcess):
     watch = start_watch(daemon, daemon.process.pid)
     read_rows(watch)
     watch.send_signal(signal.SIGINT)
-    assert watch.communicate(timeout=30) == ("", "")
+    assert watch.communicate(timeout=PATIENCE_S) == ("", "")
     assert watch.returncode == 130
 
 
@@ -67,7 +67,7 @@ def test_it_ends_with_the_daemon(daemon: DaemonProcess):
     watch = start_watch(daemon, daemon.process.pid)
     read_rows(watch)
     daemon.stop()
-    assert watch.communicate(timeout=30) == ("", "the daemon ended\n")
+    assert watch.communicate(timeout=PATIENCE_S) == ("", "the daemon ended\n")
     assert watch.returncode == 1
 
 

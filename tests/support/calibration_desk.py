@@ -1,6 +1,7 @@
 """Calibrations on a folder of a test, and a solver in the place of the workers that makes up what it finds."""
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,14 +11,19 @@ from drivers.files import write_json
 from drivers.rig_file import write_rig
 from pipeline.calibration import Problem
 from pipeline.rig import RigCalibration
+from service.calibration_plan import CalibrationPlan
 from service.calibration_start import find_calibrations
+from service.calibration_states import CalibrationAction, CalibrationState
 from service.calibrations import Calibrations
+from service.control import AcquisitionState
 from service.drop_files import ObservedDrop, SeenCircle
 from service.drop_job import Solution, SolveJob
 from service.verification_limits import VerificationParameters
 from service.verifications import open_verifications
 
 CONFIGURED = small_rig()
+ARMED = AcquisitionState.ARMED
+BALL = CalibrationPlan(ball_diameters_mm=(10.0,), by="an engineer")
 
 
 def other_rig(name: str = "another") -> RigCalibration:
@@ -66,3 +72,35 @@ def a_drop(name: str = "000001-ball") -> ObservedDrop:
         residuals_px={camera: 2.0},
         vertical_minus_horizontal_mm=0.01,
     )
+
+
+def state_of(desk: Calibrations, name: str) -> CalibrationState:
+    return next(record.state for record in desk.all() if record.id == name)
+
+
+async def solved(desk: Calibrations) -> str:
+    """The name of a session that was solved."""
+    record = await desk.start(BALL, ARMED)
+    await solve(desk, record.id)
+    return record.id
+
+
+async def solve(desk: Calibrations, name: str) -> None:
+    await desk.act(name, CalibrationAction.SOLVE)
+    await until(desk, lambda: state_of(desk, name) is not CalibrationState.SOLVING)
+
+
+async def until(desk: Calibrations, is_so: Callable[[], bool]) -> None:
+    """Let the task of the calibrations run until it is so."""
+    task = asyncio.create_task(desk.run())
+    async with asyncio.timeout(10):
+        while not is_so():  # noqa: ASYNC110 - nobody signals it
+            await asyncio.sleep(0.001)
+    task.cancel()
+    await asyncio.wait([task])
+
+
+async def accepted(desk: Calibrations) -> str:
+    name = await solved(desk)
+    await desk.act(name, CalibrationAction.ACCEPT)
+    return name

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import closing, suppress
@@ -18,6 +19,9 @@ from urllib.parse import urlsplit
 
 STONEFALL = Path(sys.executable).with_name("stonefall")
 
+PATIENCE_S = 100.0
+"""Nothing takes so long, but on a machine that is busy with other things."""
+
 CONFIG = """
 {rig}
 [spool]
@@ -26,6 +30,8 @@ max_bundles = 100
 [store]
 dir = "state"
 {store}
+[segmentation]
+{segmentation}
 [recordings]
 reserve_gb = 0.1
 [carving]
@@ -47,6 +53,7 @@ class DaemonProcess:
         *,
         rig: str = 'pace = "fast"',
         store: str = "",
+        segmentation: str = "",
         spool: str = "spool",
         voxels: int = 64,
         slots: int = 2,
@@ -59,7 +66,15 @@ class DaemonProcess:
         self.log_path = folder / "daemon.log"
         self.config_path = folder / "stonefall.toml"
         self.config_path.write_text(
-            CONFIG.format(rig=rig, store=store, spool=spool, voxels=voxels, slots=slots, port=port)
+            CONFIG.format(
+                rig=rig,
+                store=store,
+                segmentation=segmentation,
+                spool=spool,
+                voxels=voxels,
+                slots=slots,
+                port=port,
+            )
         )
         self.heard: list[str] = []
 
@@ -68,6 +83,9 @@ class DaemonProcess:
         address.unlink(missing_ok=True)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._listener.bind(str(address))
+        # read at once: the kernel keeps ten, and a watchdog that is fed fills them in seconds
+        self._listening = threading.Thread(target=self._listen, name="notify socket")
+        self._listening.start()
         environment = os.environ | {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "600000"}
         with self.log_path.open("ab") as log:
             self.process = subprocess.Popen(
@@ -84,17 +102,20 @@ class DaemonProcess:
         for pid in workers:  # a stopped one would not notice the daemon's end
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+        self._listener.shutdown(socket.SHUT_RD)
+        self._listening.join()
         self._listener.close()
 
-    def hear(self, assignment: str, timeout_s: float = 30) -> None:
+    def _listen(self) -> None:
+        while assignments := self._listener.recv(4096):
+            self.heard += assignments.decode().splitlines()
+
+    def hear(self, assignment: str, timeout_s: float = PATIENCE_S) -> None:
         """Return once the daemon has notified `assignment`."""
         deadline = time.monotonic() + timeout_s
         while not any(line.startswith(assignment) for line in self.heard):
-            self._listener.settimeout(max(0.01, deadline - time.monotonic()))
-            try:
-                self.heard += self._listener.recv(4096).decode().splitlines()
-            except TimeoutError:
-                raise AssertionError(f"no {assignment}; the daemon's log:\n{self.log}") from None
+            assert time.monotonic() < deadline, f"no {assignment}; the daemon's log:\n{self.log}"
+            time.sleep(0.005)
 
     @property
     def log(self) -> str:
@@ -123,7 +144,7 @@ class DaemonProcess:
             return dict(json.load(connection.getresponse()))
 
     def wait_for(
-        self, path: str, condition: Callable[[dict[str, Any]], bool], timeout_s: float = 40
+        self, path: str, condition: Callable[[dict[str, Any]], bool], timeout_s: float = PATIENCE_S
     ) -> dict[str, Any]:
         deadline = time.monotonic() + timeout_s
         while not condition(document := self.get(path)):
@@ -145,7 +166,7 @@ class DaemonProcess:
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
         """Send the signal and return the exit code."""
         self.process.send_signal(number)
-        return self.process.wait(timeout=40)
+        return self.process.wait(PATIENCE_S)
 
 
 def children_of(pid: int) -> list[int]:

@@ -1,5 +1,6 @@
 """One simulated camera of small images, and an application that is its controller."""
 
+import os
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,8 +17,13 @@ from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.uplink import Uplink
 from pipeline.frames import CameraId
 
-ADDRESS = "127.31.0.2"
+NET = f"127.31.{os.getpid() % 256}"
+"""Of this test process alone: the port of the control protocol is the same for all simulators of a machine."""
+ADDRESS = f"{NET}.2"
 SIZE_PX = (128, 96)
+N_PIXELS = SIZE_PX[0] * SIZE_PX[1]
+PACKET_BYTES = 1500
+N_PACKETS = -(-N_PIXELS // (PACKET_BYTES - 36)) + 2
 
 
 def picture(n: int) -> NDArray[np.uint8]:

@@ -1,26 +1,15 @@
-"""What a simulated camera sends, and what can go wrong with it, seen by a raw socket."""
+"""What a simulated camera sends and how fast, seen by a raw socket."""
 
 import struct
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from support.gige_client import RESEND, SCDA, SCP, SCPS
-from support.simulated_camera import SIZE_PX, Session, picture, session
+from support.gige_client import RESEND, SCPS
+from support.simulated_camera import N_PACKETS, N_PIXELS, PACKET_BYTES, SIZE_PX, Session, picture, session
 
 from drivers.gige_simulator.gvsp import Block, packets
 from drivers.gige_simulator.uplink import Uplink
-
-N_PIXELS = SIZE_PX[0] * SIZE_PX[1]
-PACKET_BYTES = 1500
-N_PACKETS = -(-N_PIXELS // (PACKET_BYTES - 36)) + 2
-
-
-@pytest.fixture
-def camera() -> Iterator[Session]:
-    with session() as opened:
-        yield opened
 
 
 def test_a_frame_is_the_image_with_leader_and_trailer(camera: Session) -> None:
@@ -142,9 +131,6 @@ def test_test_packets_get_through_up_to_the_mtu() -> None:
         assert camera.control.read(SCPS) == 1 << 30 | 4004  # the command bit is gone
 
 
-# --- pace ---
-
-
 @pytest.mark.parametrize(
     ("name", "value", "lasts_s"),
     [
@@ -177,169 +163,6 @@ def test_a_shared_uplink_drops_what_does_not_fit() -> None:
     assert (counters.frames, counters.torn) == (0, 1)
 
 
-# --- resends ---
-
-
-def _resend(camera: Session, block_id: int, first: int, last: int) -> None:
-    camera.control.tell(RESEND, struct.pack(">HHII", 0, block_id, first, last))
-
-
-@pytest.mark.parametrize("packet_id", [0, 4, -1])
-def test_a_lost_packet_is_there_when_asked_for_again(camera: Session, packet_id: int) -> None:
-    camera.start()
-    camera.camera.faults.lost_packets = (packet_id,)
-    camera.camera.line()
-    frame = camera.receiver.frame()
-    assert frame is not None
-    lost = packet_id % N_PACKETS
-    assert {index for index, _ in frame.order} == set(range(N_PACKETS)) - {lost}
-    counters = camera.settled()
-    assert (counters.frames, counters.torn, counters.dropped) == (0, 1, 1)
-    _resend(camera, 1, lost, lost)
-    again = camera.receiver.frame()
-    assert again is not None
-    frame.packets |= again.packets
-    np.testing.assert_array_equal(frame.image, picture(1))
-    counters = camera.settled()
-    assert (counters.frames, counters.torn, counters.resent) == (1, 0, 1)
-    assert counters.packets == N_PACKETS
-
-
-def test_only_the_last_frames_are_kept(camera: Session) -> None:
-    camera.start()
-    for _ in range(4):
-        camera.camera.line()
-        assert camera.receiver.frame() is not None
-    _resend(camera, 1, 0, 0)
-    gone = camera.receiver.frame()
-    assert gone is not None
-    assert gone.order == [(0, 0x800C)]
-    _resend(camera, 2, 0, 1)
-    kept = camera.receiver.frame()
-    assert kept is not None
-    assert kept.order == [(0, 0), (1, 0)]
-    assert camera.camera.counters.unavailable == 1
-
-
-def test_a_camera_that_cannot_resend_says_so(camera: Session) -> None:
-    camera.start()
-    camera.camera.faults.set("no_resend", True)
-    camera.camera.line()
-    assert camera.receiver.frame() is not None
-    _resend(camera, 1, 2, 3)
-    refused = camera.receiver.frame()
-    assert refused is not None
-    assert refused.order == [(2, 0x800C), (3, 0x800C)]
-
-
-# --- faults of the stream ---
-
-
-def test_loss_is_seeded_and_counted() -> None:
-    orders = []
-    for _ in range(2):
-        with session(seed=3) as camera:
-            camera.start()
-            camera.camera.faults.packet_loss = 0.3
-            order = []
-            for _ in range(5):
-                camera.camera.line()
-                if frame := camera.receiver.frame():
-                    order += frame.order
-            counters = camera.settled()
-            assert counters.packets == len(order)
-            assert counters.packets + counters.dropped == 5 * N_PACKETS
-            assert counters.frames + counters.torn == 5
-            assert counters.dropped > 5
-            orders.append(order)
-    assert orders[0] == orders[1]
-
-
-def test_duplicates_and_reordering(camera: Session) -> None:
-    camera.start()
-    camera.camera.faults.duplicate = 1.0
-    camera.camera.faults.reorder = True
-    camera.camera.line()
-    frame = camera.receiver.frame()
-    assert frame is not None
-    rest = [camera.receiver.packet() for _ in range(2 * N_PACKETS - len(frame.order))]
-    assert all(rest)
-    assert [packet_id for packet_id, _ in frame.order][4:8] == [3, 3, 2, 2]
-    np.testing.assert_array_equal(frame.image, picture(1))
-    assert camera.settled().packets == 2 * N_PACKETS
-
-
-def test_a_stall_ends_the_frame(camera: Session) -> None:
-    camera.start()
-    camera.camera.faults.stall_after = 3
-    camera.camera.line()
-    frame = camera.receiver.frame()
-    assert frame is not None
-    assert [packet_id for packet_id, _ in frame.order] == [0, 1, 2, 3]
-    assert camera.settled().torn == 1
-
-
-def test_a_swallowed_frame_and_one_not_shown_leave_a_gap() -> None:
-    with session(lambda exposure: None if exposure.n == 2 else picture(exposure.n)) as camera:
-        camera.start()
-        ids = []
-        for n in range(1, 5):
-            camera.camera.faults.swallowed_frames = 1 if n == 3 else 0
-            camera.camera.line()
-            if n in (1, 4):
-                frame = camera.receiver.frame()
-                assert frame is not None
-                ids.append(frame.block_id)
-            camera.settled()
-        assert ids == [1, 4]
-        counters = camera.settled()
-    assert (counters.frames, counters.unexposed, counters.swallowed) == (2, 1, 1)
-
-
-def test_faults_of_the_image(camera: Session) -> None:
-    camera.start()
-    faults = camera.camera.faults
-    faults.corrupted = True
-    assert _exposed(camera)[:2, 0].tolist() == [255 - picture(1)[0, 0], picture(1)[1, 0]]
-    faults.clear()
-    faults.frozen = True
-    np.testing.assert_array_equal(_exposed(camera), picture(2))
-    np.testing.assert_array_equal(_exposed(camera), picture(2))
-    faults.clear()
-    faults.wrong_size = True
-    np.testing.assert_array_equal(_exposed(camera), picture(4)[: SIZE_PX[1] // 2])
-    faults.clear()
-    np.testing.assert_array_equal(_exposed(camera), picture(5))
-
-
-def _exposed(camera: Session) -> np.ndarray:
-    camera.camera.line()
-    frame = camera.receiver.frame()
-    assert frame is not None
-    camera.settled()
-    return frame.image
-
-
-def test_a_late_frame(camera: Session) -> None:
-    camera.start()
-    camera.camera.faults.late_ms = 120
-    since_s = time.monotonic()
-    camera.camera.line()
-    frame = camera.receiver.frame()
-    assert frame is not None
-    assert frame.first_s - since_s > 0.12
-
-
-@pytest.mark.parametrize(("kind", "n_bytes"), [("short", 3), ("foreign", 40), ("abort", 36)])
-def test_malformed_datagrams(camera: Session, kind: str, n_bytes: int) -> None:
-    camera.start()
-    camera.camera.send_malformed(kind)
-    packet = camera.receiver.packet()
-    assert packet is not None
-    assert len(packet) == n_bytes
-    assert camera.camera.counters.packets == 0
-
-
 def test_an_image_of_the_wrong_shape_is_noted_and_not_sent() -> None:
     with session(lambda exposure: picture(exposure.n)[:, :-4]) as camera:
         camera.start()
@@ -365,30 +188,3 @@ def test_stopping_in_the_middle_of_a_frame_tears_it(camera: Session) -> None:
     counters = camera.settled()
     assert (counters.torn, counters.frames) == (1, 0)
     assert counters.packets < N_PACKETS
-
-
-def test_faults_are_set_by_name_and_refused_by_name(camera: Session) -> None:
-    faults = camera.camera.faults
-    faults.set("lost_packets", [0, 5])
-    faults.set("stall_after", 3)
-    faults.set("packet_loss", 1)
-    assert (faults.lost_packets, faults.stall_after, faults.packet_loss) == ((0, 5), 3, 1.0)
-    for name, value in (("nonsense", 1), ("packet_loss", "much"), ("no_resend", 1), ("swallowed_frames", -1)):
-        with pytest.raises(ValueError, match=name):
-            faults.set(name, value)
-    faults.clear()
-    assert faults.as_dict()["lost_packets"] == ()
-
-
-def test_a_new_receiver_does_not_get_old_frames(camera: Session) -> None:
-    camera.start()
-    camera.camera.line()
-    assert camera.receiver.frame() is not None
-    assert camera.set("AcquisitionStop", 1) == 0
-    assert camera.control.write(SCDA, 0x7F000001) == camera.control.write(SCP, camera.receiver.port) == 0
-    assert camera.set("AcquisitionStart", 1) == 0
-    _resend(camera, 1, 0, 0)
-    refused = camera.receiver.frame()
-    assert refused is not None
-    assert refused.order == [(0, 0x800C)]
-    assert camera.camera.counters.unavailable == 1

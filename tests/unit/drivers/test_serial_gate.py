@@ -171,7 +171,7 @@ def test_a_disarmed_gate_owes_nothing(device: PtyGate, gate: SerialGate, sink: C
 
 
 def test_silence_is_a_loss(device: PtyGate, settings: SerialGateSettings) -> None:
-    gate = SerialGate(replace(settings, silence_s=1.1, answer_timeout_s=0.1))
+    gate = SerialGate(replace(settings, silence_s=1.1, answer_timeout_s=0.5))
     try:
         gate.open()
         gate.arm(sink := Collector())

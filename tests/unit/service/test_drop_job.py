@@ -20,23 +20,18 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
 from service import worker_job
+from service.background_file import write_background
 from service.drop_files import ObservedDrop, read_drop, write_drop
 from service.drop_job import Method, ObserveJob, Solution, SolveJob, observe, solve
-from service.worker_job import (
-    RigFile,
-    Worker,
-    WorkerContext,
-    WorkerFailure,
-    build_segmenter,
-    write_background,
-)
+from service.segmenters import build_segmenter
+from service.worker_job import RigFile, Worker, WorkerContext, WorkerFailure
 
 
 @pytest.fixture
 def worker(monkeypatch: pytest.MonkeyPatch) -> None:
     """This process as a worker that is not niced."""
     context = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
-    segmenter = build_segmenter("background", context.parameters)
+    segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
     monkeypatch.setattr(worker_job, "_worker", Worker(context=context, segmenter=segmenter))
 
 
