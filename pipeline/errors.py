@@ -6,6 +6,7 @@
     ├── RigError            a rig document that cannot be a rig; names the field
     ├── MeshError           a mesh that has no volume to measure; names the defect
     ├── CalibrationError    drops that no calibration can be made from; carries the problems
+    ├── ModelError          a segmentation network that cannot be had or used; says what was expected
     └── RejectedError       this bundle shows no measurable stone; the reason becomes the outcome
 
 Wrong arguments of a public function are plain `ValueError`.
@@ -70,6 +71,10 @@ class CalibrationError(PipelineError):
 
     def __str__(self) -> str:
         return "; ".join(problem.detail for problem in self.problems if problem.is_fatal)
+
+
+class ModelError(PipelineError):
+    """A segmentation model is missing, damaged, another than it claims to be, or of a shape nobody can use."""
 
 
 class RejectedError(PipelineError):

@@ -21,6 +21,7 @@ from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, ViewStatus, segment_all
+from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 
 LAYER_TOLERANCE_DEG = 10.0
@@ -130,6 +131,7 @@ class ParticleResult:
     """What one bundle gave: a measurement, or the reason why not."""
 
     silhouettes: SilhouetteSet
+    optics: Mapping[CameraId, ViewOptics] = field(default_factory=dict)
     views: tuple[CameraId, ...] = ()  # that carved
     dropped: Mapping[CameraId, str] = field(default_factory=dict)
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
@@ -160,6 +162,8 @@ def measure_bundle(
     """
     silhouettes = segment_all(bundle.frames, background, segmenter)
     on_stage("segment")
+    optics = observe_all(bundle.frames, background, silhouettes)
+    on_stage("optics")
     dropped = dict(bundle.missing)
     consistency = None
     try:
@@ -189,10 +193,15 @@ def measure_bundle(
         on_stage("measure")
     except RejectedError as rejection:
         return ParticleResult(
-            silhouettes=silhouettes, dropped=dropped, consistency=consistency, rejection=rejection
+            silhouettes=silhouettes,
+            optics=optics,
+            dropped=dropped,
+            consistency=consistency,
+            rejection=rejection,
         )
     return ParticleResult(
         silhouettes=silhouettes,
+        optics=optics,
         views=rig.subset(carving).camera_ids,
         dropped=dropped,
         residuals_px=consistency.residuals_px,

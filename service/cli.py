@@ -19,6 +19,7 @@ COMMANDS = {
     "calibrate": "service.commands.calibrate",
     "calibration": "service.commands.calibration",
     "measure": "service.commands.measure",
+    "models": "service.commands.models",
     "record": "service.commands.record",
     "shape": "service.commands.shape",
     "fit-volume": "service.commands.fit_volume",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from pipeline.frames import CameraId
 from service.errors import ServiceError
+from service.optical_watch import CameraOptics
 from service.recordings import Recordings
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def next_state(current: AcquisitionState, target: AcquisitionTarget) -> Acquisit
 class CheckStatus(StrEnum):
     """Of one check, from best to worst."""
 
-    PASS = "pass"  # noqa: S105  the word of the health+json draft
+    PASS = "pass"  # noqa: S105 - the word of the health+json draft
     WARN = "warn"
     FAIL = "fail"
 
@@ -112,7 +113,7 @@ class Health:
     reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
     checks: Mapping[str, Check] = field(default_factory=dict)
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `calibration`, `clock`, `store`, `disk`, `recording`, `rig`."""
+    `segmentation`, `calibration`, `clock`, `store`, `disk`, `recording`, `rig`, `optics`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,6 +151,7 @@ class CameraStatus:
     tangency_drift_px: float | None = None
     residual_px: float | None = None
     residual_drift_px: float | None = None
+    optics: CameraOptics | None = None  # how well it sees
     warnings: tuple[str, ...] = ()
 
 

@@ -26,6 +26,7 @@ from service.calibrations import Calibrations
 from service.control import AcquisitionTarget
 from service.kept_background import KeptBackground
 from service.loop_watch import LoopWatch
+from service.optical_watch import OpticalWatch
 from service.parts import Daemon
 from service.processing import Processing, ProcessingContext
 from service.record import ALGORITHM_VERSION
@@ -33,6 +34,7 @@ from service.recording_live import recording_source
 from service.recordings import open_recordings
 from service.rest_server import RestServer, listen
 from service.rig_watch import RigWatch, WatchedResults
+from service.segmentation_settings import plan_segmenter
 from service.settings import Settings
 from service.spool import Spool
 from service.stopping import StopRequests, finish
@@ -61,6 +63,9 @@ async def build(settings: Settings, store: Store) -> Daemon:
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
     rig_settings = settings.model_dump(mode="json")["rig"]
     source = recording_source(devices, configured, rig_settings)
+    segmentation = await asyncio.to_thread(plan_segmenter, settings.segmentation)
+    if segmentation.warning is not None:
+        log.error("%s", segmentation.warning)
     pool = WorkerPool(
         slots=settings.workers.slots,
         deadline_s=settings.workers.deadline_s,
@@ -69,6 +74,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             parameters=settings.pipeline,
             is_simulated=devices.is_simulated,
             speed_at_gate_mm_s=source.speed_at_gate_mm_s,
+            segmentation=segmentation,
         ),
     )
     verifications = await asyncio.to_thread(
@@ -109,6 +115,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
     fall_height_mm = rig_settings.get("fall_height_mm", 300.0)
     rig_watch = RigWatch(calibrations.calibration, speed_mm_s(fall_height_mm, source.speed_at_gate_mm_s))
 
+    optical_watch = OpticalWatch(configured, settings.optics)
+
     async def on_activated(calibration: RigCalibration) -> None:
         rig_watch.restart(calibration)
         recordings.use_rig(calibration)
@@ -142,15 +150,17 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, rig_watch),
+        results=WatchedResults(store, rig_watch, optical_watch),
         calibration=calibrations,
         kept=None
         if devices.belt
         else KeptBackground(settings.store.dir, image_sizes_px(configured), rig_settings),
+        on_empty=optical_watch.note,
         on_progress=lambda: heartbeats.beat("processing", time.monotonic()),
     )
     return Daemon(
         settings=settings,
+        segmentation=segmentation,
         store=store,
         session=session,
         calibrations=calibrations,
@@ -163,6 +173,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         heartbeats=heartbeats,
         loop_watch=LoopWatch(),
         rig_watch=rig_watch,
+        optical_watch=optical_watch,
     )
 
 

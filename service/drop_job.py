@@ -1,6 +1,5 @@
 """What a worker does for a calibration: it observes a drop in its bundle, and solves the rig from all drops."""
 
-import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,8 +27,7 @@ from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
 from service.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
-from service.errors import WorkerFailure
-from service.worker_job import RigFile, this_worker
+from service.worker_job import RigFile, this_worker, worker_boundary
 
 Method = Literal["bundle", "paper", "stones"]
 
@@ -85,18 +83,18 @@ def observe(job: ObserveJob) -> ObservedDrop:
     """
     worker = this_worker()
     bundle = read_bundle(job.bundle_path, job.camera_ids)
-    try:
+    with worker_boundary():
         rig = worker.rig_in(job.rig)
         background = worker.background_at(job.background_path)
+        # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
+        segmenter = worker.segmenter.classical
         if job.kind is BundleKind.BALL:
-            drop = _sized(observe_ball(bundle, background, worker.segmenter, None), job.diameters_mm, rig)
+            drop = _sized(observe_ball(bundle, background, segmenter, None), job.diameters_mm, rig)
             observed = _ball_against(drop, rig)
         else:
-            drop = _stone(bundle, background, worker.segmenter)
+            drop = _stone(bundle, background, segmenter)
             observed = _stone_against(drop, rig)
         write_drop(job.out_path, drop)
-    except Exception as err:  # noqa: BLE001 - the worker boundary: ship the traceback home
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
     return observed
 
 
@@ -108,25 +106,30 @@ def solve(job: SolveJob) -> Solution:
     WorkerFailure
         Anything but the reasons why nothing can be solved, with the traceback as text.
     """
-    try:
+    with worker_boundary():
         drops = [read_drop(path) for path in job.outline_paths]
         initial = read_rig(job.initial_path)
-        if job.method == "stones":
-            stones = [{camera: view.outline_uv for camera, view in drop.views.items()} for drop in drops]
-            found = recalibrate(stones, initial, created_at=job.created_at, name=job.name)
-            rig, problems = found.rig, _stone_problems(found)
-            document = _stone_document(found, initial, drops, problems)
-        else:
-            balls = with_diameters(drops, initial, job.diameters_mm)
-            report = calibrate(balls, initial, method=job.method, created_at=job.created_at, name=job.name)
-            rig, problems, document = report.rig, report.problems, report_document(report)
+        try:
+            rig, problems, document = _calibrated(job, drops, initial)
+        except CalibrationError as err:
+            return Solution(calibration_id=None, problems=err.problems)
         write_rig(job.folder / "rig.json", rig)
         write_json(job.folder / "report.json", document)
-    except CalibrationError as err:
-        return Solution(calibration_id=None, problems=err.problems)
-    except Exception as err:  # noqa: BLE001 - the worker boundary, as above
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
     return Solution(calibration_id=rig.calibration_id, problems=problems)
+
+
+def _calibrated(
+    job: SolveJob, drops: Sequence[BallDrop], initial: RigCalibration
+) -> tuple[RigCalibration, tuple[Problem, ...], Mapping[str, Any]]:
+    """The rig, what is to be said of it, and its report."""
+    if job.method == "stones":
+        stones = [{camera: view.outline_uv for camera, view in drop.views.items()} for drop in drops]
+        found = recalibrate(stones, initial, created_at=job.created_at, name=job.name)
+        problems = _stone_problems(found)
+        return found.rig, problems, _stone_document(found, initial, drops, problems)
+    balls = with_diameters(drops, initial, job.diameters_mm)
+    report = calibrate(balls, initial, method=job.method, created_at=job.created_at, name=job.name)
+    return report.rig, report.problems, report_document(report)
 
 
 def _sized(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:

@@ -17,6 +17,7 @@ from service.control import (
     Health,
     Ne107,
 )
+from service.optical_watch import OpticalFinding, Severity
 from service.parent_alarm import cause_of_all
 from service.rig_watch import Suspicion
 
@@ -57,11 +58,14 @@ class Facts:
     clock_step_s: float | None  # by which the wall clock was set lately
     late: Sequence[str]  # parts without progress, see supervision.Heartbeats
     has_background: bool
+    has_network: bool = False  # which needs no background
     calibration: CalibrationFacts
     last_seq: int  # the newest durable result
     free_bytes: int  # on the store's file system
+    segmentation_warning: str | None = None  # why outlines are not found as configured
     recording_trouble: str | None = None  # why a recording ended early
     suspicions: Sequence[Suspicion] = ()  # cameras that are not where their calibration says, see rig_watch
+    optics: Sequence[OpticalFinding] = ()  # windows, lenses and light that should be looked at
 
 
 def assess(facts: Facts) -> Health:
@@ -106,6 +110,7 @@ def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne
         or facts.clock_step_s is not None
         or not facts.has_background
         or any(suspicion.is_dropped for suspicion in facts.suspicions)
+        or any(finding.severity is Severity.OUT_OF_SPECIFICATION for finding in facts.optics)
         or facts.calibration.trouble is not None
     ):
         return Ne107.OUT_OF_SPECIFICATION
@@ -160,9 +165,14 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     checks["background"] = Check(
         status=_status(warn=not facts.has_background),
         value=facts.has_background,
-        detail=None
-        if facts.has_background
-        else "the empty rig was not seen yet: let no stone fall for a moment",
+        detail=_if(
+            not facts.has_background,
+            "the empty rig was not seen yet: let no stone fall for a moment"
+            + ("; until then the network alone finds them" if facts.has_network else ""),
+        ),
+    )
+    checks["segmentation"] = Check(
+        status=_status(warn=facts.segmentation_warning is not None), detail=facts.segmentation_warning
     )
     checks["calibration"] = _calibration(facts.calibration)
     # a store that cannot be written ends the daemon, so whoever can still ask finds it working
@@ -176,6 +186,7 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     trouble = facts.recording_trouble
     checks["recording"] = Check(status=_status(warn=trouble is not None), detail=trouble)
     checks["rig"] = _rig(facts)
+    checks["optics"] = _optics(facts)
     return checks
 
 
@@ -205,6 +216,22 @@ def _rig(facts: Facts) -> Check:
         value=round(max(scores_px), 2) if scores_px else None,
         unit="px",
         detail="; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in facts.suspicions)
+        or None,
+    )
+
+
+def _optics(facts: Facts) -> Check:
+    """What the images say about windows, lenses and light."""
+    n_cameras = len(facts.cameras)
+    concerned = {camera for finding in facts.optics for camera in finding.cameras}
+    return Check(
+        status=_status(warn=bool(facts.optics)),
+        value=n_cameras - len(concerned),
+        unit="cameras",
+        detail="; ".join(
+            f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
+            for finding in facts.optics
+        )
         or None,
     )
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from drivers.files import replacing
 from pipeline.frames import CameraId
-from service.worker_job import read_background
+from service.background_file import read_background
 
 log = logging.getLogger(__name__)
 

@@ -12,9 +12,11 @@ from service.calibrations import Calibrations
 from service.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.health import Facts, assess
 from service.loop_watch import LoopWatch
+from service.optical_watch import OpticalWatch
 from service.processing import Processing
 from service.recordings import Recordings
 from service.rig_watch import CameraScore, RigWatch
+from service.segmenters import SegmenterPlan
 from service.settings import Settings
 from service.spool import Spool
 from service.store import Store
@@ -29,6 +31,7 @@ class Daemon:
     """The parts at work; to the REST interface they are its `Control`."""
 
     settings: Settings
+    segmentation: SegmenterPlan
     store: Store
     session: int
     calibrations: Calibrations
@@ -41,6 +44,7 @@ class Daemon:
     heartbeats: Heartbeats
     loop_watch: LoopWatch
     rig_watch: RigWatch
+    optical_watch: OpticalWatch
 
     def acquisition(self) -> AcquisitionStatus:
         return self.rig.status()
@@ -51,9 +55,9 @@ class Daemon:
         return state
 
     def cameras(self) -> list[CameraStatus]:
-        scores = self.rig_watch.scores()
+        scores, optics = self.rig_watch.scores(), self.optical_watch.optics()
         return [
-            replace(status, **asdict(scores.get(status.id, CameraScore())))
+            replace(status, **asdict(scores.get(status.id, CameraScore())), optics=optics.get(status.id))
             for status in self.rig.cameras.statuses()
         ]
 
@@ -77,11 +81,14 @@ class Daemon:
                 clock_step_s=self.loop_watch.clock_step_s(),
                 late=self.late(),
                 has_background=self.processing.has_background,
+                has_network=self.segmentation.model is not None,
+                segmentation_warning=self.segmentation.warning,
                 calibration=self.calibrations.facts(),
                 last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
                 recording_trouble=self.recordings.trouble,
                 suspicions=self.rig_watch.suspicions(),
+                optics=self.optical_watch.findings(),
             )
         )
 

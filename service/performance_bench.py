@@ -25,9 +25,11 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.scene import BODY, Scene, build_scene
 from pipeline.synthesis.stones import stone
+from service.background_file import write_background
 from service.errors import UsageError
+from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.store import open_store
-from service.worker_job import MeasureJob, RigFile, WorkerContext, initialize, measure, write_background
+from service.worker_job import MeasureJob, RigFile, WorkerContext, initialize, measure
 
 SIZES_MM = (5.0, 15.0, 25.0, 40.0)
 """Greatest diameters; the last ones fill the image."""
@@ -52,7 +54,11 @@ def run_performance_bench(
 ) -> list[StageTimes]:
     """Time `repeat` stones of each of `SIZES_MM` in one worker, after one that warms it up."""
     context = multiprocessing.get_context("spawn")
-    worker = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
+    worker = WorkerContext(
+        parameters=PipelineParameters(),
+        is_simulated=True,
+        segmentation=plan_segmenter(SegmentationSettings()),
+    )
     jobs = [(row, number) for row in range(len(SIZES_MM)) for number in range(repeat)]
     timed: dict[int, list[dict[str, float]]] = {row: [] for row in range(len(SIZES_MM))}
     with (

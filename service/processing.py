@@ -101,6 +101,7 @@ KEPT = ("mesh.ply", "silhouettes", "bundle.tiff")
 @dataclass(frozen=True, slots=True)
 class _Learnt:
     path: Path
+    optics: Mapping[str, Any]  # figures of each camera, see `record.optics_record`
     retired: Path | None  # the version that no later job uses
 
 
@@ -122,7 +123,8 @@ class _Turn:
 class Processing:
     """The consumer of a spool: `run` is its task, `abandon` ends it early.
 
-    `on_progress` is called after every commit and by nothing else.
+    `on_empty` is told what each exposure of the empty rig says about the cameras; `on_progress` is called
+    after every commit and by nothing else.
     """
 
     def __init__(
@@ -134,6 +136,7 @@ class Processing:
         results: ResultSink,
         calibration: CalibrationInUse,
         kept: KeptBackground | None = None,
+        on_empty: Callable[[Mapping[str, Any]], None] = lambda optics: None,
         on_progress: Callable[[], None],
     ) -> None:
         self._context = context
@@ -141,6 +144,7 @@ class Processing:
         self._pool = pool
         self._results = results
         self._calibration = calibration
+        self._on_empty = on_empty
         self._on_progress = on_progress
         self._jobs: set[asyncio.Task[_Measured | _Learnt | Loss]] = set()
         self._is_abandoned = False
@@ -192,7 +196,8 @@ class Processing:
     async def _commit(self, turn: _Turn) -> None:
         bundle = turn.bundle
         match outcome := turn.outcome:
-            case _Learnt(path, retired):
+            case _Learnt(path, optics, retired):
+                self._on_empty(optics)
                 if self._kept is not None:
                     await asyncio.to_thread(self._kept.keep, path)
                 # its turn has come, so all jobs that were given the old version are through
@@ -247,9 +252,9 @@ class Processing:
             previous_path=self._background,
             out_path=out_path,
         )
-        await self._pool.run(learn_background, job)
+        optics = await self._pool.run(learn_background, job)
         retired, self._background = self._background, out_path
-        return _Learnt(out_path, retired)
+        return _Learnt(out_path, optics, retired)
 
     async def _measure(
         self, path: Path, rig: RigFile, collector: DropCollector | None, folder: Path

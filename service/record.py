@@ -1,12 +1,14 @@
 """The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed (design, section 4)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from pipeline.fall import extent_is_plausible, vertical_extent_mm
-from pipeline.frames import Trigger
+from pipeline.frames import CameraId, Trigger
 from pipeline.particle import ParticleMeasurement, ParticleResult
+from pipeline.segmentation.optics import ViewOptics
 
-ALGORITHM_VERSION = "2"
+ALGORITHM_VERSION = "3"
 """Raised by every change that may change a result."""
 
 MEASURED_FIELDS = (
@@ -58,8 +60,13 @@ def result_record(
         "quality": None if result.quality is None else str(result.quality),
         "views": list(result.views),
         "dropped_views": dict(result.dropped),
+        "segmenters": {camera: seen.found_by for camera, seen in result.silhouettes.items()},
+        "segmentation_flags": {
+            camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
+        },
         "view_residuals_px": {camera: round(px, 4) for camera, px in result.residuals_px.items()},
         **_tangency(result),
+        "optics": optics_record(result.optics),
         "timings_ms": timings_ms,
     }
     if measurement is not None:
@@ -77,6 +84,23 @@ def _tangency(result: ParticleResult) -> dict[str, Any]:
         "image_shifts_px": {
             camera: [round(px, 4) for px in shift] for camera, shift in found.image_shifts_px.items()
         },
+    }
+
+
+def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
+    """How well each camera sees, rounded to what can be told from one exposure."""
+    return {
+        camera: {
+            "brightness": round(seen.brightness, 4),
+            "gradient_uv": [round(slope, 4) for slope in seen.gradient_uv],
+            "dust": round(seen.dust, 4),
+            "spots_share": round(seen.spots_share, 4),
+            "saturated_share": round(seen.saturated_share, 5),
+            "noise_grey": round(seen.noise_grey, 2),
+            "edge_width_px": None if seen.edge_width_px is None else round(seen.edge_width_px, 2),
+            "contrast": None if seen.contrast is None else round(seen.contrast, 3),
+        }
+        for camera, seen in optics.items()
     }
 
 
@@ -101,6 +125,8 @@ def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulat
         "quality": None,
         "views": [],
         "dropped_views": {},
+        "segmenters": {},
+        "segmentation_flags": {},
         **dict.fromkeys(MEASURED_FIELDS),
         "gate_extent_mm": None,
         "gate_extent_is_plausible": None,
@@ -108,6 +134,7 @@ def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulat
         "view_residuals_px": {},
         "tangency_px": {},
         "image_shifts_px": {},
+        "optics": {},
         "timings_ms": {},
         "calibration_id": calibration_id,
         "algorithm_version": ALGORITHM_VERSION,

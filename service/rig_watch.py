@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -172,19 +172,26 @@ class RigWatch:
         return tuple(sorted([*displaced, *differing], key=lambda suspicion: -suspicion.score_px))
 
 
-class WatchedResults:
-    """The sink of all results, and the watch that reads along."""
+class Watch(Protocol):
+    """Whoever learns from results."""
 
-    def __init__(self, results: ResultSink, watch: RigWatch) -> None:
+    def feed(self, record: Mapping[str, Any]) -> None: ...
+
+
+class WatchedResults:
+    """The sink of all results, and the watches that read along."""
+
+    def __init__(self, results: ResultSink, *watches: Watch) -> None:
         self._results = results
-        self._watch = watch
+        self._watches = watches
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
     ) -> int:
         """Pass a result on, then learn from it: what is said about the rig is durable."""
         seq = await self._results.finish(session, bundle, record, files)
-        self._watch.feed(record)
+        for watch in self._watches:
+            watch.feed(record)
         return seq
 
 

@@ -16,14 +16,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pipeline.carving import CarvingParameters
 from pipeline.consistency import ConsistencyParameters
 from pipeline.particle import BodyParameters, PipelineParameters, ViewsParameters
-from pipeline.segmentation.subtraction import SegmentationParameters
 from service.api.settings import ApiSettings
 from service.bundling_parameters import BundlingParameters
 from service.empty_rig import EmptyRigParameters
 from service.errors import SettingsError, VolumeModelError
+from service.optical_watch import OpticalParameters
 from service.paths import ConfiguredPath
 from service.recordings import RecordingsSettings
 from service.rig_settings import BACKENDS, RigSettings
+from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.store import KEEP_RAW
 from service.verification_limits import VerificationParameters
 from service.volume_models import MeasuringSettings
@@ -78,9 +79,10 @@ class Settings(BaseModel):
     store: StoreSettings
     bundling: BundlingParameters = BundlingParameters()
     empty_rig: EmptyRigParameters = EmptyRigParameters()
-    segmentation: SegmentationParameters = SegmentationParameters()
+    segmentation: SegmentationSettings = SegmentationSettings()
     views: ViewsParameters = ViewsParameters()
     consistency: ConsistencyParameters = ConsistencyParameters()
+    optics: OpticalParameters = OpticalParameters()
     carving: CarvingParameters = CarvingParameters()
     body: BodyParameters = BodyParameters()
     measuring: MeasuringSettings = MeasuringSettings()
@@ -95,8 +97,9 @@ class Settings(BaseModel):
             **{
                 part.name: getattr(self, part.name)
                 for part in fields(PipelineParameters)
-                if part.name != "measuring"
+                if part.name not in ("segmentation", "measuring")
             },
+            segmentation=self.segmentation.parameters,
             measuring=self.measuring.parameters,
         )
 
@@ -141,6 +144,12 @@ def problems(settings: Settings) -> Iterator[str]:
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _cannot_hold_files(folder):
             yield f"{name}: {problem}"
+
+
+def shortcomings(settings: Settings) -> Iterator[str]:
+    """Say what the daemon starts without, each with its field."""
+    if trouble := plan_segmenter(settings.segmentation).trouble:
+        yield f"segmentation.model: {trouble}"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -7,12 +7,13 @@ whatever the number of workers.
 import os
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import trimesh
 from threadpoolctl import threadpool_limits
 
@@ -22,12 +23,14 @@ from pipeline.frames import CameraId
 from pipeline.measuring import measure_shape
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig import RigCalibration
-from pipeline.segmentation import BackgroundModel, Segmenter
-from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
-from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.segmentation.choice import ChoosingSegmenter
+from pipeline.segmentation.optics import observe_all
+from service.background_file import read_background, write_background
 from service.errors import WorkerFailure
-from service.record import result_record
+from service.record import optics_record, result_record
+from service.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +40,7 @@ class WorkerContext:
     parameters: PipelineParameters
     is_simulated: bool
     speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
-    segmenter: str = "background"
+    segmentation: SegmenterPlan = CLASSICAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ class Worker:
     """A worker process: what its jobs share, and what it keeps from one to the next."""
 
     context: WorkerContext
-    segmenter: Segmenter
+    segmenter: ChoosingSegmenter
     background_path: Path | None = None
     background: BackgroundModel | None = None
     rig_file: RigFile | None = None
@@ -112,10 +115,9 @@ def initialize(context: WorkerContext) -> None:
     """
     global _worker
     step_back()
-    _worker = Worker(
-        context=context,
-        segmenter=build_segmenter(context.segmenter, context.parameters),
-    )
+    segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
+    warm_up(segmenter)
+    _worker = Worker(context=context, segmenter=segmenter)
     measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
 
 
@@ -134,11 +136,13 @@ def this_worker() -> Worker:
     return _worker
 
 
-def build_segmenter(name: str, parameters: PipelineParameters) -> Segmenter:
-    """The segmenter of that name; `ValueError` for one this version does not have."""
-    if name != "background":
-        raise ValueError(f"segmenter must be background, not {name!r}")
-    return BackgroundSegmenter(parameters.segmentation)
+@contextmanager
+def worker_boundary() -> Iterator[None]:
+    """Turn whatever goes wrong within into a `WorkerFailure` with the traceback as text: it travels home as it is."""
+    try:
+        yield
+    except Exception as err:  # noqa: BLE001 - the one place where everything is caught
+        raise WorkerFailure("".join(traceback.format_exception(err))) from None
 
 
 def measure(job: MeasureJob) -> dict[str, Any]:
@@ -162,7 +166,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         timings_ms[stage] = round(1000 * (now - stage_start), 2)
         stage_start = now
 
-    try:
+    with worker_boundary():
         background = worker.background_at(job.background_path)
         rig = worker.rig_in(job.rig)
         on_stage("load")
@@ -173,8 +177,6 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         if job.archive:
             write_bundle(job.out_dir / "bundle.tiff", bundle, job.camera_ids, compression="zstd")
         on_stage("write")
-    except Exception as err:  # noqa: BLE001 - the worker boundary: ship the traceback home
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
     timings_ms["total"] = round(sum(timings_ms.values()), 2)
     record = result_record(
         result,
@@ -202,8 +204,10 @@ def _write_files(job: MeasureJob, result: ParticleResult) -> None:
             cv2.imwrite(str(folder / f"{camera}.png"), silhouette.label_image())
 
 
-def learn_background(job: LearnJob) -> None:
+def learn_background(job: LearnJob) -> dict[str, Any]:
     """Fold one exposure of the empty rig into the background and write it as a new file.
+
+    Returns the optical figures of each camera, see `record.optics_record`.
 
     Raises
     ------
@@ -213,35 +217,7 @@ def learn_background(job: LearnJob) -> None:
         Anything else, with the traceback as text.
     """
     bundle = read_bundle(job.bundle_path, job.camera_ids)
-    try:
+    with worker_boundary():
         previous = {} if job.previous_path is None else read_background(job.previous_path)
         write_background(job.out_path, learn(previous, bundle.frames))
-    except Exception as err:  # noqa: BLE001 - the worker boundary, as above
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
-
-
-COUNTS = ".counts"
-"""Ending of the array beside a camera's mean; a camera id has no dot."""
-
-
-def read_background(path: Path) -> BackgroundModel:
-    """The background model in a file written by `write_background`."""
-    with path.open("rb") as file, np.load(file) as arrays:
-        return {
-            CameraId(name): CameraBackground(mean=arrays[name], n_frames=n_frames, n_refused=n_refused)
-            for name in arrays.files
-            if not name.endswith(COUNTS)
-            for n_frames, n_refused in [arrays[name + COUNTS].tolist()]
-        }
-
-
-def write_background(path: Path, model: BackgroundModel) -> None:
-    """Write the model under a name that appears only when it is complete."""
-    arrays: dict[str, Any] = {}
-    for camera, background in model.items():
-        arrays[camera] = background.mean
-        arrays[camera + COUNTS] = np.array([background.n_frames, background.n_refused])
-    partial = path.with_suffix(".tmp")
-    with partial.open("wb") as file:
-        np.savez(file, **arrays)
-    partial.rename(path)
+        return optics_record(observe_all(bundle.frames, previous))

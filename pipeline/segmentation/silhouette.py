@@ -1,7 +1,9 @@
 """One particle in one view: three-state labels and the signed distance to its sub-pixel edge."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +29,11 @@ class ViewStatus(StrEnum):
     NO_BACKGROUND = "no_background"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+def _nowhere() -> NDArray[np.float32]:
+    return np.zeros((0, 0), np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Silhouette:
     """Arrays cover a region of interest only; its pixel (0, 0) is `offset_uv` of the image.
 
@@ -40,10 +46,19 @@ class Silhouette:
     offset_uv: tuple[int, int] = (0, 0)
     labels: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
     """(h, w): OUTSIDE, UNKNOWN or INSIDE."""
-    distance_px: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    """(h, w) signed distance of the pixel centre to the edge of *inside or unknown*, positive within."""
     outline_uv: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     """(N, 2) points on the edge in image coordinates, in order, only where the edge was seen."""
+    measure_distance: Callable[[], NDArray[np.float32]] = _nowhere
+    """Computes `distance_px`, which costs as much as finding the silhouette and is not always asked for."""
+    found_by: str = "background"
+    """Name of the segmenter that made it."""
+    fallback: str | None = None
+    """Why it was not the one that was wanted."""
+
+    @cached_property
+    def distance_px(self) -> NDArray[np.float32]:
+        """(h, w) signed distance of the pixel centre to the edge of *inside or unknown*, positive within."""
+        return self.measure_distance()
 
     @property
     def is_usable(self) -> bool:

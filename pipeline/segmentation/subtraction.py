@@ -1,32 +1,36 @@
-"""Background segmentation with sub-pixel edges.
-
-A pixel at the edge mixes body and background, I = c s + (1 - c) B. With the background B known and
-the body's grey level s carried outwards from just inside the edge, the coverage c follows, and the
-edge is where c = 1/2: half-way between the *local* grey levels on both sides, whatever the texture,
-the light or a gradient of the background. A symmetric blur does not move it.
+"""Background segmentation: the body is what differs from the empty rig; `delineation` places its edge.
 
 Where the background itself is dark (screws, vents, apertures, holes) body and background cannot be
 told apart: those pixels are unknown, and an unknown pixel never carves.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.frames import Frame
-from pipeline.segmentation.background import COARSE, BackgroundModel, coarsen, flash_gain
-from pipeline.segmentation.edge import signed_distance
-from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
+from pipeline.frames import CameraId, Frame
+from pipeline.segmentation.background import (
+    COARSE,
+    BackgroundModel,
+    CameraBackground,
+    flash_gain,
+    uneven_light,
+)
+from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
+from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
+Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+Level = TypeVar("Level", np.uint8, np.float32)
+Box = tuple[int, int, int, int]  # x, y, width, height
 
-CORE_DEPTH_PX = 4
-"""Beyond this depth behind the first trace of the body, blur no longer mixes the background in."""
-REACH_PX = 13
-"""Window over which the body's grey level is carried from the core outwards."""
+FINE = 2
+"""Within the region of the body every so many-th pixel of every so many-th row is compared."""
+CORE_DEPTH = 2
+"""Beyond this depth, in fine steps, behind the first trace of the body, blur no longer mixes the background in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +53,22 @@ class SegmentationParameters:
             raise ValueError("hole_px must not be negative")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EmptyView:
+    """What a view shows without a body, in the light of one flash; arrays (h, w)."""
+
+    expected: Grey  # grey level
+    allowed: Grey  # deviation from it that is no body
+    dark: Grey  # 1 where no deviation tells anything
+    gain: float  # strength of the flash, relative to the background's
+    light: Array | None  # strength of the light at each place on top of that, `None` where it is even
+
+    def differs(self, seen: Grey) -> Grey:
+        """1 where an image is not the empty view."""
+        deviation = np.asarray(cv2.absdiff(seen, self.expected), np.uint8)
+        return (deviation > self.allowed).view(np.uint8) & ~self.dark
+
+
 @dataclass(frozen=True, slots=True)
 class BackgroundSegmenter:
     """The `Segmenter` that compares with the empty rig."""
@@ -57,123 +77,109 @@ class BackgroundSegmenter:
 
     def __call__(self, frame: Frame, background: BackgroundModel) -> Silhouette:
         """The silhouette of the one body in the frame."""
+        return self.compared(frame, background)[0]
+
+    def compared(self, frame: Frame, background: BackgroundModel) -> tuple[Silhouette, EmptyView | None]:
+        """The silhouette, and the empty view in coarse pixels that it was told from."""
         known = background.get(frame.camera)
         if known is None or known.mean.shape != frame.image.shape:
-            return _no_body(frame, ViewStatus.NO_BACKGROUND)
-        coarse, coarse_background = coarsen(frame.image.astype(np.float32)), known.coarse
-        gain = flash_gain(coarse, coarse_background)
-        dark_below = self.parameters.dark_share * gain * known.typical
-        status, region = self._locate(coarse, np.float32(gain) * coarse_background, dark_below)
-        if region is None:
-            return _no_body(frame, status)
-        rows, columns = _full_size(region, frame.image.shape)
-        image = frame.image[rows, columns].astype(np.float32)
-        expected = np.float32(gain) * known.mean[rows, columns]
-        body, unknown, coverage = self._delineate(image, expected, dark_below)
-        seen = body & ~unknown
-        if not seen.any():
-            return _no_body(frame, ViewStatus.EMPTY)
-        if _touches_border(seen, rows, columns, frame.image.shape):
-            return _no_body(frame, ViewStatus.CLIPPED)
-        distance_px, outline = signed_distance(body, coverage, unknown)
-        labels = np.where(unknown, UNKNOWN, np.where(body, INSIDE, OUTSIDE))
-        return Silhouette(
-            camera=frame.camera,
-            status=ViewStatus.OK,
-            image_size_px=(frame.image.shape[1], frame.image.shape[0]),
-            offset_uv=(columns.start, rows.start),
-            labels=labels,
-            distance_px=distance_px,
-            outline_uv=outline + np.array([columns.start, rows.start]),
-        )
+            return no_body(frame, ViewStatus.NO_BACKGROUND), None
+        status, empty, box = self.locate(frame, known)
+        if box is None:
+            return no_body(frame, status), empty
+        rows, columns = _full_size(box, frame.image.shape)
+        image = frame.image[rows, columns].copy()
+        expected = known.mean[rows, columns]
+        if empty.light is not None:
+            expected = expected * _magnified(empty.light, rows, columns, image.shape)
 
-    def _locate(
-        self, coarse: Array, expected: Array, dark_below: float
-    ) -> tuple[ViewStatus, tuple[int, int, int, int] | None]:
-        """Box (x, y, width, height) of the body in coarse pixels, or why there is none.
+        seen = image[::FINE, ::FINE].copy()
+        nearby = replace(
+            empty,
+            expected=_magnified(empty.expected, rows, columns, seen.shape),
+            allowed=_magnified(empty.allowed, rows, columns, seen.shape),
+            dark=_magnified(empty.dark, rows, columns, seen.shape),
+        )
+        unknown = np.asarray(cv2.dilate(nearby.dark, _disc(1)), np.uint8)
+        differs = nearby.differs(seen) & (1 - unknown)
+        delineation = delineate(
+            image,
+            expected,
+            cv2.erode(differs, _disc(CORE_DEPTH)).view(np.bool_),
+            cv2.dilate(differs, _disc(1)).view(np.bool_),
+            unknown.view(np.bool_),
+            gain=empty.gain,
+            min_contrast=self.parameters.min_contrast,
+            hole_px=self.parameters.hole_px,
+        )
+        return silhouette_of(frame, (columns.start, rows.start), delineation), empty
+
+    def locate(self, frame: Frame, known: CameraBackground) -> tuple[ViewStatus, EmptyView, Box | None]:
+        """Box of the body in coarse pixels, or why there is none, and the empty view in coarse pixels.
 
         What lies on both sides of a dark dot is one body: the dot may hide the bridge.
         """
         p = self.parameters
-        dark = expected < dark_below
-        differs = (np.abs(expected - coarse) > p.min_contrast * expected + 4) & ~dark
-        _, labels, boxes, _ = cv2.connectedComponentsWithStats((differs | dark).astype(np.uint8))
-        sizes = np.bincount(labels[differs], minlength=len(boxes)) * COARSE**2
-        sizes[0] = 0
-        order = np.argsort(sizes)[::-1]
-        if len(order) == 0 or sizes[order[0]] < p.min_body_px:
-            return ViewStatus.EMPTY, None
-        largest = int(order[0])
-        if len(order) > 1 and sizes[order[1]] > max(p.min_body_px, p.second_body_share * sizes[largest]):
-            return ViewStatus.MULTIPLE, None
-        x, y, width, height = (int(size) for size in boxes[largest, :4])
-        return ViewStatus.OK, (x, y, width, height)
-
-    def _delineate(self, image: Array, expected: Array, dark_below: float) -> tuple[Mask, Mask, Array]:
-        """Masks (h, w) of the body, with unknown pixels it may hide behind, and of the unknown; coverage c, 0..1."""
-        difference = expected - image
-        unknown: Mask = cv2.dilate((expected < dark_below).astype(np.uint8), _disc(2)).astype(bool)
-        differs = (np.abs(difference) > self.parameters.min_contrast * expected + 4) & ~unknown
-        core = cv2.erode(differs.astype(np.uint8), _disc(CORE_DEPTH_PX)).astype(np.float32)
-        level = _carried(image, core, REACH_PX)
-        if (lacking := np.isnan(level) & differs).any():
-            # slivers too thin for a core, and edges beside the unknown, ask further around
-            level[lacking] = _carried(image, core, 5 * REACH_PX)[lacking]
-        level[np.isnan(level)] = _median(image[differs])
-        contrast = expected - level
-        unknown |= (np.abs(contrast) < self.parameters.min_contrast * expected) & (core == 0)
-        coverage: Array = np.clip(difference / np.where(unknown, np.float32(1), contrast), 0, 1)
-        coverage[core > 0] = 1  # light veins and dark stains: only the edge is judged by its surroundings
-        inside = (coverage > 0.5) & ~unknown
-        body = _largest_with_holes_filled(inside, unknown, self.parameters.hole_px)
-        return body, unknown, coverage
+        seen = sampled(frame.image)  # noise is far below the least contrast
+        gain = flash_gain(seen, known.coarse)
+        light = uneven_light(seen, known, gain)
+        wall = known.coarse if light is None else known.coarse * light
+        empty = EmptyView(
+            expected=_grey(wall, gain),
+            allowed=_grey(wall, gain * p.min_contrast, 4),
+            dark=(known.coarse < p.dark_share * known.typical).view(np.uint8),
+            gain=gain,
+            light=light,
+        )
+        differs = empty.differs(seen)
+        contours, _ = cv2.findContours(differs | empty.dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        found = []
+        for contour in contours:
+            u, v, width, height = cv2.boundingRect(contour)
+            if not differs[v : v + height, u : u + width].any():
+                continue  # a dark dot
+            part = np.zeros((height, width), np.uint8)
+            cv2.drawContours(part, [contour], 0, 1, cv2.FILLED, offset=(-u, -v))
+            n_pixels = cv2.countNonZero(part & differs[v : v + height, u : u + width])
+            found.append((n_pixels * COARSE**2, (u, v, width, height)))
+        found.sort(reverse=True)
+        if not found or found[0][0] < p.min_body_px:
+            return ViewStatus.EMPTY, empty, None
+        if len(found) > 1 and found[1][0] > max(p.min_body_px, p.second_body_share * found[0][0]):
+            return ViewStatus.MULTIPLE, empty, None
+        return ViewStatus.OK, empty, found[0][1]
 
 
-def _no_body(frame: Frame, status: ViewStatus) -> Silhouette:
-    height_px, width_px = frame.image.shape
-    return Silhouette(camera=frame.camera, status=status, image_size_px=(width_px, height_px))
+def sampled(image: Grey) -> Grey:
+    """Every fourth pixel of every fourth row (H/4, W/4)."""
+    height, width = (size // COARSE for size in image.shape)
+    whole = image[: COARSE * height, : COARSE * width]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
-def _largest_with_holes_filled(inside: Mask, unknown: Mask, hole_px: int) -> Mask:
-    """The component of *inside or unknown* with most of the inside: a connected body's silhouette is connected."""
-    contours, hierarchy = cv2.findContours(
-        (inside | unknown).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE
-    )
-    largest, size = np.zeros_like(inside), 0
-    for index, contour in enumerate(contours):
-        _, _, first_hole, parent = hierarchy[0][index]
-        if parent >= 0 or cv2.contourArea(contour) <= size:
-            continue  # a hole, or too small to win
-        part = np.zeros(inside.shape, np.uint8)
-        cv2.drawContours(part, [contour], 0, 1, cv2.FILLED)
-        while first_hole >= 0:
-            hole = contours[first_hole]
-            if cv2.contourArea(hole) > hole_px:
-                cv2.drawContours(part, [hole], 0, 0, cv2.FILLED)
-                cv2.drawContours(part, [hole], 0, 1, 1)  # a hole's contour runs on the body's pixels
-            first_hole = hierarchy[0][first_hole][0]
-        n_inside = int(np.count_nonzero(part & inside))
-        if n_inside > size:
-            largest, size = part.astype(bool), n_inside
-    return largest
+def warm_up() -> None:
+    """Compile what segmentation needs, by segmenting views made up for it: seconds that the first stone has not.
+
+    For regions within an image and as large as it: arrays with gaps between their rows and without.
+    """
+    camera = CameraId("warm-up")
+    for size_px in (3 * MARGIN_PX, 6 * MARGIN_PX):
+        image = np.full((size_px, size_px), 200, np.uint8)
+        body = slice(size_px // 2 - 20, size_px // 2 + 20)
+        image[body, body] = 60
+        empty = CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)
+        frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
+        silhouette = BackgroundSegmenter()(frame, {camera: empty})
+        silhouette.measure_distance()
 
 
-def _carried(image: Array, core: Array, window_px: int) -> Array:
-    """Mean of the core's grey levels in the window around each pixel, NaN where the window holds no core."""
-    window = (window_px, window_px)
-    weight = cv2.blur(core, window)
-    level = cv2.blur(image * core, window)
-    return np.where(weight > 1e-4, level / np.maximum(weight, np.float32(1e-4)), np.float32(np.nan))
+def _grey(levels: Array, factor: float, offset: float = 0.0) -> Grey:
+    return np.asarray(cv2.convertScaleAbs(levels, alpha=factor, beta=offset), np.uint8)
 
 
-def _median(values: Array) -> np.float32:
-    """Median of every sixteenth value, 0 of none: ten thousands of pixels are more than enough."""
-    return np.float32(np.median(values[::16])) if values.size else np.float32(0)
-
-
-def _full_size(region: tuple[int, int, int, int], shape: tuple[int, ...]) -> tuple[slice, slice]:
+def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
     """Rows and columns of a coarse box in full resolution, with the margin, within the image."""
-    x, y, width, height = (COARSE * size for size in region)
+    x, y, width, height = (COARSE * size for size in box)
     margin = MARGIN_PX + COARSE
     return (
         slice(max(y - margin, 0), min(y + height + margin, shape[0])),
@@ -181,13 +187,12 @@ def _full_size(region: tuple[int, int, int, int], shape: tuple[int, ...]) -> tup
     )
 
 
-def _touches_border(seen: Mask, rows: slice, columns: slice, shape: tuple[int, ...]) -> bool:
-    return bool(
-        (rows.start == 0 and seen[0].any())
-        or (columns.start == 0 and seen[:, 0].any())
-        or (rows.stop == shape[0] and seen[-1].any())
-        or (columns.stop == shape[1] and seen[:, -1].any())
-    )
+def _magnified(coarse: NDArray[Level], rows: slice, columns: slice, shape: tuple[int, ...]) -> NDArray[Level]:
+    """Values (H/4, W/4) of the blocks of an image in a region that begins with a block, brought to a shape (h, w)."""
+    height, width = shape
+    last_row, last_column = (-(-at.stop // COARSE) for at in (rows, columns))
+    blocks = coarse[rows.start // COARSE : last_row, columns.start // COARSE : last_column]
+    return np.asarray(cv2.resize(blocks, (width, height), interpolation=cv2.INTER_LINEAR), coarse.dtype)
 
 
 def _disc(radius_px: int) -> NDArray[np.uint8]:

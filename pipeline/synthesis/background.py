@@ -25,6 +25,8 @@ SEAM_SPACING_DEG = 18.0
 SEAM_WIDTH_MM = 2.0
 SEAM_SOFTNESS_MM = 0.5
 SEAM_DEPTH = 0.18
+WALL_GREY = 205.0
+"""Grey level of the plain wall at the nominal flash."""
 N_DOTS = 210  # about two in a field of view
 DOT_RADIUS_MM = (1.2, 2.8)  # 12 to 29 px at the far side of the wall
 DEFOCUS_PX = 8.0
@@ -93,7 +95,7 @@ def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Gen
     u = (np.arange(-2, -(-width // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
     v = (np.arange(-2, -(-height // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1)
-    reflectance = _reflectance(_wall_directions(camera, grid_uv.reshape(-1, 2), wall), wall)
+    reflectance = _reflectance(wall_directions(camera, grid_uv.reshape(-1, 2), wall.radius_mm), wall)
     coarse = reflectance.reshape(len(v), len(u)).astype(np.float32)
     blurred = cv2.GaussianBlur(coarse, (0, 0), DEFOCUS_PX / COARSE_PX)
     fine = cv2.resize(blurred, None, fx=COARSE_PX, fy=COARSE_PX, interpolation=cv2.INTER_CUBIC)
@@ -104,18 +106,18 @@ def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Gen
     y = np.linspace(-1, 1, height)[:, None]
     tilt_x, tilt_y = rng.normal(0, 0.03, size=2)
     vignetting = rng.uniform(0.04, 0.08)
-    light = 205.0 * gain * (1 + tilt_x * x + tilt_y * y - vignetting * (x**2 + y**2))
+    light = WALL_GREY * gain * (1 + tilt_x * x + tilt_y * y - vignetting * (x**2 + y**2))
     radiance = np.asarray(fine * light, dtype=np.float32)
     radiance.setflags(write=False)
     return Background(radiance=radiance, gain=gain)
 
 
-def _wall_directions(camera: CameraCalibration, pixels_uv: Array, wall: Wall) -> Array:
-    """Unit vectors (N, 3) from the origin to where the viewing rays meet the far side of the wall."""
+def wall_directions(camera: CameraCalibration, pixels_uv: Array, radius_mm: float) -> Array:
+    """Unit vectors (N, 3) from the origin to where the viewing rays meet the far side of a spherical wall."""
     center, rays = camera.center_mm, camera.rays(pixels_uv)
     # |c + s d| = r, the larger s
     half = rays @ center
-    distances = -half + np.sqrt(np.maximum(half**2 - center @ center + wall.radius_mm**2, 0))
+    distances = -half + np.sqrt(np.maximum(half**2 - center @ center + radius_mm**2, 0))
     points = center + distances[:, None] * rays
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 

@@ -28,6 +28,7 @@ class Body:
     kind: BundleKind = BundleKind.PARTICLE
     grey: float = 60.0  # mean grey level on a background of about 205
     contrast: float = 0.22  # of its texture, relative sd
+    gloss: float = 0.0  # 0 matte, 1 wet
 
     @property
     def radius_mm(self) -> float:

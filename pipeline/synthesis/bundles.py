@@ -5,13 +5,15 @@ Each camera's counter starts somewhere in its 16 bits and goes on after 65535 wi
 clock has its own zero.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from types import MappingProxyType
 
 import numpy as np
 
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from pipeline.synthesis.disturbance import Disturbance
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph
 
 TRIGGER_DELAY_NS = 247_400_000
@@ -42,12 +44,13 @@ def render_bundle(
     kind: BundleKind = BundleKind.PARTICLE,
     period_ns: int = PERIOD_NS,
     delay_ns: int = TRIGGER_DELAY_NS,
+    disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> FrameBundle:
     """The bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`.
 
     The cameras expose `delay_ns` after the gate.
     """
-    images = photograph(bodies, simulated, rng)
+    images = photograph(bodies, simulated, rng, disturbances)
     elapsed_ns = (sequence - 1) * period_ns
     trigger_ns = FIRST_NS + elapsed_ns
     trigger = Trigger(
@@ -75,11 +78,22 @@ def render_bundle(
 
 
 def render_empty(
-    simulated: SimulatedRig, rng: np.random.Generator, *, sequence: int, period_ns: int = PERIOD_NS
+    simulated: SimulatedRig,
+    rng: np.random.Generator,
+    *,
+    sequence: int,
+    period_ns: int = PERIOD_NS,
+    disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> FrameBundle:
     """The empty rig, exposed on purpose."""
     return render_bundle(
-        [], simulated, rng, sequence=sequence, kind=BundleKind.BACKGROUND, period_ns=period_ns
+        [],
+        simulated,
+        rng,
+        sequence=sequence,
+        kind=BundleKind.BACKGROUND,
+        period_ns=period_ns,
+        disturbances=disturbances,
     )
 
 

@@ -41,7 +41,7 @@ def distance_picture(mesh: trimesh.Trimesh, distances_mm: Array, title: str) -> 
     bar = _bar(limit_mm, f"{distances_mm.min():+.3f}", f"{distances_mm.max():+.3f}")
     body = np.hstack([*views, bar])
     strip = np.full((TITLE_PX, body.shape[1], 3), np.rint(255 * np.array(TOP_RGB)), np.uint8)
-    return np.vstack([_lettered(strip, [(title, 22, TITLE_PX // 2 + 7, 0.62)]), body])
+    return np.vstack([lettered(strip, [(title, 22, TITLE_PX // 2 + 7, 0.62)]), body])
 
 
 def _colors_rgb(relative: Array) -> Array:
@@ -64,10 +64,10 @@ def _bar(limit_mm: float, least: str, greatest: str) -> Picture:
         cv2.line(strip, (right, row), (right + 5, row), INK_RGB, 1)
         label = f"{share * limit_mm:+.3g} mm" if share else "0"
         texts.append((label, right + 10, row + 5, 0.45))
-    return _lettered(strip, texts)
+    return lettered(strip, texts)
 
 
-def _lettered(picture: Picture, texts: list[tuple[str, int, int, float]]) -> Picture:
+def lettered(picture: Picture, texts: list[tuple[str, int, int, float]]) -> Picture:
     """The picture with texts (text, left, base line, scale) in smooth letters."""
     height, width = picture.shape[:2]
     large = cv2.resize(picture, (SCALE * width, SCALE * height), interpolation=cv2.INTER_NEAREST)

@@ -4,7 +4,8 @@ Every random number comes from the generator that is passed in; one exposure is 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 import trimesh
@@ -16,6 +17,7 @@ from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.synthesis import outline, shading
 from pipeline.synthesis.background import Background, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
 from pipeline.synthesis.optics import ExposureParameters, FloatImage, blur_kernel, blurred, expose
 from pipeline.synthesis.outline import Window
 
@@ -54,44 +56,50 @@ def simulate_rig(
 
 
 def photograph(
-    bodies: Sequence[PlacedBody], simulated: SimulatedRig, rng: np.random.Generator
+    bodies: Sequence[PlacedBody],
+    simulated: SimulatedRig,
+    rng: np.random.Generator,
+    disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> dict[CameraId, Image]:
     """One exposure of all cameras; without bodies, of the empty rig."""
-    parameters = simulated.parameters
-    surfaces = [_surface(placed, rng) for placed in bodies]
-    flash = _flash(parameters.flash_sd, rng)
+    surfaces = [illuminated(placed, rng) for placed in bodies]
+    flash = _flash(simulated.parameters.flash_sd, rng)
     images = {}
     for camera in simulated.rig.cameras:
-        background = simulated.backgrounds[camera.id]
-        radiance = background.radiance.copy()
-        for surface in sorted(surfaces, key=lambda s: -float(camera.project(s.center_mm)[1][0])):
-            _compose(radiance, surface, camera, background.gain, parameters)
-        radiance *= flash * _flash(parameters.camera_flash_sd, rng)
-        images[camera.id] = expose(radiance, parameters, rng)
+        disturbance = disturbances.get(camera.id, UNDISTURBED)
+        view = view_of(surfaces, camera, simulated, disturbance)
+        strength = flash * _flash(simulated.parameters.camera_flash_sd, rng)
+        images[camera.id] = expose(view.radiance(strength), view.parameters, rng)
     return images
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Surface:
+class Surface:
     """A placed body with its light on it."""
 
     mesh: trimesh.Trimesh  # world frame
     center_mm: Array  # (1, 3)
     edges: outline.Edges
     scene: EmbreeScene
-    face_radiance: Array  # (F,)
+    face_radiance: Array  # (F,) of what is matte
+    gloss: float
+    lamps: Array  # (L, 3) unit vectors to what a glossy surface mirrors
 
 
-def _surface(placed: PlacedBody, rng: np.random.Generator) -> _Surface:
+def illuminated(placed: PlacedBody, rng: np.random.Generator) -> Surface:
+    """The body in the light of one exposure."""
     mesh = placed.world_mesh
     scene = shading.embree_scene(mesh)
     face_radiance = shading.texture(placed.body, rng) * shading.irradiance(mesh, scene, rng)
-    return _Surface(
+    return Surface(
         mesh=mesh,
         center_mm=placed.offset_mm[None, :],
         edges=outline.edges_of(mesh.faces),
         scene=scene,
         face_radiance=face_radiance,
+        gloss=placed.body.gloss,
+        # drawn for wet bodies only: the images of known seeds depend on all that is drawn
+        lamps=shading.lamps(rng) if placed.body.gloss > 0 else np.empty((0, 3)),
     )
 
 
@@ -99,14 +107,68 @@ def _flash(sd: float, rng: np.random.Generator) -> float:
     return 1 + sd * float(np.clip(rng.normal(), -3, 3))
 
 
-def _compose(
-    radiance: FloatImage,
-    surface: _Surface,
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layer:
+    """A body in one view, blurred, within the image."""
+
+    rows: slice
+    columns: slice
+    coverage: FloatImage  # (h, w) share of the pixel covered
+    radiance: FloatImage  # (h, w) of the body, continued beyond its outline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """One camera's view before the flash and the sensor: what lies behind, and in front of it the bodies."""
+
+    wall: FloatImage  # (H, W), in its light
+    layers: tuple[Layer, ...]  # from the farthest to the nearest
+    disturbance: Disturbance
+    parameters: ExposureParameters  # as disturbed
+
+    def radiance(self, strength: float = 1.0) -> FloatImage:
+        """Grey levels (H, W) without noise for a flash of this strength."""
+        radiance = self.wall.copy()
+        for layer in self.layers:  # coverage * body + (1 - coverage) * behind
+            behind = radiance[layer.rows, layer.columns]
+            behind += layer.coverage * (layer.radiance - behind)
+        radiance *= strength
+        return np.asarray(radiance * self.disturbance.transmission + self.disturbance.veil)
+
+
+def view_of(
+    surfaces: Sequence[Surface],
+    camera: CameraCalibration,
+    simulated: SimulatedRig,
+    disturbance: Disturbance = UNDISTURBED,
+) -> View:
+    """What one camera has before it."""
+    background = simulated.backgrounds[camera.id]
+    parameters = simulated.parameters
+    if disturbance.exposure_us is not None:
+        parameters = replace(parameters, exposure_us=disturbance.exposure_us)
+    if disturbance.read_noise is not None:
+        parameters = replace(parameters, read_noise=disturbance.read_noise)
+    ordered = sorted(surfaces, key=lambda s: -float(camera.project(s.center_mm)[1][0]))
+    layers = (
+        _layer(surface, camera, background.gain, disturbance.body_light, parameters) for surface in ordered
+    )
+    return View(
+        wall=background.radiance * disturbance.wall_light,
+        layers=tuple(layer for layer in layers if layer is not None),
+        disturbance=disturbance,
+        parameters=parameters,
+    )
+
+
+def _layer(
+    surface: Surface,
     camera: CameraCalibration,
     gain: float,
+    light: FloatImage | float,
     parameters: ExposureParameters,
-) -> None:
-    """Put a body in front of what `radiance` (H, W) shows: coverage * body + (1 - coverage) * behind."""
+) -> Layer | None:
+    """The body in the image, `None` if it is not."""
     fall_mm = np.array([[0, 0, -parameters.fall_speed_mm_s * parameters.exposure_us * 1e-6]])
     (start_uv, end_uv), _ = camera.project(np.concatenate([-fall_mm, fall_mm]) / 2 + surface.center_mm)
     kernel = blur_kernel(parameters.blur_px, end_uv - start_uv)
@@ -120,18 +182,27 @@ def _compose(
     seen = Window(-margin_px, -margin_px, width + 2 * margin_px, height + 2 * margin_px)
     window = outline.intersection(outline.window_around(pixels_uv, margin_px), seen)
     if window is None:
-        return
+        return None
     toward_camera_mm = camera.center_mm - surface.mesh.triangles[:, 0]
     is_front = np.einsum("ij,ij->i", surface.mesh.face_normals, toward_camera_mm) > 0
     border_uv = pixels_uv[outline.border(surface.edges, is_front)]
     covered = outline.coverage(border_uv[:, 0], border_uv[:, 1], window)
-    shown = shading.surface_image(surface.scene, surface.face_radiance * gain, camera, window)
+    face_radiance = surface.face_radiance
+    if surface.gloss > 0:
+        face_radiance = face_radiance + surface.gloss * shading.reflection(
+            surface.mesh, surface.lamps, camera
+        )
+    shown = shading.surface_image(surface.scene, face_radiance * gain, camera, window)
     covered, shown = blurred(covered, kernel), blurred(shown, kernel)
 
     inside = outline.intersection(window, Window(0, 0, width, height))
     if inside is None:
-        return
-    rows = slice(inside.top - window.top, inside.top - window.top + inside.height)
-    columns = slice(inside.left - window.left, inside.left - window.left + inside.width)
-    behind = radiance[inside.top : inside.top + inside.height, inside.left : inside.left + inside.width]
-    behind += covered[rows, columns] * (shown[rows, columns] - behind)
+        return None
+    rows = slice(inside.top, inside.top + inside.height)
+    columns = slice(inside.left, inside.left + inside.width)
+    within = (
+        slice(inside.top - window.top, inside.top - window.top + inside.height),
+        slice(inside.left - window.left, inside.left - window.left + inside.width),
+    )
+    light_there = light if isinstance(light, float) else light[rows, columns]
+    return Layer(rows=rows, columns=columns, coverage=covered[within], radiance=shown[within] * light_there)

@@ -2,7 +2,7 @@
 
 A matte surface looks equally bright from everywhere, so each face's radiance is computed once an
 exposure: its texture times the part of the dome that it sees. Rays (embree) find what occludes it, and
-which face a pixel shows.
+which face a pixel shows. A wet surface is darker, and mirrors the dome and its lamps.
 """
 
 import cv2
@@ -13,6 +13,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from pipeline.rig import CameraCalibration
+from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.optics import FloatImage
 from pipeline.synthesis.outline import Window
@@ -24,6 +25,13 @@ TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
 DOME_GRADIENT = 0.3
 """The dome is brighter above than at its horizon by this part, and darker below."""
 RAYS_PER_FACE = 12
+WET_DARKENING = 0.4
+"""A wet stone scatters less of the light by this part (Lekner and Dorf 1988: by a third to a half)."""
+NORMAL_REFLECTANCE = 0.02  # of water
+N_LAMPS = 8
+LAMP_SHARPNESS = 150.0  # exponent of a lamp's lobe: some 5 degrees wide
+LAMP_LEVEL = 40.0
+"""Radiance of a lamp relative to the wall's."""
 STEP_PX = 2
 """Texture is looked up on every second pixel; the lens blurs over more than that."""
 
@@ -41,7 +49,8 @@ def texture(body: Body, rng: np.random.Generator) -> Array:
     mottles = sum(wave_noise(centers_mm, wavelength, 12, rng) for wavelength in TEXTURE_WAVELENGTHS_MM)
     speckles = rng.normal(size=len(centers_mm))
     relative = body.contrast * (0.5 * mottles + 0.5 * speckles)
-    return np.asarray(body.grey * np.clip(1 + relative, 0.4, 1.7))
+    matte = body.grey * (1 - WET_DARKENING * body.gloss)
+    return np.asarray(matte * np.clip(1 + relative, 0.4, 1.7))
 
 
 def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generator) -> Array:
@@ -58,6 +67,23 @@ def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generat
     is_free = scene.run(origins.astype(np.float32), directions.astype(np.float32)) < 0
     received = is_free * (1 + DOME_GRADIENT * directions[:, 2])
     return np.asarray(received.reshape(-1, RAYS_PER_FACE).mean(axis=1))
+
+
+def lamps(rng: np.random.Generator) -> Array:
+    """Unit vectors (N_LAMPS, 3) to where the dome is brightest."""
+    directions = rng.normal(size=(N_LAMPS, 3))
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+def reflection(mesh: trimesh.Trimesh, lamps: Array, camera: CameraCalibration) -> Array:
+    """Radiance (F,) that each wet face mirrors to the camera: all of the wall's at grazing incidence (Schlick 1994)."""
+    toward_camera = camera.center_mm - mesh.triangles_center
+    toward_camera /= np.linalg.norm(toward_camera, axis=1, keepdims=True)
+    cosines = np.clip((mesh.face_normals * toward_camera).sum(axis=1), 0, 1)
+    mirrored = 2 * cosines[:, None] * mesh.face_normals - toward_camera
+    lobes = np.exp(LAMP_SHARPNESS * (mirrored @ lamps.T - 1)).sum(axis=1)
+    reflectance = NORMAL_REFLECTANCE + (1 - NORMAL_REFLECTANCE) * (1 - cosines) ** 5
+    return np.asarray(reflectance * WALL_GREY * (1 + LAMP_LEVEL * lobes))
 
 
 def surface_image(

@@ -24,6 +24,23 @@ class Hull(BaseModel):
     equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
 
 
+class ViewOptics(BaseModel):
+    """How well a camera saw one exposure, against the rig when it was clean."""
+
+    brightness: float = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
+    gradient_uv: list[float] = Field(
+        description="The same, from the left border to the right one and from the upper to the lower one"
+    )
+    dust: float = Field(description="Share of the light lost in patches, 0..1")
+    spots_share: float = Field(description="Share of the view darker than its surroundings, 0..1")
+    saturated_share: float = Field(description="Share of all pixels that are saturated, 0..1")
+    noise_grey: float = Field(description="Noise of a pixel, grey levels")
+    edge_width_px: float | None = Field(
+        description="Width of the outline from 10 to 90 %, px; null without one"
+    )
+    contrast: float | None = Field(description="Of stone and wall at the outline, share of the wall's level")
+
+
 class Result(BaseModel):
     """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
 
@@ -41,6 +58,12 @@ class Result(BaseModel):
     quality: Literal["good", "reduced", "degraded"] | None = Field(description="How well the stone was seen")
     views: list[str] = Field(description="Cameras the measurement rests on")
     dropped_views: dict[str, str] = Field(description="Cameras left out, each with the reason")
+    segmenters: dict[str, str] = Field(
+        description="What found the outline in each view: background, network or u2net"
+    )
+    segmentation_flags: dict[str, str] = Field(
+        description="Cameras whose view was not left to the segmenter asked first, each with the reason"
+    )
     captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
     body: Literal["estimate", "hull"] | None = Field(description="What mesh and shape describe")
@@ -84,6 +107,7 @@ class Result(BaseModel):
     image_shifts_px: dict[str, list[float]] = Field(
         description="By how much (u, v) each camera sees the stone beside where the others expect it, px"
     )
+    optics: dict[str, ViewOptics] = Field(description="How well each camera saw this stone")
     timings_ms: dict[str, float] = Field(description="Computing time of each stage, ms")
     calibration_id: str | None = Field(description="Calibration the measurement rests on")
     algorithm_version: str | None = Field(description="Changes whenever results may")
@@ -94,9 +118,12 @@ _EMPTY: dict[str, Any] = {
     **dict.fromkeys(Result.model_fields),
     "views": [],
     "dropped_views": {},
+    "segmenters": {},
+    "segmentation_flags": {},
     "view_residuals_px": {},
     "tangency_px": {},
     "image_shifts_px": {},
+    "optics": {},
     "timings_ms": {},
 }
 
@@ -171,6 +198,25 @@ class AcquisitionRequest(BaseModel):
     state: AcquisitionTarget
 
 
+class CameraOptics(BaseModel):
+    """How well a camera sees: medians of the latest 20 exposures, null before the fifth.
+
+    Compared with the rig when it was clean: the first exposures with these optical settings, as long as the
+    background is kept.
+    """
+
+    brightness: float | None = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
+    gradient_u: float | None = Field(description="The same, from the left border to the right one")
+    gradient_v: float | None = Field(description="The same, from the upper border to the lower one")
+    flicker: float | None = Field(description="Its standard deviation from exposure to exposure")
+    dust: float | None = Field(description="Share of the light lost in patches, 0..1")
+    spots_share: float | None = Field(description="Share of the view darker than its surroundings, 0..1")
+    saturated_share: float | None = Field(description="Share of all pixels that are saturated, 0..1")
+    noise_grey: float | None = Field(description="Noise of a pixel, grey levels")
+    edge_width_px: float | None = Field(description="Width of outlines from 10 to 90 %, px")
+    contrast: float | None = Field(description="Of stone and wall at the outline, share of the wall's level")
+
+
 class Camera(BaseModel):
     """State of one camera, and its counters since the daemon started."""
 
@@ -215,6 +261,7 @@ class Camera(BaseModel):
     residual_drift_px: float | None = Field(
         description="The same against the first 20 stones since the start, or since this calibration was activated"
     )
+    optics: CameraOptics | None = Field(description="How well it sees")
     warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 
 

@@ -103,6 +103,7 @@ def command(
     start = read_rig(initial)
     require_rig_of(source, start, initial)
     unreadable = [str(error) for error in source.unreadable]
+    # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
     background, segmenter = _learn_background(source, unreadable), BackgroundSegmenter()
     if method is Method.STONES:
 

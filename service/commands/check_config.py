@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from service.errors import SettingsError
-from service.settings import load_settings, problems
+from service.settings import load_settings, problems, shortcomings
 
 
 def command(
@@ -23,7 +23,7 @@ def command(
             typer.echo(json.dumps({"settings": None, "problems": [str(err)]}, indent=2))
         raise
     document = settings.model_dump(mode="json")
-    wrong = list(problems(settings))
+    wrong = [*problems(settings), *shortcomings(settings)]
     if as_json:
         typer.echo(json.dumps({"settings": document, "problems": wrong}, indent=2))
     else:

@@ -29,6 +29,8 @@ from pipeline.gradation import gradation
 from pipeline.particle import BodyParameters, PipelineParameters
 from service.errors import ServiceError, UsageError
 from service.processing import FixedCalibration, Processing, ProcessingContext
+from service.segmentation_settings import SegmentationSettings, plan_segmenter
+from service.segmenters import SegmenterPlan
 from service.settings import load_settings
 from service.spool import Loss, SpooledBundle
 from service.worker_job import RigFile, WorkerContext, initialize
@@ -41,9 +43,11 @@ IN_FLIGHT = 4
 
 
 class SegmenterName(StrEnum):
-    """How silhouettes are found."""
+    """What finds the outlines first; the other one where it cannot."""
 
+    AUTO = "auto"
     BACKGROUND = "background"
+    ONNX = "onnx"
 
 
 class BodyName(StrEnum):
@@ -64,7 +68,14 @@ def command(
     recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
     out: Annotated[Path, typer.Option(help="Folder for results.jsonl, meshes/ and gradation.json.")],
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own rig.json.")] = None,
-    segmenter: Annotated[SegmenterName, typer.Option()] = SegmenterName.BACKGROUND,
+    segmenter: Annotated[
+        SegmenterName | None,
+        typer.Option(help="As configured, else auto: onnx where background is in doubt."),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="ONNX file, or a name of `stonefall models list`; else the built-in one."),
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="Take the parameters of this configuration.")] = None,
     field: Annotated[Field | None, typer.Option(help="view_count is the paper's field.")] = None,
     body: Annotated[
@@ -81,7 +92,9 @@ def command(
         raise UsageError(f"{recording} has no rig.json; name a rig file with --rig")
     calibration = read_rig(rig_path)
     require_rig_of(source, calibration, rig_path)
-    parameters = load_settings(config).pipeline if config else PipelineParameters()
+    settings = load_settings(config) if config else None
+    parameters = settings.pipeline if settings else PipelineParameters()
+    segmentation = settings.segmentation if settings else SegmentationSettings()
     if body is not None:
         parameters = replace(parameters, body=BodyParameters(body.value))
     if field is not None:
@@ -90,7 +103,7 @@ def command(
         parameters=parameters,
         is_simulated=source.is_simulated,
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
-        segmenter=segmenter.value,
+        segmentation=_plan(segmentation, segmenter, model),
     )
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     rig_file = RigFile(rig_path, calibration.calibration_id)
@@ -99,6 +112,21 @@ def command(
     curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
     (out / "gradation.json").write_text(json.dumps(asdict(curve), indent=2) + "\n")
     _report(records, as_json)
+
+
+def _plan(
+    configured: SegmentationSettings, segmenter: SegmenterName | None, model: str | None
+) -> SegmenterPlan:
+    """As configured unless the command line says otherwise; what it names itself must be there."""
+    wanted = configured.segmenter if segmenter is None else segmenter.value
+    plan = plan_segmenter(
+        replace(configured, segmenter=wanted, model=configured.model if model is None else model)
+    )
+    if plan.trouble is not None and (segmenter is SegmenterName.ONNX or model is not None):
+        raise UsageError(plan.trouble)
+    if plan.warning is not None:
+        typer.echo(f"stonefall: {plan.warning}", err=True)
+    return plan
 
 
 class _Playback:

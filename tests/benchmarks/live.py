@@ -1,6 +1,7 @@
 """The daemon on sixteen simulated GigE cameras, four stones a second, measuring: what is lost, and what it takes.
 
 Run: .venv/bin/python tests/benchmarks/live.py [--seconds 300] [--rate 4] [--size-mm 5] [--loss 0] [--keep-raw 0]
+     [--segmenter auto|onnx|background]
 Exits with 1 if a stone is missing that no fault took, the accounts of driver and simulator differ, or memory grows.
 """
 
@@ -15,7 +16,7 @@ import time
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from rich.console import Console
 from rich.table import Table
@@ -25,6 +26,7 @@ from support import rendered
 from support.daemon_process import STONEFALL, DaemonProcess, children_of
 
 from drivers.recording import RecordingWriter
+from pipeline.segmentation.choice import Wanted
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
@@ -45,6 +47,9 @@ def main() -> int:
     parser.add_argument("--size-mm", type=float, default=5)
     parser.add_argument("--loss", type=float, default=0, help="probability of losing a packet")
     parser.add_argument("--keep-raw", type=int, default=0)
+    parser.add_argument(
+        "--segmenter", choices=get_args(Wanted), default="auto", help="onnx: the network sees every view"
+    )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
@@ -99,6 +104,8 @@ port = "{folder}/gate"
 [empty_rig]
 at_start = 2
 every_s = 0
+[segmentation]
+segmenter = "{arguments.segmenter}"
 """
     with DaemonProcess(
         folder, folder, rig=section, voxels=256, spool=spool, store=f"keep_raw = {arguments.keep_raw}"
@@ -156,6 +163,7 @@ def report(
     span_s = last["at_s"] - first["at_s"]
     growth_mb = last["rss_mb"] - first["rss_mb"]
     views = [len(result["views"]) for result in results]
+    flagged = Counter(why for result in results for why in result["segmentation_flags"].values())
     differing = [
         camera
         for camera, seen in counted["cameras"].items()
@@ -172,6 +180,12 @@ def report(
         "by reason": counts["by_reason"],
         "bundles with 16, 15, fewer views": (
             f"{views.count(16)}, {views.count(15)}, {sum(n < 15 for n in views)}"
+        ),
+        f"views segmented by, asked for {arguments.segmenter}": dict(
+            Counter(name for result in results for name in result["segmenters"].values())
+        ),
+        "views with a flag of their segmentation, three of the reasons": (
+            f"{sum(flagged.values())}, {[why for why, _ in flagged.most_common(3)]}"
         ),
         "views not used": dict(
             Counter(why for result in results for why in result["dropped_views"].values())

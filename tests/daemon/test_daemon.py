@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.daemon_process import DaemonProcess, is_running
+from support.daemon_process import PATIENCE_S, DaemonProcess, is_running
 from support.small_recording import write_small_recording
 
 from drivers.recording import open_recording, playback_order
@@ -119,7 +119,9 @@ def test_a_recording_runs_through_and_sigterm_ends_it(
         assert (accounting["measured"], accounting["backgrounds"]) == (N_STONES, 2)
         health = daemon.get("/health")
         assert health["ready"] is False
-        assert health["reasons"] == ["acquisition: disarmed"]
+        # a busy machine holds up the loop, which is told as well
+        reasons = [reason for reason in health["reasons"] if not reason.startswith("loop: held up")]
+        assert reasons == ["acquisition: disarmed"]
         assert {camera["frames"] for camera in daemon.get("/cameras")["items"]} == {N_STONES + 2}
         daemon.hear("STATUS=disarmed, 0 bundles waiting, last result 6")
         workers = daemon.worker_pids()
@@ -132,7 +134,7 @@ def test_a_recording_runs_through_and_sigterm_ends_it(
 
 
 def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path: Path):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 4.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
         assert daemon.stop() == 0
@@ -145,7 +147,7 @@ def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path:
 
 
 def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Path):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 4.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)
@@ -158,7 +160,9 @@ def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Pat
     accounting = accounting_in(tmp_path)
     assert accounting.is_balanced
     assert accounting.in_progress == 0
-    assert accounting.by_reason["shutdown"] == accounting.lost >= 3
+    assert accounting.by_reason["shutdown"] >= 3
+    # on a busy machine more has fallen than the queue holds
+    assert accounting.lost == accounting.by_reason["shutdown"] + accounting.by_reason.get("queue_full", 0)
 
 
 def test_a_killed_worker_costs_one_retry_and_no_stone(
@@ -179,7 +183,7 @@ def test_a_killed_worker_costs_one_retry_and_no_stone(
 def test_after_a_kill_of_the_daemon_open_triggers_are_lost_and_the_feed_goes_on(
     recording: Path, tmp_path: Path
 ):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 4.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
         workers = daemon.worker_pids()
@@ -229,7 +233,7 @@ def test_a_fatal_error_ends_the_process_with_its_traceback(recording: Path, tmp_
     with open_store(tmp_path / "state") as store:  # a file in the way of the first result's folder
         (store.particles_dir / f"{store.instance_id[:8]}-00000001").touch()
     with DaemonProcess(tmp_path, recording, slots=1) as daemon:
-        assert daemon.process.wait(timeout=30) == 1
+        assert daemon.process.wait(PATIENCE_S) == 1
         workers = daemon.worker_pids()
         assert "StoreError" in daemon.log
         assert daemon.log.count("fatal, the daemon ends") == 1
@@ -240,17 +244,17 @@ def test_a_taken_port_or_store_is_one_line_and_exit_1(recording: Path, tmp_path:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with DaemonProcess(tmp_path, recording, port=port) as daemon:
-            assert daemon.process.wait(timeout=30) == 1
+            assert daemon.process.wait(PATIENCE_S) == 1
         complaint = f"stonefall: api: cannot listen on 127.0.0.1 port {port}: Address already in use"
         (line,) = daemon.log.splitlines()
         assert line.startswith(complaint)
     with open_store(tmp_path / "state"), DaemonProcess(tmp_path, recording) as daemon:
-        assert daemon.process.wait(timeout=30) == 1
+        assert daemon.process.wait(PATIENCE_S) == 1
         assert "another process has the store open" in daemon.log.splitlines()[-1]
 
 
 def test_a_wrong_configuration_is_one_line_and_exit_1(tmp_path: Path):
     with DaemonProcess(tmp_path, tmp_path / "nowhere") as daemon:
-        assert daemon.process.wait(timeout=30) == 1
+        assert daemon.process.wait(PATIENCE_S) == 1
         (line,) = daemon.log.splitlines()
         assert f"stonefall.toml: rig.recording: {tmp_path}/nowhere: is not a recording" in line

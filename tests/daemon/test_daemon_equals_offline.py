@@ -13,7 +13,7 @@ from service.record import MEASURED_FIELDS
 
 COMPARED = (
     "bundle", "sequence", "kind", "captured_at", "outcome", "reason", "detail", "quality", "views",
-    "dropped_views", *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
+    "dropped_views", "segmenters", "segmentation_flags", *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
     "view_residuals_px", "calibration_id", "algorithm_version", "is_simulated",
 )  # fmt: skip
 
@@ -48,9 +48,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
 def test_daemon_equals_offline(tmp_path: Path, recording: Path, offline: Path, slots: int) -> None:
     with DaemonProcess(tmp_path, recording, slots=slots) as daemon:
         daemon.hear("READY=1")
-        daemon.wait_for(
-            "/accounting", lambda counts: counts["triggers"] == 5 and not counts["in_progress"], 60
-        )
+        daemon.wait_for("/accounting", lambda counts: counts["triggers"] == 5 and not counts["in_progress"])
         live = daemon.get("/results?after=0")["items"]
     theirs = [json.loads(line) for line in (offline / "results.jsonl").read_text().splitlines()]
     assert len(live) == len(theirs) == 5

@@ -9,8 +9,8 @@ from scipy.spatial import ConvexHull
 from pipeline.carving import CarvingParameters, carve
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.rig import CameraCalibration, RigCalibration
-from pipeline.segmentation.edge import signed_distance
-from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, Silhouette, SilhouetteSet, ViewStatus
+from pipeline.segmentation.delineation import delineate
+from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, SilhouetteSet, ViewStatus
 from pipeline.synthesis import outline
 from pipeline.synthesis.bodies import Body, body_from_mesh, cylinder
 
@@ -75,18 +75,19 @@ def _silhouette(
     is_front = np.einsum("ij,ij->i", mesh.face_normals, towards_mm) > 0
     border_uv = pixels_uv[outline.border(edges, is_front)]
     covered = cv2.GaussianBlur(outline.coverage(border_uv[:, 0], border_uv[:, 1], window), (0, 0), BLUR_PX)
-    covered = np.clip(covered + COVERAGE_NOISE * rng.normal(size=covered.shape), 0, 1).astype(np.float32)
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats((covered > 0.5).astype(np.uint8))
-    body = labels == 1 + np.argmax(boxes[1:, cv2.CC_STAT_AREA])
-    distance_px, outline_uv = signed_distance(body, covered, np.zeros_like(body))
+    covered = (covered + COVERAGE_NOISE * rng.normal(size=covered.shape)).astype(np.float32)
+    core = cv2.erode((covered > 0.5).astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    unknown = np.zeros(covered.shape, bool)
+    found = delineate(1 - covered, np.ones_like(covered), core, covered > 0.1, unknown)
+    assert found.edge is not None
     return Silhouette(
         camera=camera.id,
         status=ViewStatus.OK,
         image_size_px=camera.image_size_px,
         offset_uv=(window.left, window.top),
-        labels=np.where(body, INSIDE, OUTSIDE),
-        distance_px=distance_px,
-        outline_uv=outline_uv + np.array([window.left, window.top]),
+        labels=found.labels,
+        outline_uv=found.edge.outline_uv + np.array([window.left, window.top]),
+        measure_distance=found.edge.distance_px,
     )
 
 

@@ -37,7 +37,7 @@ def sphere_silhouette(
         image_size_px=camera.image_size_px,
         offset_uv=(left, top),
         labels=np.where(distance_px > 0, INSIDE, OUTSIDE),
-        distance_px=np.clip(distance_px, -MARGIN_PX, MARGIN_PX),
+        measure_distance=lambda: np.clip(distance_px, -MARGIN_PX, MARGIN_PX),
         outline_uv=camera.project(camera.center_mm + 300 * cone)[0],
     )
 

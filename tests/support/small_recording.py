@@ -1,14 +1,16 @@
 """A small synthetic recording with stones, for tests that need real images."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from drivers.recording import RecordingWriter
-from pipeline.frames import BundleKind, FrameBundle
+from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
@@ -55,13 +57,24 @@ def _sphere(number: int) -> FrameBundle:
     return render_bundle([placed], _simulated(), rng, sequence=number, label="sphere")
 
 
-def write_small_recording(path: Path, *, n_stones: int, n_backgrounds: int = 2) -> None:
-    """Spheres falling through the rig as built, after some exposures of the empty rig."""
+def write_small_recording(
+    path: Path,
+    *,
+    n_stones: int,
+    n_backgrounds: int = 2,
+    dimmed: Mapping[CameraId, float] = MappingProxyType({}),
+) -> None:
+    """Spheres falling through the rig as built, after some exposures of the empty rig; then the `dimmed` go dark."""
     with _writer(path, _simulated().rig) as writer:
         for number in range(1, n_backgrounds + 1):
             writer.add(_empty(number))
         for number in range(n_backgrounds + 1, n_backgrounds + n_stones + 1):
-            writer.add(_sphere(number))
+            bundle = _sphere(number)
+            frames = {
+                camera: replace(frame, image=np.rint(frame.image * dimmed.get(camera, 1)).astype(np.uint8))
+                for camera, frame in bundle.frames.items()
+            }
+            writer.add(replace(bundle, frames=frames) if dimmed else bundle)
 
 
 def write_ball_recording(path: Path, *, n_balls: int, diameter_mm: float = 10.0) -> None:

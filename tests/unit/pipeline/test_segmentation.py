@@ -15,7 +15,7 @@ from support.silhouettes import sphere_silhouette
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segment_all
 from pipeline.segmentation.background import flash_gain, learn_background
-from pipeline.segmentation.edge import signed_distance
+from pipeline.segmentation.delineation import delineate
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere
@@ -179,7 +179,10 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     v, u = np.mgrid[0:80, 0:80].astype(float)
     true_px = (u - 40) * np.cos(angle) + (v - 40) * np.sin(angle) + shift_px
     coverage = ndtr(true_px / blur_px).astype(np.float32)
-    distance_px, outline = signed_distance(coverage > 0.5, coverage, np.zeros(coverage.shape, bool))
+    unknown = np.zeros(coverage.shape, bool)
+    edge = delineate(1 - coverage, np.ones_like(coverage), coverage > 0.999, coverage > 0.01, unknown).edge
+    assert edge is not None
+    distance_px, outline = edge.distance_px(), edge.outline_uv
     within = (np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25)
     assert np.abs(distance_px - true_px)[within].max() < 0.1
     assert abs((distance_px - true_px)[within].mean()) < 0.03

@@ -6,6 +6,7 @@ from pipeline.frames import CameraId
 from pipeline.particle import ViewsParameters
 from service.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 from service.health import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
+from service.optical_watch import OpticalFinding, Severity
 from service.rig_watch import Suspicion
 
 
@@ -60,11 +61,13 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "queue",
         "workers",
         "background",
+        "segmentation",
         "calibration",
         "store",
         "disk",
         "recording",
         "rig",
+        "optics",
     }
     assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
@@ -146,6 +149,19 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             False,
             "background: the empty rig was not seen yet: let no stone fall for a moment",
         ),
+        (
+            {"has_background": False, "has_network": True},
+            Ne107.OUT_OF_SPECIFICATION,
+            False,
+            "background: the empty rig was not seen yet: let no stone fall for a moment; until then the network"
+            " alone finds them",
+        ),
+        (
+            {"segmentation_warning": "classical mode: roi.onnx: is damaged"},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "segmentation: classical mode: roi.onnx: is damaged",
+        ),
         ({"free_bytes": 5 * 10**8}, Ne107.MAINTENANCE_REQUIRED, True, "disk: 0.5 GB free for results"),
         ({"free_bytes": 10**7}, Ne107.FAILURE, False, "disk: 0.0 GB free for results"),
     ],
@@ -195,3 +211,21 @@ def test_the_worst_score_of_a_healthy_rig_is_shown():
     scored = [replace(camera, tangency_px=0.05 + 0.01 * n) for n, camera in enumerate(cameras())]
     check = assess(replace(HEALTHY, cameras=scored)).checks["rig"]
     assert (check.status, check.value, check.detail) == (CheckStatus.PASS, 0.2, None)
+
+
+@pytest.mark.parametrize(
+    ("severity", "state"),
+    [
+        (Severity.MAINTENANCE, Ne107.MAINTENANCE_REQUIRED),
+        (Severity.OUT_OF_SPECIFICATION, Ne107.OUT_OF_SPECIFICATION),
+    ],
+)
+def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Severity, state: Ne107):
+    c05, everywhere = CameraId("c05"), tuple(camera.id for camera in HEALTHY.cameras)
+    dusty = OpticalFinding(cameras=(c05,), severity=severity, detail="clean window and lens")
+    health = assess(replace(HEALTHY, optics=(dusty,)))
+    assert (health.ne107, health.ready) == (state, True)
+    assert health.reasons == ("optics: c05: clean window and lens",)
+    assert health.checks["optics"].value == 15
+    weak = OpticalFinding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
+    assert assess(replace(HEALTHY, optics=(weak,))).reasons == ("optics: all: look at the strobes' supply",)

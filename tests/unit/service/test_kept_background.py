@@ -7,8 +7,8 @@ import pytest
 from pipeline.frames import CameraId
 from pipeline.segmentation.background import CameraBackground
 from service import kept_background
+from service.background_file import read_background, write_background
 from service.kept_background import KeptBackground
-from service.worker_job import read_background, write_background
 
 SIZES = {CameraId("c01"): (5, 4)}
 OTHER_SIZES = {CameraId("c01"): (5, 6)}

@@ -105,6 +105,27 @@ def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_pat
         assert record["equivalent_diameter_mm"] < 14.9
 
 
+def test_the_network_needs_no_empty_rig(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "recording", n_stones=1, n_backgrounds=0)
+    run(tmp_path / "recording", "--out", tmp_path / "out", "--workers", 1)
+    (record,) = records(tmp_path / "out")
+    assert (record["outcome"], record["quality"]) == ("measured", "good")
+    assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.1)
+    assert set(record["segmenters"].values()) == {"network"}
+    assert record["segmentation_flags"] == dict.fromkeys(record["views"], "no background yet")
+
+
+def test_a_model_that_was_asked_for_must_be_there(recording: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.onnx"
+    damaged.write_bytes(b"no model")
+    for arguments in (["--segmenter", "onnx"], []):
+        with pytest.raises(UsageError, match=r"damaged\.onnx: expected an ONNX model"):
+            run(recording, "--out", tmp_path / "out", "--model", damaged, *arguments)
+        with pytest.raises(UsageError, match="there is no such model"):
+            run(recording, "--out", tmp_path / "out", "--model", tmp_path / "gone.onnx", *arguments)
+    assert not (tmp_path / "out").exists()
+
+
 def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
     """14 views, a wrong view, an empty, a double, a cut one, a ball that is no stone, the gate's time of another."""
     rig = thumbnail_rig()

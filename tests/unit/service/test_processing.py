@@ -60,7 +60,7 @@ class ScriptedPool:
             raise self.failures[name]
         if isinstance(job, LearnJob):
             job.out_path.touch()
-            return None
+            return {}
         job.out_dir.mkdir()
         (job.out_dir / "mesh.ply").write_text(name)
         (job.out_dir / "mesh.ply.tmp").touch()

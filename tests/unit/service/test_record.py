@@ -1,5 +1,6 @@
 """The result record: what the light gate says of a stone, beside what was measured of it."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,9 +11,10 @@ from hypothesis import strategies as st
 
 from pipeline.errors import RejectedError, RejectReason
 from pipeline.fall import pulse_width_ns
-from pipeline.frames import Trigger
+from pipeline.frames import CameraId, Trigger
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult, Quality
+from pipeline.segmentation import Silhouette, ViewStatus
 from service.record import lost_record, result_record
 
 MIN_FERET_MM, MAX_FERET_MM = 10.0, 37.417  # of a box of 10 x 20 x 30 mm
@@ -36,6 +38,24 @@ def measured() -> ParticleResult:
         mass_g=None,
     )
     return ParticleResult(silhouettes={}, quality=Quality.GOOD, measurement=measurement)
+
+
+def test_every_view_says_who_found_its_outline_and_why_not_the_other():
+    seen = {
+        CameraId(camera): Silhouette(
+            camera=CameraId(camera),
+            status=ViewStatus.OK,
+            image_size_px=(4, 3),
+            found_by=found_by,
+            fallback=flag,
+        )
+        for camera, found_by, flag in (("c01", "background", None), ("c02", "network", "no background yet"))
+    }
+    record = record_of(replace(REJECTED, silhouettes=seen), None)
+    assert record["segmenters"] == {"c01": "background", "c02": "network"}
+    assert record["segmentation_flags"] == {"c02": "no background yet"}
+    lost = lost_record(None, bundle="b", reason="r", detail="d", calibration_id="0123", is_simulated=True)
+    assert (lost["segmenters"], lost["segmentation_flags"]) == ({}, {})
 
 
 def trigger(width_ns: int | None) -> Trigger:

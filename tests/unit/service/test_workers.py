@@ -100,7 +100,7 @@ async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
     staying.cancel()
     await asyncio.wait([staying])
     async with asyncio.timeout(5):
-        while any(process_exists(each) for each in [pid, *(process.pid for process in started)]):  # noqa: ASYNC110
+        while any(process_exists(each) for each in [pid, *(process.pid for process in started)]):  # noqa: ASYNC110 - as above
             await asyncio.sleep(0.01)
 
 

@@ -1,0 +1,252 @@
+"""A segmentation network in an ONNX file: what it may look like, and P(body) of every pixel.
+
+Two kinds are told apart by what the file says of itself: our own ("stonefall", see `FORMAT`), which sees the
+image and what is expected behind the body, and any of the shape of a U2-Net ("u2net"), which sees the image.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import cv2
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors
+
+from pipeline.errors import ModelError
+from pipeline.segmentation.region import whole
+from pipeline.segmentation.u2net import PUBLISHED_SIZE_PX, saliency, u2net_input
+
+Array = NDArray[np.float32]
+
+FORMAT = "stonefall-network/1"
+"""Value of `format` in the metadata of our own networks."""
+CPU = "CPUExecutionProvider"
+AUTOMATIC_PROVIDERS = ("CUDAExecutionProvider", CPU)
+"""Tried in this order where nothing is configured. Not TensorRT, which builds its engine for minutes at each start."""
+PROVIDER_OPTIONS: Mapping[str, Mapping[str, str]] = {
+    "CUDAExecutionProvider": {"use_tf32": "0"}  # ten bits of mantissa are another network
+}
+MAX_RELATIVE = np.float32(2.0)
+"""Our network sees nothing brighter than twice the wall: saturation."""
+RUNTIME_ERRORS = (
+    runtime_errors.EPFail,
+    runtime_errors.EngineError,
+    runtime_errors.Fail,
+    runtime_errors.InvalidArgument,
+    runtime_errors.InvalidGraph,
+    runtime_errors.InvalidProtobuf,
+    runtime_errors.NoModel,
+    runtime_errors.NotImplemented,
+    runtime_errors.RuntimeException,
+    RuntimeError,
+    ValueError,
+)
+"""What onnxruntime raises for a model, a provider or a run; they have no root of their own."""
+
+Kind = Literal["stonefall", "u2net"]
+
+
+class Session(Protocol):
+    """What is used of an `onnxruntime.InferenceSession`."""
+
+    def get_inputs(self) -> Sequence[Any]: ...
+    def get_outputs(self) -> Sequence[Any]: ...
+    def get_modelmeta(self) -> Any: ...
+    def get_providers(self) -> Sequence[str]: ...
+    def run(self, output_names: Sequence[str], feed: Mapping[str, Array]) -> Sequence[Array]: ...
+
+
+StartSession = Callable[[bytes, Sequence[str]], Session]
+
+
+def start_session(model: bytes, providers: Sequence[str]) -> Session:
+    """A session that computes the same on every run: one thread, one operation after the other."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # fatal: everything else is raised, and told by whoever catches it
+    wanted = [(name, dict(PROVIDER_OPTIONS.get(name, {}))) for name in providers]
+    # its own fallback prints to stdout and tells nobody
+    session: Session = onnxruntime.InferenceSession(model, options, providers=wanted, enable_fallback=0)
+    return session
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Network:
+    """A loaded network. Not for use by several threads at once."""
+
+    name: str
+    sha256: str
+    kind: Kind
+    size_px: int
+    """Edge of the square it computes on."""
+    metadata: Mapping[str, str]
+    fallback: str | None
+    """Why it does not run where it was wanted to, for people."""
+    _model: bytes = field(repr=False)
+    _session: Session = field(repr=False)
+    _start: StartSession = field(repr=False)
+
+    @property
+    def provider(self) -> str:
+        """Where it runs."""
+        return self._session.get_providers()[0]
+
+    def probability(self, image_relative: Array, expected_relative: Array | None) -> Array:
+        """P(body) (h, w) of a region, which is brought to the network's size and back.
+
+        Our own network sees the region padded to a square, a U2-Net sees it squeezed into one, as published.
+        The result is no sharper than the network's own pixels. A U2-Net's is relative: its greatest value is
+        1 in an empty image, too.
+
+        Parameters
+        ----------
+        image_relative
+            (h, w) image as a share of the plain wall's grey level.
+        expected_relative
+            (h, w) what is expected behind the body, in the same unit; None where nothing is known of it.
+
+        Raises
+        ------
+        ModelError
+            The network cannot compute, not even on the CPU.
+        """
+        height, width = image_relative.shape
+        if self.kind == "u2net":
+            squeezed = _resized(image_relative, (self.size_px, self.size_px))
+            return _resized(saliency(self._run(u2net_input(squeezed))), (width, height))
+        view = np.zeros((1, 2, self.size_px, self.size_px), np.float32)
+        region = whole(image_relative.shape, self.size_px)
+        for channel, values in enumerate((image_relative, expected_relative)):
+            if values is not None:
+                np.clip(region.reduced(values), 0, MAX_RELATIVE, out=view[0, channel])
+        found = self._run(view)
+        if found.shape == image_relative.shape:
+            return found
+        return region.enlarged(found, image_relative.shape)
+
+    def _run(self, view: Array) -> Array:
+        """First output (size, size) for an input (1, channels, size, size); on the CPU when a provider fails."""
+        source, target = self._session.get_inputs()[0].name, self._session.get_outputs()[0].name
+        try:
+            found = self._session.run([target], {source: view})
+        except RUNTIME_ERRORS as err:
+            if self.provider == CPU:
+                raise ModelError(f"model {self.name}: cannot be run: {_line(err)}") from err
+            self.fallback = f"{self.provider} failed, the CPU computes: {_line(err)}"
+            self._session = self._start(self._model, (CPU,))
+            found = self._session.run([target], {source: view})
+        return np.asarray(found[0][0, 0], np.float32)
+
+
+def load_network(
+    model: bytes, providers: Sequence[str] = (CPU,), *, start: StartSession = start_session
+) -> Network:
+    """The network in the content of an ONNX file, on the first of these providers that works; else on the CPU.
+
+    Raises
+    ------
+    ModelError
+        It is no ONNX model, or none of the two kinds; says what was expected and what was found.
+    """
+    sha256 = hashlib.sha256(model).hexdigest()
+    session, fallback = _first_session(model, providers, start)
+    metadata = dict(session.get_modelmeta().custom_metadata_map)
+    kind: Kind = "stonefall" if "format" in metadata else "u2net"
+    if kind == "stonefall" and metadata["format"] != FORMAT:
+        raise ModelError(
+            f'model {sha256[:8]}: its metadata says format = "{metadata["format"]}", expected "{FORMAT}";'
+            " use a model trained for this version"
+        )
+    return Network(
+        name=f"{kind}-{sha256[:8]}",
+        sha256=sha256,
+        kind=kind,
+        size_px=_size_px(session, kind, sha256),
+        metadata=metadata,
+        fallback=fallback,
+        _model=model,
+        _session=session,
+        _start=start,
+    )
+
+
+def available_providers() -> tuple[str, ...]:
+    """Those of `AUTOMATIC_PROVIDERS` this machine's onnxruntime was built with."""
+    built_in = onnxruntime.get_available_providers()
+    return tuple(name for name in AUTOMATIC_PROVIDERS if name in built_in)
+
+
+def _first_session(model: bytes, providers: Sequence[str], start: StartSession) -> tuple[Session, str | None]:
+    """A session, and why it is not on the first of the providers."""
+    built_in = onnxruntime.get_available_providers()
+    problems = []
+    for name in providers:
+        if name == CPU:
+            break
+        if name not in built_in and start is start_session:
+            problems.append(f"this onnxruntime has no {name}")
+            continue
+        try:
+            session = start(model, (name, CPU))
+        except RUNTIME_ERRORS as err:
+            problems.append(f"{name} failed: {_line(err)}")
+            continue
+        if session.get_providers()[0] == name:  # missing libraries are not raised
+            return session, "; ".join(problems) or None
+        problems.append(f"{name} did not start")
+    try:
+        session = start(model, (CPU,))
+    except RUNTIME_ERRORS as err:
+        raise ModelError(
+            f"expected an ONNX model, found {len(model)} bytes that are none: {_line(err)}"
+        ) from err
+    return session, "; ".join([*problems, "the CPU computes"]) if problems else None
+
+
+def _size_px(session: Session, kind: Kind, sha256: str) -> int:
+    """Edge of the square input; `ModelError` where inputs and outputs are not those of the kind."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    channels, expected = (
+        (2, 'one input 1x2xNxN ("view") and one output 1x1xNxN ("body")')
+        if kind == "stonefall"
+        else (3, "a U2-Net: one input 1x3xNxN, first output 1x1xNxN")
+    )
+    shapes = [list(inputs[0].shape), list(outputs[0].shape)] if len(inputs) == 1 and outputs else []
+    if [len(shape) for shape in shapes] == [4, 4] and _fits(shapes[0], channels) and _fits(shapes[1], 1):
+        size = shapes[0][2]
+        if isinstance(size, int):
+            return size
+        if kind == "u2net":
+            return PUBLISHED_SIZE_PX
+    found = [f"{part.name} {'x'.join(map(str, part.shape))}" for part in (*inputs, *outputs[:1])]
+    raise ModelError(f"model {sha256[:8]}: expected {expected}; found {', '.join(found) or 'nothing'}")
+
+
+def _fits(shape: Sequence[int | str | None], channels: int) -> bool:
+    """Whether a shape may be 1 x channels x N x N; what is left open is no number."""
+    batch, found, height, width = shape
+    return (not isinstance(batch, int) or batch == 1) and found == channels and _same(height, width)
+
+
+def _same(height: int | str | None, width: int | str | None) -> bool:
+    return height == width or not (isinstance(height, int) or isinstance(width, int))
+
+
+def _resized(values: Array, size_px: tuple[int, int]) -> Array:
+    """Brought to (width, height): by area averaging where it shrinks, linear where it grows."""
+    height, width = values.shape
+    if (width, height) == size_px:
+        return values
+    shrinks = width >= size_px[0] and height >= size_px[1]
+    return np.asarray(
+        cv2.resize(values, size_px, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    )
+
+
+def _line(err: Exception) -> str:
+    return " ".join(str(err).split())[:300]

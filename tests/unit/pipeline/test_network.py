@@ -1,0 +1,148 @@
+"""ONNX files as networks: what is taken, what is refused, and where they run."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
+from support.networks import darkness_network, difference_network
+
+from pipeline.errors import ModelError
+from pipeline.segmentation.network import CPU, Array, Session, load_network, start_session
+from pipeline.segmentation.u2net import saliency, u2net_input
+
+GPU = "CUDAExecutionProvider"
+
+
+def _disc(height: int, width: int, radius_px: int) -> Array:
+    """A dark disc in the middle before a wall of 1."""
+    v, u = np.mgrid[:height, :width]
+    inside = np.hypot(u - width / 2, v - height / 2) < radius_px
+    return np.where(inside, 0.3, 1.0).astype(np.float32)
+
+
+def test_our_network_says_where_the_body_is() -> None:
+    network = load_network(difference_network())
+    assert (network.kind, network.size_px, network.provider) == ("stonefall", 256, CPU)
+    assert network.fallback is None
+    assert network.name == f"stonefall-{network.sha256[:8]}"
+    image = _disc(1024, 1280, 200)
+    for expected in (None, np.ones_like(image)):
+        body = network.probability(image, expected)
+        assert body.shape == image.shape
+        assert np.mean((body > 0.5) != (image < 0.5)) < 0.01
+    # what is expected there is no body, whatever it looks like
+    assert network.probability(image, image).max() < 0.01
+
+
+def test_a_u2net_sees_the_image_alone() -> None:
+    network = load_network(darkness_network())
+    assert (network.kind, network.size_px) == ("u2net", 320)
+    image = _disc(1024, 1280, 200)
+    body = network.probability(image, None)
+    assert body.shape == image.shape
+    assert np.mean((body > 0.5) != (image < 0.5)) < 0.01
+    np.testing.assert_array_equal(body, network.probability(image, np.zeros_like(image)))
+
+
+def test_a_u2net_of_any_size_runs_at_the_published_one() -> None:
+    assert load_network(darkness_network("n")).size_px == 320
+    assert load_network(darkness_network(160)).size_px == 160
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.01, 255), st.integers(0, 2**32 - 1))
+def test_units_do_not_matter_to_a_u2net(unit: float, seed: int) -> None:
+    image = np.random.default_rng(seed).uniform(0.1, 1, (8, 8)).astype(np.float32)
+    view = u2net_input(image * np.float32(unit))
+    np.testing.assert_allclose(view, u2net_input(image), atol=1e-4)
+    assert view.shape == (1, 3, 8, 8)
+    assert view.max() == pytest.approx((1 - 0.485) / 0.229, abs=1e-4)
+    stretched = saliency(image)
+    assert (stretched.min(), stretched.max()) == (0, pytest.approx(1))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "expected an ONNX model, found 0 bytes"),
+        (b"no model" * 50, "expected an ONNX model, found 400 bytes"),
+        (difference_network()[:300], "expected an ONNX model"),
+        (difference_network(format="stonefall-network/9"), '"stonefall-network/9", expected "stonefall-netw'),
+        (darkness_network(channels=1), "expected a U2-Net: one input 1x3xNxN.*found input.1 1x1x320x320"),
+    ],
+    ids=["empty", "garbage", "cut off", "another version", "one channel"],
+)
+def test_refused_with_what_was_expected(content: bytes, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        load_network(content)
+
+
+class OnGpu:
+    """A session that claims to run on a GPU, with little memory."""
+
+    def __init__(self, session: Session, n_runs: int) -> None:
+        self.n_runs = n_runs
+        self.get_inputs, self.get_outputs = session.get_inputs, session.get_outputs
+        self.get_modelmeta = session.get_modelmeta
+        self.session = session
+
+    def get_providers(self) -> Sequence[str]:
+        return [GPU, CPU]
+
+    def run(self, output_names: Sequence[str], feed: Mapping[str, Array]) -> Sequence[Array]:
+        self.n_runs -= 1
+        if self.n_runs < 0:
+            raise RuntimeException("Failed to allocate memory\n for requested buffer")
+        return self.session.run(output_names, feed)
+
+
+def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
+    def start(model: bytes, providers: Sequence[str]) -> Session:
+        if providers[0] == GPU:
+            raise RuntimeException("CUDA failure 2: out of memory")
+        return start_session(model, providers)
+
+    network = load_network(difference_network(), (GPU, CPU), start=start)
+    assert network.provider == CPU
+    assert network.fallback == f"{GPU} failed: CUDA failure 2: out of memory; the CPU computes"
+
+
+def test_out_of_memory_in_a_run_goes_on_on_the_cpu() -> None:
+    def start(model: bytes, providers: Sequence[str]) -> Session:
+        session = start_session(model, (CPU,))
+        return OnGpu(session, n_runs=1) if providers[0] == GPU else session
+
+    network = load_network(difference_network(), (GPU,), start=start)
+    image = _disc(256, 256, 60)
+    first = network.probability(image, None)
+    assert (network.provider, network.fallback) == (GPU, None)
+    second = network.probability(image, None)
+    np.testing.assert_array_equal(first, second)
+    assert network.provider == CPU
+    assert network.fallback is not None
+    assert network.fallback.startswith(f"{GPU} failed, the CPU computes: Failed to allocate memory for")
+
+
+def test_a_provider_that_does_not_start_is_told() -> None:
+    def start(model: bytes, providers: Sequence[str]) -> Session:
+        return start_session(model, (CPU,))  # as onnxruntime does when libraries are missing
+
+    network = load_network(difference_network(), (GPU,), start=start)
+    assert network.fallback == f"{GPU} did not start; the CPU computes"
+    network = load_network(difference_network(), ("NoSuchProvider", CPU))
+    assert network.fallback == "this onnxruntime has no NoSuchProvider; the CPU computes"
+
+
+def test_a_cpu_that_cannot_compute_is_an_error() -> None:
+    class Broken(OnGpu):
+        def get_providers(self) -> Sequence[str]:
+            return [CPU]
+
+    network = load_network(
+        difference_network(), start=lambda model, names: Broken(start_session(model, names), 0)
+    )
+    with pytest.raises(ModelError, match=f"model {network.name}: cannot be run: Failed to allocate"):
+        network.probability(_disc(256, 256, 60), None)

@@ -1,0 +1,236 @@
+"""Both segmenters on the same views, and what only the network's one can do."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from support.networks import darkness_network, difference_network
+
+from pipeline.frames import CameraId, Frame
+from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, ViewStatus
+from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation.network import load_network
+from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.region import Region, square_around, whole
+from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
+from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
+from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
+
+PARAMETERS = SegmentationParameters()
+CAMERA = CameraId("c01")
+
+
+@cache
+def network_segmenter() -> NetworkSegmenter:
+    return NetworkSegmenter(load_network(difference_network()), PARAMETERS)
+
+
+SEGMENTERS: Mapping[str, Callable[[], Segmenter]] = {
+    "background": lambda: BackgroundSegmenter(PARAMETERS),
+    "network": network_segmenter,
+}
+
+
+@cache
+def clean(size_mm: float) -> HardView:
+    return hard_view(HardCase.CLEAN, 31, size_mm=size_mm)
+
+
+def frame_of(image: np.ndarray) -> Frame:
+    return Frame(camera=CAMERA, image=image.astype(np.uint8), frame_id=1, device_ns=0, received_ns=0)
+
+
+def scene(
+    *discs: tuple[int, int, int], size_px: tuple[int, int] = (640, 512), grey: float = 70.0
+) -> tuple[Frame, BackgroundModel]:
+    """Blurred dark discs (u, v, radius) before a wall of 200, without noise."""
+    width, height = size_px
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    covered = np.zeros((height, width), np.float32)
+    for center_u, center_v, radius in discs:
+        covered = np.maximum(covered, np.clip(radius + 0.5 - np.hypot(u - center_u, v - center_v), 0, 1))
+    covered = cv2.GaussianBlur(covered, (0, 0), 0.8)
+    wall = np.full((height, width), 200, np.float32)
+    background = {CAMERA: CameraBackground(mean=wall, n_frames=3)}
+    return frame_of(np.rint(200 + covered * (grey - 200))), background
+
+
+def off_disc_px(silhouette: Silhouette, center_uv: tuple[float, float], radius_px: float) -> np.ndarray:
+    return np.linalg.norm(silhouette.outline_uv - center_uv, axis=1) - radius_px
+
+
+@pytest.mark.parametrize("name", SEGMENTERS)
+def test_a_disc_is_found_to_a_fraction_of_a_pixel(name: str) -> None:
+    silhouette = SEGMENTERS[name]()(*scene((300, 250, 120)))
+    assert (silhouette.status, silhouette.found_by) == (ViewStatus.OK, name)
+    off_px = off_disc_px(silhouette, (300, 250), 120)
+    assert len(off_px) > 600
+    assert abs(off_px.mean()) < 0.05
+    assert np.abs(off_px).max() < 0.3
+    # the known surroundings of a body are as wide as carving needs them
+    rows, columns = np.nonzero(silhouette.labels)
+    height, width = silhouette.labels.shape
+    assert min(rows.min(), columns.min(), height - 1 - rows.max(), width - 1 - columns.max()) >= MARGIN_PX
+
+
+@pytest.mark.parametrize("name", SEGMENTERS)
+@pytest.mark.parametrize(
+    ("discs", "status"),
+    [
+        ((), ViewStatus.EMPTY),
+        (((300, 250, 7),), ViewStatus.EMPTY),
+        (((200, 250, 80), (450, 250, 30)), ViewStatus.MULTIPLE),
+        (((600, 250, 80),), ViewStatus.CLIPPED),
+        (((300, 10, 40),), ViewStatus.CLIPPED),
+        (((200, 250, 80), (450, 250, 8)), ViewStatus.OK),
+    ],
+    ids=["nothing", "dust", "two", "cut at the right", "cut at the top", "dust beside it"],
+)
+def test_statuses(name: str, discs: tuple[tuple[int, int, int], ...], status: ViewStatus) -> None:
+    silhouette = SEGMENTERS[name]()(*scene(*discs))
+    assert silhouette.status is status
+    assert silhouette.is_usable is (silhouette.labels.size > 0)
+
+
+@pytest.mark.parametrize("size_mm", [8, 25])
+def test_both_place_the_same_edge_on_a_clean_view(size_mm: float) -> None:
+    view = clean(size_mm)
+    classical, neural = (make()(view.frame, view.background) for make in SEGMENTERS.values())
+    off_px = off_outline_px(neural, classical)
+    assert abs(off_px.mean()) < 0.02
+    assert np.sqrt((off_px**2).mean()) < 0.1
+    labels, others = classical.label_image(), neural.label_image()
+    assert np.mean((labels != others) & (labels != UNKNOWN) & (others != UNKNOWN)) < 1e-4
+
+
+def test_without_a_background_the_light_around_the_body_will_do() -> None:
+    frame, _ = scene((600, 500, 120), size_px=(1280, 1024))
+    assert SEGMENTERS["background"]()(frame, {}).status is ViewStatus.NO_BACKGROUND
+    v, u = np.mgrid[:1024, :1280]
+    uneven = np.rint(frame.image * (1 + u / 8000 - v / 9000 - ((u - 640) / 2500) ** 2))
+    silhouette = network_segmenter()(frame_of(uneven), {})
+    assert silhouette.status is ViewStatus.OK
+    off_px = off_disc_px(silhouette, (600, 500), 120)
+    assert abs(off_px.mean()) < 0.05
+    assert np.abs(off_px).max() < 0.3
+
+
+def off_outline_px(silhouette: Silhouette, other: Silhouette) -> np.ndarray:
+    """How far the outline points of one silhouette are outside of another's edge."""
+    (u, v), distance_px = (silhouette.outline_uv - other.offset_uv).T.astype(np.float32), other.distance_px
+    return -cv2.remap(distance_px, u[:, None], v[:, None], cv2.INTER_LINEAR).ravel()
+
+
+def test_smooth_light_moves_no_edge() -> None:
+    frame, background = scene((300, 250, 120))
+    v, u = np.mgrid[: frame.image.shape[0], : frame.image.shape[1]]
+    light = 1 + 0.08 * np.sin(u / 120) * np.cos(v / 150)
+    dimmed = frame_of(np.rint(frame.image * light))
+    off_px = off_disc_px(network_segmenter()(dimmed, background), (300, 250), 120)
+    assert abs(off_px.mean()) < 0.05
+    assert np.abs(off_px).max() < 0.3
+
+
+def test_an_edge_without_contrast_is_unknown() -> None:
+    """The network sees the disc, but its grey levels are too near to the wall's to place an edge."""
+    sensitive = NetworkSegmenter(load_network(difference_network(threshold=0.04)), PARAMETERS)
+    silhouette = sensitive(*scene((300, 250, 120), grey=184))
+    assert silhouette.is_usable
+    labels = silhouette.label_image()
+    v, u = np.mgrid[: labels.shape[0], : labels.shape[1]]
+    radius = np.hypot(u - 300, v - 250)
+    assert np.all(labels[np.abs(radius - 120) < 2] == UNKNOWN)
+    assert np.all(labels[radius < 100] == INSIDE)
+    assert np.all(labels[radius > 140] == OUTSIDE)
+    assert len(silhouette.outline_uv) == 0
+
+
+def test_what_the_network_cannot_decide_is_unknown() -> None:
+    """A grey patch at the disc for which P(body) is about a half."""
+    frame, background = scene((300, 250, 120))
+    image = frame.image.copy()
+    half = round(200 * (1 - 0.12))  # the threshold of the network that compares
+    image[220:280, 400:460] = np.minimum(image[220:280, 400:460], half)
+    undecided = NetworkSegmenter(load_network(difference_network(nearby_px=1)), PARAMETERS)
+    silhouette = undecided(frame_of(image), background)
+    labels = silhouette.label_image()
+    assert np.mean(labels[230:270, 430:450] == UNKNOWN) > 0.95
+    assert np.all(labels[245:255, 290:310] == INSIDE)
+
+
+def test_a_u2net_finds_and_grey_levels_place_the_edge() -> None:
+    segmenter = NetworkSegmenter(load_network(darkness_network()), PARAMETERS)
+    for background in (scene()[1], {}):
+        silhouette = segmenter(scene((300, 250, 120))[0], background)
+        assert (silhouette.status, silhouette.found_by) == (ViewStatus.OK, "u2net")
+        off_px = off_disc_px(silhouette, (300, 250), 120)
+        assert abs(off_px.mean()) < 0.05
+        assert np.abs(off_px).max() < 0.3
+
+
+def test_a_u2net_finds_nothing_in_an_empty_image() -> None:
+    segmenter = NetworkSegmenter(load_network(darkness_network()), PARAMETERS)
+    frame, background = scene()
+    noisy = frame.image + np.random.default_rng(1).normal(0, 2, frame.image.shape)
+    assert segmenter(frame_of(noisy), background).status is ViewStatus.EMPTY
+
+
+def test_dust_far_away_does_not_hide_a_small_stone() -> None:
+    """Two specks widen the region; the stone is then looked at closer."""
+    frame, background = scene((640, 500, 60), (100, 100, 9), (1200, 900, 9), size_px=(1280, 1024))
+    parameters = replace(PARAMETERS, second_body_share=0.02, min_body_px=200)
+    silhouette = NetworkSegmenter(network_segmenter().network, parameters)(frame, background)
+    assert silhouette.status is ViewStatus.OK
+    off_px = off_disc_px(silhouette, (640, 500), 60)
+    assert abs(off_px.mean()) < 0.05
+
+
+def test_squares_hold_what_is_looked_at() -> None:
+    shape = (1024, 1280)
+    square = square_around((900, 700, 300, 200), 44, shape, 256)
+    assert (square.scale, square.width, square.height) == (2, 256, 256)
+    rows, columns = square.within(shape)
+    assert (rows.stop - rows.start, columns.stop - columns.start) == (512, 512)
+    assert rows.start <= 656 < 944 <= rows.stop
+    assert columns.start <= 856 < 1244 <= columns.stop
+    all_of = whole(shape, 256)
+    assert (all_of.scale, all_of.left, all_of.top) == (5, 0, -128)
+    assert all_of.within(shape) == (slice(0, 1024), slice(0, 1280))
+    part, (rows, columns) = all_of.part((10, 100, 20, 30), 20)
+    assert part == Region(left=0, top=272, scale=5, width=52, height=72)
+    assert (rows, columns) == (slice(80, 152), slice(0, 52))
+
+
+@pytest.mark.parametrize("box", [(0, 0, 1280, 1024), (500, 300, 100, 100), (1000, 800, 250, 200)])
+def test_there_and_back_again(box: tuple[int, int, int, int]) -> None:
+    """A smooth image survives the way to the network's pixels and back."""
+    v, u = np.mgrid[:1024, :1280].astype(np.float32)
+    image = 100 + 50 * np.sin(u / 200) * np.cos(v / 170)
+    square = square_around(box, 0, image.shape, 256)
+    reduced = square.reduced(image)
+    inside = (slice(40, -40),) * 2
+    near, of_square = square.part((100, 90, 70, 60), 3)
+    rows, columns = near.within(image.shape)
+    back = near.enlarged(reduced[of_square], image.shape)
+    np.testing.assert_allclose(back[5:-5, 5:-5], image[rows, columns][5:-5, 5:-5], atol=0.6)
+    blocks = near.halved((reduced > 100)[of_square], image.shape)
+    assert np.mean(blocks != (image[rows, columns] > 100)[::2, ::2]) < 0.03
+    coarse = cv2.resize(image, (320, 256), interpolation=cv2.INTER_AREA)
+    np.testing.assert_allclose(square.sampled(coarse)[inside], reduced[inside], atol=1.0)
+
+
+def test_a_highlight_the_network_misses_is_unknown() -> None:
+    """A glint at the edge, brighter than the wall: whatever it is, it is not the wall."""
+    frame, background = scene((300, 250, 120), grey=20)
+    v, u = np.mgrid[: frame.image.shape[0], : frame.image.shape[1]]
+    glint = (np.hypot(u - 300, v - 250) < 120) & (np.hypot(u - 300, v - 250) > 106) & (np.abs(v - 250) < 30)
+    image = np.where(glint & (u > 300), 216, frame.image)
+    segmenter = NetworkSegmenter(load_network(darkness_network()), PARAMETERS)
+    silhouette = segmenter(frame_of(image), background)
+    labels = silhouette.label_image()
+    assert not np.any(labels[glint & (u > 300)] == OUTSIDE)
+    off_px = off_disc_px(silhouette, (300, 250), 120)
+    assert np.abs(off_px[np.abs(silhouette.outline_uv[:, 1] - 250) > 60]).max() < 0.3
