@@ -56,8 +56,8 @@ def train(
         Path, typer.Option(help="ONNX file to write; what is known of it goes into .json beside it.")
     ],
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds, views and steps give equal networks.")] = 1,
-    views: Annotated[int, typer.Option(min=1, help="Views of stones to render, some 12 a second.")] = 720,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit, some 5 a second.")] = 1800,
+    views: Annotated[int, typer.Option(min=1, help="Views of stones to render, some 12 a second.")] = 1600,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit, some 5 a second.")] = 5000,
 ) -> None:
     """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
     # imported here: it brings the renderer, which no other command of models needs
