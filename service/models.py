@@ -18,6 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Network, load_network
 
@@ -89,14 +91,17 @@ def load_model(model: str = "", models_dir: Path | None = None, providers: Seque
     Raises
     ------
     ModelError
-        As `read_model`, or the file holds no network that can be used.
+        As `read_model`, or the file holds no network that can be run.
     """
     place, published = _place(model, models_dir or default_models_dir())
     content = _checked(place, published)
     try:
-        return load_network(content, providers)
+        network = load_network(content, providers)
+        # the shapes may be right and the file of no use all the same: better known now than in every worker
+        network.probability(np.ones((network.size_px,) * 2, np.float32), None)
     except ModelError as err:
         raise ModelError(f"{place}: {err}") from err
+    return network
 
 
 def list_models(models_dir: Path | None = None) -> Iterator[ModelEntry]:
@@ -175,7 +180,11 @@ def _place(model: str, models_dir: Path) -> tuple[Path | Traversable, PublishedM
 
 def _checked(place: Path | Traversable, published: PublishedModel | None) -> bytes:
     """The content of a model's file, or `ModelError`."""
-    remedy = f"stonefall models fetch {published.name}" if published else "stonefall models list"
+    # whoever asks may have another home than who will look there
+    folder = f" --dir {place.parent}" if isinstance(place, Path) else ""
+    remedy = (
+        f"stonefall models fetch {published.name}{folder}" if published else f"stonefall models list{folder}"
+    )
     try:
         content = place.read_bytes()
     except FileNotFoundError as err:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
+import onnxruntime
 from pydantic import AfterValidator, ValidationInfo
 
 from pipeline.errors import ModelError
@@ -16,7 +17,8 @@ from service.segmenters import SegmenterPlan
 
 def _path_beside_the_file(model: str, info: ValidationInfo) -> str:
     """A path relative to the configuration's folder; names of models stay as they are."""
-    return str(beside_the_file(Path(model), info)) if model.endswith(".onnx") else model
+    is_path = model.endswith(".onnx") or "/" in model
+    return str(beside_the_file(Path(model), info)) if is_path else model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,4 +46,13 @@ def plan_segmenter(settings: SegmentationSettings) -> SegmenterPlan:
         model = read_model(settings.model)
     except ModelError as err:
         return SegmenterPlan(wanted=settings.segmenter, trouble=str(err))
-    return SegmenterPlan(wanted=settings.segmenter, model=model, providers=settings.providers)
+    built_in = onnxruntime.get_available_providers()
+    lacking = [name for name in settings.providers if name not in built_in]
+    return SegmenterPlan(
+        wanted=settings.segmenter,
+        model=model,
+        providers=settings.providers,
+        elsewhere=f"this onnxruntime has no {', '.join(lacking)}, but {', '.join(built_in)}"
+        if lacking
+        else None,
+    )

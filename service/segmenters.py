@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
+from pipeline.segmentation import subtraction
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.choice import ChoosingSegmenter, Wanted
 from pipeline.segmentation.network import available_providers, load_network
@@ -28,11 +29,12 @@ class SegmenterPlan:
     model: bytes | None = None  # content of an ONNX file
     providers: tuple[str, ...] = ()
     trouble: str | None = None  # why there is no model
+    elsewhere: str | None = None  # why it does not run where it was asked to
 
     @property
     def warning(self) -> str | None:
         """What is worse than was asked for."""
-        return None if self.trouble is None else f"classical mode: {self.trouble}"
+        return self.elsewhere if self.trouble is None else f"classical mode: {self.trouble}"
 
 
 CLASSICAL = SegmenterPlan()
@@ -60,12 +62,13 @@ def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> Network
 
 
 def warm_up(segmenter: ChoosingSegmenter) -> None:
-    """Have everything compiled and allocated that the first stone would wait for: segment a square."""
+    """Have everything compiled and allocated that the first stone would wait for: segment squares."""
+    subtraction.warm_up()
+    if segmenter.network is None:
+        return
     wall = np.full((256, 320), 200, np.uint8)
     image = wall.copy()
     image[100:150, 140:190] = 60
     frame = Frame(camera=CameraId("warm-up"), image=image, frame_id=0, device_ns=0, received_ns=0)
     background = {frame.camera: CameraBackground(mean=wall.astype(np.float32), n_frames=1)}
-    for each in (segmenter.classical, segmenter.network):
-        if each is not None:
-            _ = each(frame, background).distance_px
+    _ = segmenter.network(frame, background).distance_px

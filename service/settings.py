@@ -148,8 +148,11 @@ def problems(settings: Settings) -> Iterator[str]:
 
 def shortcomings(settings: Settings) -> Iterator[str]:
     """Say what the daemon starts without, each with its field."""
-    if trouble := plan_segmenter(settings.segmentation).trouble:
-        yield f"segmentation.model: {trouble}"
+    plan = plan_segmenter(settings.segmentation)
+    if plan.trouble is not None:
+        yield f"segmentation.model: {plan.trouble}"
+    if plan.elsewhere is not None:
+        yield f"segmentation.providers: {plan.elsewhere}"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.recording import read_bundle, write_bundle
 from drivers.rig_file import read_rig
+from pipeline import estimate
 from pipeline.frames import CameraId
 from pipeline.measuring import measure_shape
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
@@ -118,6 +119,7 @@ def initialize(context: WorkerContext) -> None:
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
     warm_up(segmenter)
     _worker = Worker(context=context, segmenter=segmenter)
+    estimate.warm_up()
     measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
 
 

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import usable_views
+from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
 from pipeline.estimate.surface import inner_surface
 from pipeline.frames import CameraId
 from pipeline.meshing import ParticleMesh
 from pipeline.rig import RigCalibration
-from pipeline.segmentation.compiled import compiled
 from pipeline.segmentation.silhouette import Silhouette
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
+from pipeline.compiled import compiled
 from pipeline.estimate.tangents import Tangents
-from pipeline.segmentation.compiled import compiled
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

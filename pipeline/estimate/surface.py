@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
+from pipeline.compiled import compiled
 from pipeline.estimate.inner import InnerBody, inner_body
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
 from pipeline.estimate.tangents import tangents_of
-from pipeline.segmentation.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
-from pipeline.segmentation.compiled import compiled
+from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import is_beside_gap
 
 Array = NDArray[np.float64]

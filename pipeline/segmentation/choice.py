@@ -16,7 +16,7 @@ from pipeline.errors import ModelError
 from pipeline.frames import Frame
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.background import COARSE, BackgroundModel
-from pipeline.segmentation.silhouette import INSIDE, MAX_STEP_PX, OUTSIDE, Silhouette, ViewStatus
+from pipeline.segmentation.silhouette import INSIDE, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView, sampled
 
 Grey = NDArray[np.uint8]
@@ -78,7 +78,7 @@ class ChoosingSegmenter:
             refusal = other
         elif not other.is_usable and found.status is not ViewStatus.NO_BACKGROUND:
             refusal = f"network: {other.status}"
-        elif is_hidden and unseen_share(other) >= unseen:
+        elif is_hidden and hidden_share(other) >= hidden_share(found):
             refusal = "the network sees no more"
         else:
             return replace(other, fallback="; ".join(filter(None, (doubt, other.fallback))))
@@ -124,6 +124,13 @@ def unseen_share(found: Silhouette) -> float:
     return float(steps_px[steps_px > MAX_STEP_PX].sum() / max(steps_px.sum(), 1))
 
 
+def hidden_share(found: Silhouette) -> float:
+    """How much is not known: of the outline, and of what may be body; 0..2."""
+    may_be_body = int(np.count_nonzero(found.labels != OUTSIDE))
+    unknown = np.count_nonzero(found.labels == UNKNOWN) / max(may_be_body, 1)
+    return unseen_share(found) + unknown
+
+
 def _doubt_of_view(seen: Grey, empty: Grey, parameters: ChoiceParameters) -> str | None:
     """Whether anything but bodies of good contrast differs from the empty rig."""
     height, width = seen.shape
@@ -144,7 +151,7 @@ def _doubt_of_light(seen: Grey, empty: Grey, found: Silhouette, parameters: Choi
     (left, top), (height, width) = found.offset_uv, found.labels.shape
     rows = slice(-(-top // COARSE), (top + height) // COARSE)
     columns = slice(-(-left // COARSE), (left + width) // COARSE)
-    first = (rows.start * COARSE - top, columns.start * COARSE - left)
+    first = (rows.start * COARSE + COARSE // 2 - top, columns.start * COARSE + COARSE // 2 - left)
     seen = np.asarray(cv2.blur(seen[rows, columns], (3, 3)), np.uint8)  # a third of the noise
     empty = empty[rows, columns]
     labels = found.labels[first[0] :: COARSE, first[1] :: COARSE][: len(empty), : empty.shape[1]]

@@ -15,11 +15,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
+from pipeline.compiled import compiled
 from pipeline.frames import Frame
-from pipeline.segmentation.compiled import compiled
 from pipeline.segmentation.edge import Contours, Edge
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
+from pipeline.segmentation.steepest import to_steepest
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
@@ -37,6 +39,10 @@ MIN_CONTRAST = 0.12
 """Of the body's level to the background, as a share of it; below, grey levels do not tell them apart."""
 HOLE_PX = 400
 """Holes up to this area are glints on the body, larger ones are seen through."""
+N_ROUNDS = 4
+"""How often what is unknown may grow beside an edge that is not the body's."""
+BESIDE_GAP = 3
+"""So many points beside an edge that was not seen are not either."""
 LEAST_COVERAGE = 0.025
 """Coverages are cut off here and at one less this before their probit is taken."""
 
@@ -97,10 +103,27 @@ def delineate(
     levels = _carried(view)
     if not (_decide(view, levels, np.float32(min_contrast), labels) or np.any(core)):
         return Delineation(labels=labels, edge=None)
-    body, contours = _largest_with_holes_filled(labels, hole_px)
-    if body is not labels:
-        labels = np.where(labels == UNKNOWN, UNKNOWN, INSIDE * body)
-    points_uv, seen = _crossings(view, levels, body, labels, np.concatenate(contours)[:, 0])
+    for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
+        body, contours = _largest_with_holes_filled(labels, hole_px)
+        if body is not labels:
+            labels = np.where(labels == UNKNOWN, UNKNOWN, INSIDE * body)
+        points_uv, seen = _crossings(view, levels, body, labels, np.concatenate(contours)[:, 0])
+        n_doubtful = 0
+        for part in np.split(np.arange(len(seen)), np.cumsum([len(contour) for contour in contours[:-1]])):
+            along = slice(part[0], part[-1] + 1)
+            n_doubtful += to_steepest(
+                view.image,
+                expected,
+                view.gain,
+                np.float32(min_contrast),
+                labels,
+                points_uv[along],
+                seen[along],
+            )
+        if n_doubtful == 0:
+            break
+    # the last points before a gap already bend towards what hides the edge
+    seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
     edge = Edge(body=body, contours=contours, points_uv=points_uv, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.segmentation.compiled import compiled
+from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import MARGIN_PX
 
 Grey = NDArray[np.uint8]

@@ -121,13 +121,13 @@ class Network:
             return _resized(saliency(self._run(u2net_input(squeezed))), (width, height))
         view = np.zeros((1, 2, self.size_px, self.size_px), np.float32)
         region = whole(image_relative.shape, self.size_px)
+        is_square = image_relative.shape == view.shape[2:]
         for channel, values in enumerate((image_relative, expected_relative)):
             if values is not None:
-                np.clip(region.reduced(values), 0, MAX_RELATIVE, out=view[0, channel])
+                seen = values if is_square else region.reduced(values)
+                np.clip(seen, 0, MAX_RELATIVE, out=view[0, channel])
         found = self._run(view)
-        if found.shape == image_relative.shape:
-            return found
-        return region.enlarged(found, image_relative.shape)
+        return found if is_square else region.enlarged(found, image_relative.shape)
 
     def _run(self, view: Array) -> Array:
         """First output (size, size) for an input (1, channels, size, size); on the CPU when a provider fails."""
@@ -139,7 +139,7 @@ class Network:
                 raise ModelError(f"model {self.name}: cannot be run: {_line(err)}") from err
             self.fallback = f"{self.provider} failed, the CPU computes: {_line(err)}"
             self._session = self._start(self._model, (CPU,))
-            found = self._session.run([target], {source: view})
+            return self._run(view)
         return np.asarray(found[0][0, 0], np.float32)
 
 

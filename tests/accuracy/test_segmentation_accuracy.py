@@ -79,7 +79,8 @@ def test_hard_views_are_exact_where_an_edge_is_visible_and_honest_where_not(case
         silhouette = segmenter("auto")(view.frame, view.background)
         assert silhouette.is_usable, f"view {number}: {silhouette.status}"
         errors = silhouette_errors(silhouette, truth)
-        assert abs(errors.bias_px) < 0.3, f"view {number}: {errors.bias_px:+.2f} px"
+        said = f"view {number}: {errors.bias_px:+.2f} px by {silhouette.found_by}, {silhouette.fallback}"
+        assert abs(errors.bias_px) < 0.3, said
         assert errors.wrong_share < 0.005, f"view {number}: {errors.wrong_share:.2%}"
         assert errors.unknown_share < 0.5, f"view {number}: {errors.unknown_share:.0%}"
 

@@ -1,12 +1,16 @@
 """Small ONNX files: a network that works (it compares with the wall) and ones that nobody can use."""
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
 import onnx
 from onnx import TensorProto, helper
+from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
 
-from pipeline.segmentation.network import FORMAT
+from pipeline.segmentation.network import CPU, FORMAT, Array, Session, StartSession, start_session
+
+GPU = "CUDAExecutionProvider"
 
 STEEPNESS = 60.0
 """Of the first logit, by the difference from the wall as a share of the plain wall."""
@@ -56,16 +60,20 @@ def difference_network(
 
 
 @cache
-def darkness_network(size_px: int | str = 320, channels: int = 3) -> bytes:
-    """In the shape of a U2-Net, without metadata: the mean of the channels, turned over."""
+def darkness_network(size_px: int | str = 320, channels: int = 3, only_px: int = 1) -> bytes:
+    """In the shape of a U2-Net, without metadata: the mean of the channels, turned over.
+
+    With `only_px` it can be run for images of that size alone, which its shape does not tell.
+    """
     nodes = [
+        helper.make_node("ConstantOfShape", ["only_shape"], ["nothing"]),
         helper.make_node("ReduceMean", ["input.1", "axes"], ["mean"], keepdims=1),
-        helper.make_node("Neg", ["mean"], ["1959"]),
+        helper.make_node("Sub", ["nothing", "mean"], ["1959"]),
     ]
     shape = [1, channels, size_px, size_px]
     source = helper.make_tensor_value_info("input.1", TensorProto.FLOAT, shape)
     target = helper.make_tensor_value_info("1959", TensorProto.FLOAT, [1, 1, *shape[2:]])
-    return _content(nodes, source, target, {}, {})
+    return _content(nodes, source, target, {}, {}, shape=[1, 1, only_px, only_px])
 
 
 def _content(
@@ -74,13 +82,44 @@ def _content(
     target: onnx.ValueInfoProto,
     constants: dict[str, float],
     metadata: dict[str, str],
+    shape: list[int] | None = None,
 ) -> bytes:
     values = [
         helper.make_tensor(name, TensorProto.FLOAT, [1], np.array([value], np.float32))
         for name, value in constants.items()
     ]
     values.append(helper.make_tensor("axes", TensorProto.INT64, [1], [1]))
+    values.append(helper.make_tensor("only_shape", TensorProto.INT64, [4], shape or [1] * 4))
     graph = helper.make_graph(nodes, "for the tests", [source], [target], initializer=values)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     helper.set_model_props(model, metadata)
     return model.SerializeToString()
+
+
+class OnGpu:
+    """A session that claims to run on a GPU, with little memory."""
+
+    def __init__(self, session: Session, n_runs: int) -> None:
+        self.n_runs = n_runs
+        self.get_inputs, self.get_outputs = session.get_inputs, session.get_outputs
+        self.get_modelmeta = session.get_modelmeta
+        self.session = session
+
+    def get_providers(self) -> Sequence[str]:
+        return [GPU, CPU]
+
+    def run(self, output_names: Sequence[str], feed: Mapping[str, Array]) -> Sequence[Array]:
+        self.n_runs -= 1
+        if self.n_runs < 0:
+            raise RuntimeException("Failed to allocate memory\n for requested buffer")
+        return self.session.run(output_names, feed)
+
+
+def start_on_gpu(*, n_runs: int) -> StartSession:
+    """How to start sessions of which those on the GPU run out of memory after so many runs."""
+
+    def start(model: bytes, providers: Sequence[str]) -> Session:
+        session = start_session(model, (CPU,))
+        return OnGpu(session, n_runs) if providers[0] == GPU else session
+
+    return start

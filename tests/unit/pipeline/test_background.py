@@ -133,6 +133,16 @@ def test_a_flat_field_begun_with_a_stone_goes_with_it() -> None:
     assert np.abs(known.flat_field / coarsen(coarsen(wall())) - 1).max() < 0.02
 
 
+def test_a_rig_that_was_dirty_when_first_seen_is_clean_once_it_is_cleaned() -> None:
+    dusty = (wall() * (1 - 0.25 * np.exp(-((U - 0.4) ** 2 + V**2) / 0.1))).astype(np.float32)
+    known = after({}, *(dusty for _ in range(SETTLED)), *(wall() for _ in range(MAX_REFUSED + SETTLED)))
+    assert np.abs(known.flat_field / coarsen(coarsen(wall())) - 1).max() < 0.02
+    known = after({C02: learnt()}, *(dusty for _ in range(MAX_REFUSED + 1)))
+    assert known.flat_field is learnt().flat_field, "dust alone renews nothing"
+    known = after({C02: known}, *(wall() for _ in range(MAX_REFUSED + 1)))
+    assert known.flat_field is learnt().flat_field
+
+
 def light_of(grey: NDArray[np.float32], seed: int = 7) -> NDArray[np.float32]:
     """As the segmenter finds it, from one pixel of each block."""
     image = seen(grey, seed).image[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE]

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
 
-from pipeline.segmentation import delineation, edge
+from pipeline.segmentation import delineation, edge, steepest
 from pipeline.segmentation.delineation import Delineation, delineate
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import warm_up
@@ -58,7 +59,7 @@ def outline_of(found: Delineation) -> NDArray[np.float64]:
 @given(
     st.integers(0, 2**32 - 1),
     st.floats(25, 65),
-    st.floats(0, 4),
+    st.floats(0, 2),
     st.sampled_from([BODY, BRIGHT]),
     st.booleans(),
 )
@@ -85,9 +86,9 @@ def test_quick_and_flat_delineation_agree(
     is_clear = ~near_tie[pixels[:, 1], pixels[:, 0]]
     assert is_clear.sum() > 0.5 * len(pixels)
     off_px = np.linalg.norm(found.edge.outline_uv - points[pixels[:, 1], pixels[:, 0]], axis=1)[is_clear]
-    # noise alone tells the means apart, of fewer samples here than there
-    assert np.quantile(off_px, 0.95) < 1e-5 + 0.016 * noise
-    assert off_px.max() < 1e-5 + 0.06 * noise
+    # the half-way level there, the steepest slope here: rounding, curvature and noise tell them apart
+    assert np.quantile(off_px, 0.95) < 0.1 + 0.03 * noise
+    assert off_px.max() < 0.2 + 0.1 * noise
 
 
 @settings(max_examples=10, deadline=None)
@@ -128,6 +129,41 @@ def test_where_body_and_background_are_alike_is_unknown_unless_it_is_core() -> N
     assert (labels[:, :109][(true_px > 1)[:, :109]] == INSIDE).all()
 
 
+def test_a_rim_that_shines_towards_its_edge_does_not_move_it() -> None:
+    rng = np.random.default_rng(8)
+    true_px = blob_px(rng, 55)
+    grey = BODY + 40 * np.exp(
+        -np.maximum(true_px, 0) / 2
+    )  # half-way to the level behind it is 0.38 px within
+    image = blurred(np.where(true_px > 0, grey, WALL), rng)
+    expected = wall()
+    found = delineate(image, expected, *masks_of(true_px))
+    depths_px = map_coordinates(true_px, outline_of(found).T[::-1], order=1)
+    assert found.edge is not None
+    assert found.edge.seen.mean() > 0.99
+    assert abs(depths_px.mean()) < 0.25
+
+
+def test_a_step_within_the_body_is_not_taken_for_its_edge() -> None:
+    rng = np.random.default_rng(9)
+    true_px = blob_px(rng, 55)
+    is_right = np.mgrid[:SIZE_PX, :SIZE_PX][1] > SIZE_PX / 2
+    grey = np.where((true_px < 4) & is_right, 0.8 * WALL, BODY)  # a rim nearly as bright as the wall
+    image = blurred(np.where(true_px > 0, grey, WALL), rng)
+    core, _, unknown = masks_of(true_px - 2.5)
+    found = delineate(image, wall(), core, np.asarray(true_px > -4.5), unknown)
+    depths_px = map_coordinates(true_px, outline_of(found).T[::-1], order=1)
+    assert np.quantile(depths_px, 0.98) < 0.5, "nothing of the inner step is left"
+    assert found.edge is not None
+    assert (found.labels[true_px > 1] != OUTSIDE).mean() > 0.998
+    assert found.edge.seen.mean() > 0.45, "the other half is seen"
+
+
+def blurred(image: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
+    noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(size=image.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
 def test_only_the_largest_body_is_left_and_large_holes_are_seen_through() -> None:
     v, u = np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2.0
     ring_px = np.minimum(70 - np.hypot(u, v), np.hypot(u, v) - 30)
@@ -159,7 +195,13 @@ def test_nothing_inside_is_no_edge() -> None:
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [delineation._carried, delineation._decide, delineation._crossings, edge._refined]
+    kernels = [
+        delineation._carried,
+        delineation._decide,
+        delineation._crossings,
+        steepest.to_steepest,
+        edge._refined,
+    ]
     warm_up()
     compiled = [len(kernel.signatures) for kernel in kernels]
     rng = np.random.default_rng(6)
@@ -176,7 +218,7 @@ def test_where_nothing_can_be_kept_each_process_compiles_for_itself(
     is_possible: bool, tmp_path: Path
 ) -> None:
     code = (
-        "from pipeline.segmentation.compiled import compiled\n"
+        "from pipeline.compiled import compiled\n"
         "def doubled(x): return 2 * x\n"
         "twice = compiled(doubled)\n"
         "print(twice(21), type(twice._cache).__name__)"

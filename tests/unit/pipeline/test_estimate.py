@@ -195,7 +195,7 @@ def test_a_sphere_s_tangent_segments_are_those_computed_without_its_silhouettes(
     tangents = tangents_of(views, truth.center_mass)
     expected_mm = sphere_segment_mm(views, truth.center_mass, 7.5)
     assert np.median(tangents.lengths_mm) == pytest.approx(expected_mm, rel=0.15)
-    np.testing.assert_allclose(tangents.offsets_mm, 7.5, atol=0.01)
+    np.testing.assert_allclose(tangents.offsets_mm, 7.5, atol=0.015)  # a third of a pixel
 
 
 @pytest.mark.parametrize("name", NAMES)

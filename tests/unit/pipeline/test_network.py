@@ -1,19 +1,17 @@
 """ONNX files as networks: what is taken, what is refused, and where they run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
-from support.networks import darkness_network, difference_network
+from support.networks import GPU, OnGpu, darkness_network, difference_network, start_on_gpu
 
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Array, Session, load_network, start_session
 from pipeline.segmentation.u2net import saliency, u2net_input
-
-GPU = "CUDAExecutionProvider"
 
 
 def _disc(height: int, width: int, radius_px: int) -> Array:
@@ -80,25 +78,6 @@ def test_refused_with_what_was_expected(content: bytes, said: str) -> None:
         load_network(content)
 
 
-class OnGpu:
-    """A session that claims to run on a GPU, with little memory."""
-
-    def __init__(self, session: Session, n_runs: int) -> None:
-        self.n_runs = n_runs
-        self.get_inputs, self.get_outputs = session.get_inputs, session.get_outputs
-        self.get_modelmeta = session.get_modelmeta
-        self.session = session
-
-    def get_providers(self) -> Sequence[str]:
-        return [GPU, CPU]
-
-    def run(self, output_names: Sequence[str], feed: Mapping[str, Array]) -> Sequence[Array]:
-        self.n_runs -= 1
-        if self.n_runs < 0:
-            raise RuntimeException("Failed to allocate memory\n for requested buffer")
-        return self.session.run(output_names, feed)
-
-
 def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
     def start(model: bytes, providers: Sequence[str]) -> Session:
         if providers[0] == GPU:
@@ -111,11 +90,7 @@ def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
 
 
 def test_out_of_memory_in_a_run_goes_on_on_the_cpu() -> None:
-    def start(model: bytes, providers: Sequence[str]) -> Session:
-        session = start_session(model, (CPU,))
-        return OnGpu(session, n_runs=1) if providers[0] == GPU else session
-
-    network = load_network(difference_network(), (GPU,), start=start)
+    network = load_network(difference_network(), (GPU,), start=start_on_gpu(n_runs=1))
     image = _disc(256, 256, 60)
     first = network.probability(image, None)
     assert (network.provider, network.fallback) == (GPU, None)

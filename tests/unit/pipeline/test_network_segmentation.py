@@ -7,17 +7,22 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from support.networks import darkness_network, difference_network
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.networks import GPU, darkness_network, difference_network, start_on_gpu
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, ViewStatus
-from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, ViewStatus, ground, limits, region
+from pipeline.segmentation.background import COARSE, CameraBackground
+from pipeline.segmentation.choice import ChoosingSegmenter
+from pipeline.segmentation.ground import carried
 from pipeline.segmentation.network import load_network
 from pipeline.segmentation.neural import NetworkSegmenter
 from pipeline.segmentation.region import Region, square_around, whole
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
+from service.segmenters import warm_up
 
 PARAMETERS = SegmentationParameters()
 CAMERA = CameraId("c01")
@@ -204,6 +209,25 @@ def test_squares_hold_what_is_looked_at() -> None:
     assert (rows, columns) == (slice(80, 152), slice(0, 52))
 
 
+@given(
+    st.integers(0, 1200), st.integers(0, 900), st.integers(1, 400), st.integers(1, 400), st.integers(0, 44)
+)
+def test_squares_hold_a_box_and_begin_with_a_block(
+    x: int, y: int, width: int, height: int, margin_px: int
+) -> None:
+    shape = (1022, 1279)
+    width, height = min(width, shape[1] - x), min(height, shape[0] - y)
+    square = square_around((x, y, width, height), margin_px, shape, 256)
+    assert (square.left % COARSE, square.top % COARSE) == (0, 0)
+    rows, columns = square.within(shape)
+    near_px = max(margin_px - COARSE // 2 - 1, 0)
+    last_u, last_v = (length // COARSE * COARSE for length in reversed(shape))  # where the last block ends
+    assert columns.start <= max(x - near_px, 0)
+    assert min(x + width + near_px, last_u) <= columns.stop
+    assert rows.start <= max(y - near_px, 0)
+    assert min(y + height + near_px, last_v) <= rows.stop
+
+
 @pytest.mark.parametrize("box", [(0, 0, 1280, 1024), (500, 300, 100, 100), (1000, 800, 250, 200)])
 def test_there_and_back_again(box: tuple[int, int, int, int]) -> None:
     """A smooth image survives the way to the network's pixels and back."""
@@ -216,10 +240,63 @@ def test_there_and_back_again(box: tuple[int, int, int, int]) -> None:
     rows, columns = near.within(image.shape)
     back = near.enlarged(reduced[of_square], image.shape)
     np.testing.assert_allclose(back[5:-5, 5:-5], image[rows, columns][5:-5, 5:-5], atol=0.6)
-    blocks = near.halved((reduced > 100)[of_square], image.shape)
+    blocks = near.halved((reduced > 100)[of_square].view(np.uint8), image.shape)
     assert np.mean(blocks != (image[rows, columns] > 100)[::2, ::2]) < 0.03
+    light = np.linspace(0.9, 1.1, near.width, dtype=np.float32) + np.zeros((near.height, 1), np.float32)
+    wanted = (reduced > 100)[of_square].view(np.uint8)
+    lit = near.lit(light, wanted, image)
+    everywhere = near.enlarged(light, image.shape) * image[rows, columns]
+    np.testing.assert_allclose(lit[::2, ::2][blocks != 0], everywhere[::2, ::2][blocks != 0], rtol=0.01)
+    assert not np.any(lit[::2, ::2][blocks == 0])
     coarse = cv2.resize(image, (320, 256), interpolation=cv2.INTER_AREA)
     np.testing.assert_allclose(square.sampled(coarse)[inside], reduced[inside], atol=1.0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(64, 64), (67, 130), (5, 3)]))
+def test_a_level_is_carried_from_where_it_is_known(seed: int, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    slope = 100 + 0.1 * u + 0.05 * v
+    is_known = (rng.random(shape) < 0.4).astype(np.uint8)
+    is_known[:, shape[1] // 2 : shape[1] // 2 + 10] = 0
+    values = np.where(is_known, slope, np.float32(np.nan))
+    level = carried(values, is_known)
+    assert np.abs(level - slope).max() < 4  # windows reach up to a few tens of pixels
+    np.testing.assert_allclose(carried(np.full(shape, 7, np.float32), is_known), 7, rtol=1e-6)
+    np.testing.assert_array_equal(carried(values, np.zeros(shape, np.uint8)), 1)
+
+
+def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
+    """E5: out of memory, the CPU goes on and every result says so."""
+    network = load_network(difference_network(), (GPU,), start=start_on_gpu(n_runs=1))
+    segmenter = NetworkSegmenter(network, PARAMETERS)
+    frame, background = scene((300, 250, 120))
+    good, flagged = segmenter(frame, background), segmenter(frame, background)
+    assert (good.status, good.fallback) == (ViewStatus.OK, None)
+    assert flagged.fallback is not None
+    assert flagged.fallback.startswith(f"{GPU} failed, the CPU computes: ")
+    np.testing.assert_array_equal(flagged.outline_uv, good.outline_uv)
+    # and through the choice between the two segmenters, where a stone needs the network
+    choosing = ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter)
+    chosen = choosing(frame, {})
+    assert (chosen.found_by, chosen.fallback) == ("network", f"no background yet; {flagged.fallback}")
+    wanted = replace(choosing, wanted="onnx")(frame, background)
+    assert (wanted.found_by, wanted.fallback) == ("network", flagged.fallback)
+    assert segmenter(*scene()).fallback == flagged.fallback
+
+
+def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
+    kernels = [ground._carried, region._light, limits.limits_of, limits._differing]
+    segmenter = network_segmenter()
+    warm_up(ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter))
+    compiled = [len(kernel.signatures) for kernel in kernels]
+    assert all(compiled)
+    for disc in ((300, 250, 80), (320, 256, 190), (100, 200, 80)):
+        frame, background = scene(disc)
+        assert segmenter(frame, background).is_usable
+        assert segmenter(frame, {}).is_usable
+    assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 
 def test_a_highlight_the_network_misses_is_unknown() -> None:

@@ -11,7 +11,7 @@ from support.silhouettes import sphere_silhouette
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import BackgroundModel, learn_background
-from pipeline.segmentation.optics import ViewOptics, observe_optics
+from pipeline.segmentation.optics import ViewOptics, observe_all, observe_optics
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import stream
@@ -163,9 +163,14 @@ def test_saturation_is_counted() -> None:
     assert optics.saturated_share > 0.1
 
 
-@pytest.mark.parametrize("status", [ViewStatus.MULTIPLE, ViewStatus.EMPTY])
-def test_views_without_an_outline_have_figures_too(status: ViewStatus) -> None:
-    nothing = Silhouette(camera=C05, status=status, image_size_px=SIZE_PX)
+@pytest.mark.parametrize("status", [ViewStatus.MULTIPLE, ViewStatus.CLIPPED])
+def test_bodies_that_have_no_place_do_not_count_as_dark_wall(status: ViewStatus) -> None:
+    several = Silhouette(camera=C05, status=status, image_size_px=SIZE_PX)
+    assert observe_all({C05: exposed()}, background(), {C05: several}) == {}
+
+
+def test_views_without_an_outline_have_figures_too() -> None:
+    nothing = Silhouette(camera=C05, status=ViewStatus.EMPTY, image_size_px=SIZE_PX)
     optics = observe_optics(exposed(), background(), nothing)
     assert optics is not None
     assert (optics.edge_width_px, optics.contrast) == (None, None)

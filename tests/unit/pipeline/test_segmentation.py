@@ -185,10 +185,10 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     distance_px, outline = edge.distance_px(), edge.outline_uv
     within = (np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25)
     assert np.abs(distance_px - true_px)[within].max() < 0.1
-    assert abs((distance_px - true_px)[within].mean()) < 0.03
+    assert abs((distance_px - true_px)[within].mean()) < 0.05
     errors = (outline[:, 0] - 40) * np.cos(angle) + (outline[:, 1] - 40) * np.sin(angle) + shift_px
     inner = (np.abs(outline - 40) < 30).all(axis=1)
-    assert np.abs(errors[inner]).max() < 0.08
+    assert np.abs(errors[inner]).max() < 0.1
 
 
 def test_background_is_the_mean_of_empty_frames_with_the_flash_divided_out() -> None:

@@ -93,7 +93,8 @@ def test_offline_is_one_clear_line(
 
 def test_a_model_that_was_not_fetched_says_how(tmp_path: Path) -> None:
     with pytest.raises(
-        ModelError, match=r"u2netp\.onnx: there is no such model; get it with stonefall models"
+        ModelError,
+        match=rf"u2netp\.onnx: there is no such model; get it with .* fetch u2netp --dir {tmp_path}$",
     ):
         read_model("u2netp", tmp_path)
     with pytest.raises(ModelError, match=r"other\.onnx: there is no such model; see stonefall models list"):
@@ -112,6 +113,9 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "bad.onnx"
     path.write_bytes(b"no model")
     with pytest.raises(ModelError, match=r"bad\.onnx: expected an ONNX model"):
+        load_model(str(path))
+    path.write_bytes(darkness_network("any", only_px=96))
+    with pytest.raises(ModelError, match=r"bad\.onnx: model u2net-.* cannot be run"):
         load_model(str(path))
     good = tmp_path / "good.onnx"
     good.write_bytes(difference_network())

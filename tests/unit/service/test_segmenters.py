@@ -9,7 +9,7 @@ import pytest
 from support.networks import difference_network
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import ViewStatus
+from pipeline.segmentation import ViewStatus, subtraction
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.errors import SettingsError
 from service.segmentation_settings import SegmentationSettings, plan_segmenter
@@ -46,6 +46,7 @@ def test_the_section_holds_the_pipeline_s_parameters_and_which_segmenter(load: L
     assert settings.pipeline.segmentation == SegmentationParameters(min_contrast=0.2)
     assert settings.segmentation.segmenter == "onnx"
     assert settings.segmentation.model == str(tmp_path / "nets/mine.onnx")
+    assert load('model = "nets/mine"').segmentation.model == str(tmp_path / "nets/mine")
     assert load('model = "u2netp"').segmentation.model == "u2netp"
     with pytest.raises(SettingsError, match=r"segmentation\.segmenter: .*'auto', 'background' or 'onnx'"):
         load('segmenter = "best"')
@@ -74,6 +75,15 @@ def test_a_model_that_cannot_be_used_is_named_and_does_without(load: Load, tmp_p
         assert (found.status, found.fallback) == (ViewStatus.NO_BACKGROUND, "no background yet; no model")
 
 
+def test_a_processor_that_is_not_there_is_named_before_the_start(load: Load):
+    settings = load('providers = ["NoSuchProvider", "CPUExecutionProvider"]')
+    plan = plan_segmenter(settings.segmentation)
+    assert plan.model
+    assert plan.warning is not None
+    assert plan.warning.startswith("this onnxruntime has no NoSuchProvider, but ")
+    assert list(shortcomings(settings)) == [f"segmentation.providers: {plan.warning}"]
+
+
 def test_a_worker_that_cannot_load_what_others_could_does_without(caplog: pytest.LogCaptureFixture):
     segmenter = build_segmenter(SegmenterPlan(wanted="onnx", model=b"damaged"), PARAMETERS)
     assert segmenter.network is None
@@ -86,6 +96,13 @@ def test_a_processor_that_is_not_there_is_replaced_and_told(caplog: pytest.LogCa
         segmenter = build_segmenter(plan, PARAMETERS)
     assert "NoSuchProvider" in caplog.text
     assert segmenter(stone(), {}).found_by == "network"
+
+
+def test_without_a_network_the_comparison_alone_is_made_ready(monkeypatch: pytest.MonkeyPatch):
+    called: list[str] = []
+    monkeypatch.setattr(subtraction, "warm_up", lambda: called.append("all kernels, see test_delineation"))
+    warm_up(build_segmenter(CLASSICAL, PARAMETERS))
+    assert called
 
 
 def test_a_plan_becomes_the_segmenter_it_says():

@@ -1,0 +1,121 @@
+"""Where beside a body that a network found its edge is looked for, and where grey levels would mislead.
+
+The network is sure of most pixels, one way or the other. Between, `delineate` decides by grey levels; pixels
+where these have too little contrast, or contradict the network, are unknown.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.compiled import compiled
+from pipeline.segmentation.silhouette import INSIDE
+
+Array = NDArray[np.float32]
+Bits = NDArray[np.uint8]
+
+CORE, POSSIBLE, UNKNOWN = np.uint8(1), np.uint8(2), np.uint8(4)
+"""Bits of a pixel's limits; the arguments of `delineate`."""
+SURE, SURELY_NOT = np.float32(0.9), np.float32(0.1)
+"""P(body) from which on a pixel is body, and up to which it is not; between, the network does not know."""
+AGREED = np.float32(0.7)
+"""Coverage by grey levels of a pixel that the network is sure of; below, the two contradict each other."""
+NOISE_SIGMAS = 4.0
+"""Contrast below so many standard deviations of the noise decides nothing."""
+HALO_PX = (4, 16)
+"""Beyond the first distance from its edge neither lens nor motion show a body; up to the second it is looked for."""
+HALO_CONTRAST = 0.06
+"""Difference from the expected, as a share of it, that shows a body there all the same."""
+
+
+@compiled
+def limits_of(
+    image: Array,
+    expected: Array,
+    level: Array,
+    probability: Array,
+    core: Bits,
+    possible: Bits,
+    undecided: Bits,
+    dark: float,
+    min_contrast: float,
+    noise: float,
+) -> Bits:
+    """Of each pixel (h, w): whether it is core or possible, and whether grey levels mean nothing there.
+
+    Parameters
+    ----------
+    image, expected, level
+        Grey levels: seen, without a body, and of the body.
+    probability
+        That it is body, as the network says.
+    core, possible, undecided
+        Masks: surely body, surely nothing outside of it, and where the network does not know.
+    dark
+        What is expected to be darker is an aperture or a screw, before which a dark body is not seen.
+    min_contrast
+        Least contrast of the body, as a share of the expected.
+    noise
+        Standard deviation of a pixel.
+    """
+    limits = np.zeros(image.shape, np.uint8)
+    for v in range(image.shape[0]):
+        for u in range(image.shape[1]):
+            if not possible[v, u]:
+                continue
+            limit = POSSIBLE
+            behind, contrast = expected[v, u], expected[v, u] - level[v, u]
+            covered = behind - image[v, u]
+            least = max(min_contrast * behind, NOISE_SIGMAS * noise)
+            is_unknown = undecided[v, u] != 0 or (behind < dark and abs(covered) < least)
+            if core[v, u]:
+                limit |= CORE
+            else:
+                if contrast < 0:
+                    contrast, covered = -contrast, -covered
+                is_sure, is_surely_not = probability[v, u] > SURE, probability[v, u] < SURELY_NOT
+                is_unknown |= (
+                    contrast < least
+                    or (is_sure and covered < AGREED * contrast)
+                    or (is_surely_not and covered > (1 - AGREED) * contrast)
+                )
+            limits[v, u] = limit | UNKNOWN if is_unknown else limit
+    return limits
+
+
+def halo_of(image: Bits, expected: Array, labels: Bits, noise: float) -> Bits:
+    """Around what differs from the expected just outside of the body found: a rim, a highlight, a sharp shadow.
+
+    As all masks for `delineate`, it is given for every second row and column.
+    """
+    height, width = labels.shape
+    inside = (labels == INSIDE).view(np.uint8)
+    halved = cv2.resize(inside, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_NEAREST)
+    body = np.minimum(halved, 1)
+    near, around = (
+        # a disc of the greater size costs ten times more
+        np.asarray(cv2.dilate(body, np.ones((distance_px + 1,) * 2, np.uint8)), np.uint8)
+        for distance_px in HALO_PX
+    )
+    beyond = _differing(image, expected, around - near, NOISE_SIGMAS / 3 * noise)
+    if not beyond.any():
+        return beyond
+    return np.asarray(cv2.dilate(beyond, np.ones((HALO_PX[0] * 2 + 1,) * 2, np.uint8)), np.uint8)
+
+
+@compiled
+def _differing(image: Bits, expected: Array, ring: Bits, least_grey: float) -> Bits:
+    """Where in a ring (h / 2, w / 2) the mean of nine pixels differs from what is expected there."""
+    height, width = ring.shape
+    differs = np.zeros(ring.shape, np.uint8)
+    for row in range(1, height - 1):
+        for column in range(1, width - 1):
+            if not ring[row, column]:
+                continue
+            total = np.float32(0)
+            for v in range(2 * row - 2, 2 * row + 3, 2):
+                for u in range(2 * column - 2, 2 * column + 3, 2):
+                    total += expected[v, u] - np.float32(image[v, u])
+            least = max(HALO_CONTRAST * expected[2 * row, 2 * column], least_grey)
+            differs[row, column] = abs(total) > 9 * least
+    return differs
