@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
 
-from pipeline.segmentation import delineation, edge, steepest
+from pipeline.segmentation import edge, grey_levels, steepest
 from pipeline.segmentation.delineation import Delineation, delineate
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import warm_up
@@ -196,9 +196,9 @@ def test_nothing_inside_is_no_edge() -> None:
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
-        delineation._carried,
-        delineation._decide,
-        delineation._crossings,
+        grey_levels.carried,
+        grey_levels.decide,
+        grey_levels.crossings,
         steepest.to_steepest,
         edge._refined,
     ]
