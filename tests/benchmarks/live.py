@@ -104,11 +104,15 @@ port = "{folder}/gate"
 [empty_rig]
 at_start = 2
 every_s = 0
-[segmentation]
-segmenter = "{arguments.segmenter}"
 """
     with DaemonProcess(
-        folder, folder, rig=section, voxels=256, spool=spool, store=f"keep_raw = {arguments.keep_raw}"
+        folder,
+        folder,
+        rig=section,
+        segmentation=f'segmenter = "{arguments.segmenter}"',
+        voxels=256,
+        spool=spool,
+        store=f"keep_raw = {arguments.keep_raw}",
     ) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
