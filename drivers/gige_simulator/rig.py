@@ -22,7 +22,7 @@ from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.gige_simulator.hopper import Fall, Hopper, read_fall
 from drivers.gige_simulator.json_socket import JsonSocket
-from drivers.gige_simulator.sources import Images, Scene
+from drivers.gige_simulator.sources import SIGHT_MS, Images, Scene
 from drivers.gige_simulator.uplink import Uplink
 from drivers.recording import Recording
 from pipeline.frames import BundleKind, CameraId
@@ -50,6 +50,7 @@ class RigDesign:
     rate_hz: float = 4.0
     is_looping: bool = False
     fall_ms: float = 247.35  # from the gate to the middle of the rig: 0.3 m
+    sight_ms: float = SIGHT_MS  # before and after that a stone is seen
     exposure_us: float | None = None  # at which images are as recorded; None: the recording's
     gain_db: float = 0.0
     uplink_bytes_s: float | None = None  # of the switch all cameras are at; None: faster than all of them
@@ -72,6 +73,7 @@ class SimulatedRig:
             fall_ns=round(design.fall_ms * 1e6),
             exposure_us=design.exposure_us or _recorded_exposure_us(recording),
             gain_db=design.gain_db,
+            sight_ms=design.sight_ms,
             seed=design.seed,
         )
         self._scene = scene

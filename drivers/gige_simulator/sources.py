@@ -1,6 +1,6 @@
 """What the simulated cameras see: the stone that is before them during an exposure, else the empty rig.
 
-A stone shows where the recording has it whenever the exposure is within `SIGHT_NS` of its passing: a trigger
+A stone shows where the recording has it whenever the exposure is within `SIGHT_MS` of its passing: a trigger
 delay that is wrong by more sees nothing, or another stone. Brightness follows exposure time and gain, and at
 the recording's own values the pixels are the recording's.
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.gige_simulator.camera import Exposure, ImageSource
 from pipeline.frames import CameraId, Image
 
-SIGHT_NS = 50_000_000
+SIGHT_MS = 50.0
 """From the middle of the rig, in time; 120 mm at 2.43 m/s."""
 KEPT_NS = 1_000_000_000
 """For so long after it passed a stone can still be seen by a camera thread that lags behind."""
@@ -27,13 +27,21 @@ class Scene:
     """The inside of the rig; thread-safe."""
 
     def __init__(
-        self, *, empty: Sequence[Images], fall_ns: int, exposure_us: float, gain_db: float, seed: int = 0
+        self,
+        *,
+        empty: Sequence[Images],
+        fall_ns: int,
+        exposure_us: float,
+        gain_db: float,
+        sight_ms: float = SIGHT_MS,
+        seed: int = 0,
     ) -> None:
         self._empty = empty  # the empty rig, in turn
         self._seed = seed
         self._n_empty = 0
         self._fall_ns = fall_ns  # from the gate to the middle of the rig
         self._exposure_us, self._gain_db = exposure_us, gain_db  # of the recording
+        self._sight_ns = round(sight_ms * 1e6)
         self._lock = threading.Lock()
         self._passing: list[tuple[int, Images]] = []  # (when it is in the middle, what is seen)
 
@@ -64,8 +72,8 @@ class Scene:
     def _seen(self, exposure: Exposure) -> Images:
         with self._lock:
             distances_ns = [abs(exposure.exposed_ns - middle_ns) for middle_ns, _ in self._passing]
-            nearest_ns = min(distances_ns, default=SIGHT_NS)
-            if nearest_ns < SIGHT_NS:
+            nearest_ns = min(distances_ns, default=self._sight_ns)
+            if nearest_ns < self._sight_ns:
                 return self._passing[distances_ns.index(nearest_ns)][1]
         return self._empty[exposure.n % len(self._empty)]
 

@@ -14,7 +14,7 @@ from support.recordings import CAMERAS, make_bundle, tagged_image, write_recordi
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import Exposure
 from drivers.gige_simulator.hopper import PULSE_WIDTH_NS, Fall, Hopper, read_fall
-from drivers.gige_simulator.sources import SIGHT_NS, Scene
+from drivers.gige_simulator.sources import SIGHT_MS, Scene
 from drivers.recording import BundleHeader, Recording, open_recording
 from pipeline.frames import BundleKind, CameraId, Image
 
@@ -172,10 +172,11 @@ class TestScene:
     def test_a_stone_is_seen_while_it_passes(self, scene: Scene) -> None:
         scene.enter(1_000_000_000, images(3))
         see = scene.source_of(CAMERA)
-        for off_ns in (0, SIGHT_NS - 1, 1 - SIGHT_NS):
+        sight_ns = round(SIGHT_MS * 1e6)
+        for off_ns in (0, sight_ns - 1, 1 - sight_ns):
             seen = see(replace(EXPOSURE, exposed_ns=1_000_000_000 + FALL_NS + off_ns))
             np.testing.assert_array_equal(seen, images(3)[CAMERA])
-        for off_ns in (-FALL_NS, -SIGHT_NS, SIGHT_NS):
+        for off_ns in (-FALL_NS, -sight_ns, sight_ns):
             seen = see(replace(EXPOSURE, n=2, exposed_ns=1_000_000_000 + FALL_NS + off_ns))
             np.testing.assert_array_equal(seen, images(1)[CAMERA])
 
