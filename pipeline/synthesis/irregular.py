@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pipeline.carving import VisualHull
+from pipeline.carving import VisualHull, all_leaves
 from pipeline.measuring.calipers import max_feret
 from pipeline.measuring.convex import convex_body
 from pipeline.meshing import mesh_hull
@@ -41,6 +41,7 @@ def irregular(form: str, size_mm: float, rng: np.random.Generator) -> Body:
     surface = mesh_hull(
         VisualHull(
             field=field,
+            leaves=all_leaves(field.shape),
             level=0.0,
             origin_mm=np.full(3, -1.0),
             pitch_mm=axis[1] - axis[0],

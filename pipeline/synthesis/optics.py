@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from pipeline.compiled import compiled
 from pipeline.frames import Image
 
 FloatImage = NDArray[np.float32]
@@ -57,7 +58,19 @@ def blurred(image: FloatImage, kernel: FloatImage) -> FloatImage:
 
 def expose(radiance: FloatImage, parameters: ExposureParameters, rng: np.random.Generator) -> Image:
     """The sensor's 8-bit image of a radiance (H, W) in grey levels: shot and read noise, rounding."""
-    noise: FloatImage = rng.standard_normal(radiance.shape, dtype=np.float32)
-    noise *= cv2.sqrt(parameters.shot_noise * radiance + np.float32(parameters.read_noise**2))
-    noise += radiance
-    return np.clip(np.rint(noise), 0, 255).astype(np.uint8)
+    unit_noise: FloatImage = rng.standard_normal(radiance.shape, dtype=np.float32)
+    return np.asarray(
+        _noisy(
+            radiance, unit_noise, np.float32(parameters.shot_noise), np.float32(parameters.read_noise**2)
+        )
+    )
+
+
+@compiled
+def _noisy(radiance: FloatImage, unit_noise: FloatImage, shot: np.float32, read: np.float32) -> Image:
+    image = np.empty(radiance.shape, np.uint8)
+    for v in range(radiance.shape[0]):
+        for u in range(radiance.shape[1]):
+            grey = radiance[v, u] + unit_noise[v, u] * np.sqrt(shot * radiance[v, u] + read)
+            image[v, u] = np.uint8(min(max(np.rint(grey), np.float32(0)), np.float32(255)))
+    return image

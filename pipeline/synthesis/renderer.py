@@ -133,7 +133,9 @@ class View:
             behind = radiance[layer.rows, layer.columns]
             behind += layer.coverage * (layer.radiance - behind)
         radiance *= strength
-        return np.asarray(radiance * self.disturbance.transmission + self.disturbance.veil)
+        radiance *= self.disturbance.transmission
+        radiance += self.disturbance.veil
+        return radiance
 
 
 def view_of(
