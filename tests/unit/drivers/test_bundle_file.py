@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle, tagged_image
 
-from drivers.bundle_file import FORMAT, read_bundle, read_header, write_bundle
+from drivers.bundle_file import overwrite_bundle, read_bundle, read_header, write_bundle
+from drivers.bundle_header import FORMAT
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
 
@@ -47,6 +48,25 @@ def test_uncompressed_pages_can_be_mapped(tmp_path: Path) -> None:
     path = tmp_path / "b.tiff"
     write_bundle(path, make_bundle(0), CAMERAS, compression="none")
     assert np.array_equal(tifffile.memmap(path, page=2, mode="r"), tagged_image(0, CAMERAS[2]))
+
+
+def test_a_mapped_bundle_is_the_file_itself(tmp_path: Path) -> None:
+    path = tmp_path / "b.tiff"
+    bundle = make_bundle(0)
+    write_bundle(path, bundle, CAMERAS, compression="none")
+    mapped = read_bundle(path, CAMERAS, mapped=True)
+    assert_same_bundle(mapped, bundle)
+    path.unlink()  # what was read stays
+    assert_same_bundle(mapped, bundle)
+    assert not any(frame.image.flags.owndata for frame in mapped.frames.values())
+
+
+def test_a_file_is_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "b.tiff"
+    for bundle in (make_bundle(0), make_bundle(1, missing={CAMERAS[2]: "lost"}), make_bundle(2)):
+        overwrite_bundle(path, bundle, CAMERAS)
+        assert_same_bundle(read_bundle(path, CAMERAS, mapped=True), bundle)
+        assert list(tmp_path.iterdir()) == [path]
 
 
 def test_header_needs_no_pixels(tmp_path: Path) -> None:
@@ -121,9 +141,9 @@ def test_a_time_that_is_no_instant_is_refused(tmp_path: Path, utc: str) -> None:
 
 
 @settings(max_examples=150)
-@given(data=st.data(), compression=st.sampled_from(["none", "zstd"]))
+@given(data=st.data(), compression=st.sampled_from(["none", "zstd"]), mapped=st.booleans())
 def test_damage_never_goes_unnoticed(
-    data: st.DataObject, compression: str, tmp_path_factory: pytest.TempPathFactory
+    data: st.DataObject, compression: str, mapped: bool, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """Whatever is flipped or cut: one clear error, or true frames with the rest named as missing."""
     path = tmp_path_factory.mktemp("damage") / "b.tiff"
@@ -138,7 +158,7 @@ def test_damage_never_goes_unnoticed(
     content = content[: data.draw(st.just(len(content)) | anywhere)]
     path.write_bytes(content)
     try:
-        found = read_bundle(path, CAMERAS)
+        found = read_bundle(path, CAMERAS, mapped=mapped)
     except RecordingError as err:
         assert str(err).startswith(f"{path}: ")
         return

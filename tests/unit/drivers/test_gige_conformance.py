@@ -119,14 +119,20 @@ def test_wireshark_understands_every_packet(tmp_path: Path, *, extended_ids: boo
             assert (int(gvsp["gvsp.format"], 16) >= 0x80) is extended_ids or gvsp["gvsp.format"] == "0x00"
         else:
             assert "gvcp" in layers, layers["frame"]["frame.protocols"]
-            seen["command" if "gvcp.cmd.command" in json.dumps(layers) else "acknowledgement"] += 1
+            told = json.dumps(layers)
+            is_resend = f'"gvcp.cmd.command": "0x{RESEND:04x}"' in told
+            seen[
+                "resend" if is_resend else "command" if "gvcp.cmd.command" in told else "acknowledgement"
+            ] += 1
     n_payload = -(-(N_PIXELS + (8 + 4 * 16) * chunks) // (1500 - (48 if extended_ids else 36)))
     assert seen.pop("0 0x0000") > 2  # test packets
-    assert seen.pop("command") - seen.pop("acknowledgement") == N_FRAMES + 1  # resends are not acknowledged
-    assert seen == {
-        "1 0x0000": N_FRAMES,
-        "2 0x0000": N_FRAMES,
-        "3 0x0000": N_FRAMES * n_payload,
-        "3 0x800c": 1,
-    }
+    assert seen.pop("command") == seen.pop("acknowledgement")
+    n_resends = seen.pop("resend")  # of the lost packets, and of one that is gone
     assert counters.packets == seen.total()
+    expected = {"1 0x0000": N_FRAMES, "2 0x0000": N_FRAMES, "3 0x0000": N_FRAMES * n_payload, "3 0x800c": 1}
+    if n_resends == N_FRAMES + 1:
+        assert seen == expected
+    else:  # a busy machine asks again for what is only late
+        assert n_resends > N_FRAMES + 1
+        assert seen.keys() == expected.keys()
+        assert all(seen[each] >= n for each, n in expected.items())
