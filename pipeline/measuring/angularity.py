@@ -7,8 +7,10 @@ least for the circle, the one outline that turns evenly, and grows with every co
 Values are comparable with each other, not with those of an AIMS device.
 """
 
+from functools import cache
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 N_POINTS = 180
 """Points of equal distance; three steps are 1/60 of the perimeter, 0.5 mm on a stone of 10 mm."""
@@ -16,7 +18,7 @@ STEP = 3
 SMOOTHING_STEPS = 1.0
 """Standard deviation of the Gaussian along the outline; hides pixel stairs of a stone of 4 mm and more."""
 MAX_ANGULARITY = 10_000.0
-OVERSAMPLING = 8
+OVERSAMPLING = 4
 """The sum is averaged over this many sets of points, each a part of a step further on: no first point."""
 
 
@@ -44,9 +46,17 @@ def gradient_angularity(contour_uv: ArrayLike) -> float:
     even = np.interp(np.arange(n) * (arc[-1] / n), arc, closed)
 
     # tangents of the smoothed outline; they turn as the normals do
-    frequency = np.fft.fftfreq(n) * 2 * np.pi
-    smooth = np.exp(-((frequency * SMOOTHING_STEPS * OVERSAMPLING) ** 2) / 2)
-    tangents = np.fft.ifft(1j * frequency * smooth * np.fft.fft(even))
+    tangents = np.fft.ifft(_smooth_derivative(n) * np.fft.fft(even))
     turns_deg = np.rad2deg(np.angle(np.roll(tangents, -STEP * OVERSAMPLING) * tangents.conj()))
     angularity = float(np.sum(turns_deg**2)) / OVERSAMPLING / (N_POINTS / STEP - 1)
     return min(angularity, MAX_ANGULARITY)
+
+
+@cache
+def _smooth_derivative(n: int) -> NDArray[np.complex128]:
+    """What the derivative of a smoothed outline of n points has of each frequency."""
+    frequency = np.fft.fftfreq(n) * 2 * np.pi
+    smooth = np.exp(-((frequency * SMOOTHING_STEPS * OVERSAMPLING) ** 2) / 2)
+    factors = np.array(1j * frequency * smooth)
+    factors.setflags(write=False)
+    return factors

@@ -8,17 +8,21 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.measuring.convex import ConvexBody, touching
+from pipeline.compiled import compiled
+from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
 
 WIDTH_TOLERANCE = 1e-4
 """Relative gap between the least width seen and the least one possible at which its search ends."""
 MAX_DIRECTIONS = 128
 """Directions in which the greatest dimension is looked for; a longish body needs one or two."""
-MAX_PRODUCTS = 1 << 21
-"""Vertices times directions evaluated at a time in the search for the least width."""
+MAX_OPEN = 160
+"""Parts of a triangle still to be looked at, three of each size."""
+RIM = 1e-9
+"""A facet so steep (its normal's part along the axis) belongs to either side."""
 
 
 def max_feret(body: ConvexBody) -> Array:
@@ -29,11 +33,13 @@ def max_feret(body: ConvexBody) -> Array:
     planes: only those vertices are compared. Exact, unless the body is so round that more than
     `MAX_DIRECTIONS` qualify; then 1 - cos d = 0.12 % short at the very most.
     """
-    directions, _ = half_sphere()
+    directions = half_sphere().directions
     slack = 1 - np.cos(COVERING_RAD)
     depth_mm = slack / (1 - slack) * body.width_mm.max()
-    lengths_mm = np.linalg.norm(body.spans_mm, axis=1)
-    best, best_mm = body.spans_mm[lengths_mm.argmax()], lengths_mm.max()
+    upper, lower = (body.vertices_mm[body.touching[:, end]] for end in (0, 1))
+    spans_mm = upper - lower
+    lengths_mm = np.linalg.norm(spans_mm, axis=1)
+    best, best_mm = spans_mm[lengths_mm.argmax()], lengths_mm.max()
     widest = np.argsort(-body.width_mm)[:MAX_DIRECTIONS]
     for direction in directions[widest[body.width_mm[widest] >= best_mm * (1 - slack)]]:
         heights = body.vertices_mm @ direction
@@ -51,42 +57,99 @@ def min_feret_mm(body: ConvexBody) -> float:
 
     Branch and bound over the triangles of `half_sphere()`: inside a triangle with corners u_i the
     width is nowhere less than max_i min_j (p_i - q_i).u_j. Triangles that cannot beat the least
-    width seen are dropped, the others split into four. Of a nearly round body, where very many
-    stay, only the most promising are split, and the certificate ends at the bound of the best left.
+    width seen are dropped, the others split into four.
     """
-    directions, triangles = half_sphere()
-    corners, spans_mm = directions[triangles], body.spans_mm[triangles]
+    sphere = half_sphere()
     least_mm = float(body.width_mm.min())
-    n_split = int(np.clip(MAX_PRODUCTS // (3 * len(body.vertices_mm)), 32, 512))
-    while True:
-        bounds_mm = np.einsum("tik,tjk->tij", spans_mm, corners).min(axis=2).max(axis=1)
-        promising = np.argsort(bounds_mm)[:n_split]
-        promising = promising[bounds_mm[promising] < least_mm * (1 - WIDTH_TOLERANCE)]
-        if len(promising) == 0:
-            return least_mm
-        corners, spans_mm = corners[promising], spans_mm[promising]
-        middles = corners + corners[:, [1, 2, 0]]
-        middles /= np.linalg.norm(middles, axis=2, keepdims=True)
-        upper, lower = touching(body.vertices_mm, middles.reshape(-1, 3))
-        middle_spans_mm = (body.vertices_mm[upper] - body.vertices_mm[lower]).reshape(-1, 3, 3)
-        least_mm = min(least_mm, float(np.einsum("tij,tij->ti", middle_spans_mm, middles).min()))
-        corners, spans_mm = _split(corners, middles), _split(spans_mm, middle_spans_mm)
+    corners, at = np.empty((3 * MAX_OPEN, 3)), np.empty((3 * MAX_OPEN, 2), np.int32)
+    return _least_width_mm(
+        body.edges, sphere.directions, sphere.triangles, body.touching, corners, at, least_mm
+    )
 
 
-def _split(corners: Array, middles: Array) -> Array:
-    """Values at the corners (4 T, 3, 3) of the four parts of triangles whose sides have been halved."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = middles[:, 0], middles[:, 1], middles[:, 2]
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
+@compiled
+def _least_width_mm(
+    edges: Edges,
+    directions: Array,
+    triangles: Indices,
+    touching: Indices,
+    corners: Array,
+    at: Indices,
+    least_mm: float,
+) -> float:
+    """The corners (3 P, 3) of parts of triangles and where they touch are room for the search."""
+    for triangle in range(len(triangles)):
+        for k in range(3):
+            direction = triangles[triangle, k]
+            for i in range(3):
+                corners[k, i] = directions[direction, i]
+            for i in range(2):
+                at[k, i] = touching[direction, i]
+        n_open = 1
+        while n_open > 0:
+            n_open -= 1
+            part = 3 * n_open
+            if _bound_mm(edges, corners, at, part) >= least_mm * (1 - WIDTH_TOLERANCE):
+                continue
+            if n_open + 4 > MAX_OPEN:  # nothing but rounding is left
+                continue
+            middle = part + 9
+            for k in range(3):
+                one, other = part + k, part + (k + 1) % 3
+                x, y, z = unit(
+                    corners[one, 0] + corners[other, 0],
+                    corners[one, 1] + corners[other, 1],
+                    corners[one, 2] + corners[other, 2],
+                )
+                corners[middle + k, 0], corners[middle + k, 1], corners[middle + k, 2] = x, y, z
+                at[middle + k, 0], at[middle + k, 1] = at[one, 0], at[one, 1]
+                least_mm = min(least_mm, touch(edges, x, y, z, at, middle + k))
+            # the parts at corners 1 and 2 are (m0, c1, m1) and (m2, m1, c2); (c0, m0, m2) replaces the whole
+            _copy(corners, at, part + 1, part + 4)
+            _copy(corners, at, part + 2, part + 8)
+            for k in range(2):
+                _copy(corners, at, middle, part + 3 - 2 * k)
+                _copy(corners, at, middle + 1, part + 5 + 2 * k)
+                _copy(corners, at, middle + 2, part + 6 - 4 * k)
+            n_open += 4
+    return least_mm
+
+
+@compiled
+def _copy(corners: Array, at: Indices, row: int, to_row: int) -> None:
+    for i in range(3):
+        corners[to_row, i] = corners[row, i]
+    for i in range(2):
+        at[to_row, i] = at[row, i]
+
+
+@compiled
+def _bound_mm(edges: Edges, corners: Array, at: Indices, part: int) -> float:
+    """No direction within the triangle whose corners begin at a row has a width below this."""
+    points = edges.vertices_mm
+    bound_mm = 0.0
+    for i in range(part, part + 3):
+        upper, lower = at[i, 0], at[i, 1]
+        x = points[upper, 0] - points[lower, 0]
+        y = points[upper, 1] - points[lower, 1]
+        z = points[upper, 2] - points[lower, 2]
+        least_mm = np.inf
+        for j in range(part, part + 3):
+            least_mm = min(least_mm, x * corners[j, 0] + y * corners[j, 1] + z * corners[j, 2])
+        bound_mm = max(bound_mm, least_mm)
+    return bound_mm
 
 
 def extents_across(body: ConvexBody, axis: Array) -> tuple[float, float]:
     """Greatest dimension perpendicular to an axis (3,), and the dimension perpendicular to both; exact."""
-    across = np.linalg.svd(axis[None, :])[2][1:]
-    flat_mm = body.vertices_mm @ across.T
+    along = body.normals @ (axis / np.linalg.norm(axis))
+    is_near, is_far = np.zeros((2, len(body.vertices_mm)), bool)
+    is_near[body.facets[along >= -RIM]] = True
+    is_far[body.facets[along <= RIM]] = True
+    rim_mm = body.vertices_mm[is_near & is_far]
+    flat_mm = rim_mm @ np.linalg.svd(axis[None, :])[2][1:].T
     flat_mm = flat_mm[scipy.spatial.ConvexHull(flat_mm).vertices]
     distances_mm = scipy.spatial.distance.squareform(scipy.spatial.distance.pdist(flat_mm))
     i, j = np.unravel_index(distances_mm.argmax(), distances_mm.shape)
-    x, y = (flat_mm[i] - flat_mm[j]) / distances_mm[i, j]
-    return float(distances_mm[i, j]), float(np.ptp(flat_mm @ [-y, x]))
+    u, v = (flat_mm[i] - flat_mm[j]) / distances_mm[i, j]
+    return float(distances_mm[i, j]), float(np.ptp(flat_mm @ [-v, u]))

@@ -1,22 +1,30 @@
 """The convex hull of a body and its widths between parallel planes.
 
 The width along a unit direction u is w(u) = max p.u - min p.u over the hull's vertices p: every size that
-calipers, bars or holes can measure is one of the hull, and follows from w.
+calipers, bars or holes can measure is one of the hull, and follows from w. The vertex that touches a plane is
+found by climbing along the hull's edges: on a convex body no summit is a false one.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import scipy.spatial
 from numpy.typing import NDArray
 
+from pipeline.compiled import compiled
 from pipeline.measuring.directions import half_sphere
+from pipeline.measuring.quickhull import hull_facets
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
 
-CHUNK = 1 << 21
-"""Products vertex x direction held in memory at a time."""
+
+class Edges(NamedTuple):
+    """The vertices of a convex hull and what they are connected with."""
+
+    vertices_mm: Array  # (N, 3)
+    first: Indices  # (N + 1,) where the neighbours of each vertex begin
+    neighbors: Indices  # (2 E,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,46 +32,102 @@ class ConvexBody:
     """A convex hull, with its widths along the M directions of `half_sphere()`."""
 
     volume_mm3: float
-    vertices_mm: Array  # (N, 3)
-    touching_mm: Array  # (K, 3) the vertices that touch one of the 2 M planes
+    facets: Indices  # (F, 3) vertices, counter-clockwise seen from outside
+    normals: Array  # (F, 3) outward unit vectors
+    edges: Edges
+    touching: Indices  # (M, 2) the vertices at the upper and at the lower plane
     width_mm: Array  # (M,)
-    spans_mm: Array  # (M, 3) from the vertex that touches the lower plane to the one at the upper
+
+    @property
+    def vertices_mm(self) -> Array:  # (N, 3)
+        return self.edges.vertices_mm
 
 
 def convex_body(points_mm: Array) -> ConvexBody:
     """The convex hull of points (N, 3) that do not lie in one plane."""
-    hull = scipy.spatial.ConvexHull(points_mm)
-    vertices_mm = hull.points[hull.vertices]
-    directions, _ = half_sphere()
-    upper, lower = touching(vertices_mm, directions)
-    spans_mm = vertices_mm[upper] - vertices_mm[lower]
+    facets, normals = hull_facets(points_mm)
+    is_vertex = np.zeros(len(points_mm), bool)
+    is_vertex[facets] = True
+    vertices_mm = points_mm[is_vertex]
+    facets = (np.cumsum(is_vertex, dtype=np.int32) - 1)[facets]
+    first = np.zeros(len(vertices_mm) + 1, np.int32)
+    neighbors = np.empty(facets.size, np.int32)
+    volume_mm3 = _connect(vertices_mm, facets, first, neighbors)
+    edges = Edges(vertices_mm, first, neighbors)
+    directions, nearby = half_sphere().directions, half_sphere().nearby
+    touching, width_mm = np.zeros((len(directions), 2), np.int32), np.empty(len(directions))
+    _touch_all(edges, directions, nearby, touching, width_mm)
     return ConvexBody(
-        volume_mm3=float(hull.volume),
-        vertices_mm=vertices_mm,
-        touching_mm=vertices_mm[np.union1d(upper, lower)],
-        width_mm=np.einsum("ij,ij->i", spans_mm, directions),
-        spans_mm=spans_mm,
+        volume_mm3=volume_mm3,
+        facets=facets,
+        normals=normals,
+        edges=edges,
+        touching=touching,
+        width_mm=width_mm,
     )
 
 
-def touching(vertices_mm: Array, directions: Array) -> NDArray[np.int64]:
-    """Indices (2, M) of the vertices that touch the upper and the lower plane normal to directions (M, 3)."""
-    indices = np.empty((2, len(directions)), dtype=np.int64)
-    for part in _parts(vertices_mm, directions):
-        heights = directions[part] @ vertices_mm.T
-        indices[0, part], indices[1, part] = heights.argmax(axis=1), heights.argmin(axis=1)
-    return indices
+@compiled
+def _connect(vertices_mm: Array, facets: Indices, first: Indices, neighbors: Indices) -> float:
+    """Fill in the edges, of which one leaves a vertex along each of its facets; returns the volume in mm3."""
+    sixfold_mm3 = 0.0
+    for facet in range(len(facets)):
+        a, b, c = facets[facet, 0], facets[facet, 1], facets[facet, 2]
+        ax, ay, az = vertices_mm[a, 0], vertices_mm[a, 1], vertices_mm[a, 2]
+        bx, by, bz = vertices_mm[b, 0], vertices_mm[b, 1], vertices_mm[b, 2]
+        cx, cy, cz = vertices_mm[c, 0], vertices_mm[c, 1], vertices_mm[c, 2]
+        sixfold_mm3 += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        for k in range(3):
+            first[facets[facet, k]] += 1
+    for vertex in range(len(vertices_mm)):
+        first[vertex + 1] += first[vertex]
+    for facet in range(len(facets)):
+        for k in range(3):
+            start = facets[facet, k]
+            first[start] -= 1
+            neighbors[first[start]] = facets[facet, (k + 1) % 3]
+    return sixfold_mm3 / 6
 
 
-def widths(vertices_mm: Array, directions: Array) -> Array:
-    """Widths (M,) along unit directions (M, 3)."""
-    width_mm = np.empty(len(directions))
-    for part in _parts(vertices_mm, directions):
-        heights = directions[part] @ vertices_mm.T
-        width_mm[part] = heights.max(axis=1) - heights.min(axis=1)
+@compiled
+def highest(edges: Edges, x: float, y: float, z: float, start: int) -> int:
+    """The vertex farthest along a direction, climbing from another one."""
+    points = edges.vertices_mm
+    summit = start
+    top = points[start, 0] * x + points[start, 1] * y + points[start, 2] * z
+    while True:
+        vertex = summit
+        for k in range(edges.first[vertex], edges.first[vertex + 1]):
+            other = edges.neighbors[k]
+            height = points[other, 0] * x + points[other, 1] * y + points[other, 2] * z
+            if height > top:
+                top, summit = height, other
+        if summit == vertex:
+            return summit
+
+
+@compiled
+def unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    length = np.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
+@compiled
+def touch(edges: Edges, x: float, y: float, z: float, touching: Indices, row: int) -> float:
+    """Width in mm along a unit direction; a row of `touching` (R, 2) holds vertices nearby, then those that touch."""
+    width_mm = 0.0
+    for end in range(2):
+        vertex = highest(edges, x, y, z, touching[row, end])
+        touching[row, end] = vertex
+        point = edges.vertices_mm[vertex]
+        width_mm += point[0] * x + point[1] * y + point[2] * z
+        x, y, z = -x, -y, -z
     return width_mm
 
 
-def _parts(vertices_mm: Array, directions: Array) -> Iterator[slice]:
-    step = max(CHUNK // len(vertices_mm), 1)
-    return (slice(i, i + step) for i in range(0, len(directions), step))
+@compiled
+def _touch_all(edges: Edges, directions: Array, nearby: Indices, touching: Indices, width_mm: Array) -> None:
+    """Fill in `ConvexBody.touching` and `ConvexBody.width_mm`."""
+    for i in range(len(directions)):
+        touching[i, 0], touching[i, 1] = touching[nearby[i], 0], touching[nearby[i], 1]
+        width_mm[i] = touch(edges, directions[i, 0], directions[i, 1], directions[i, 2], touching, i)

@@ -4,6 +4,7 @@ A body is as wide along u as along -u, so half a sphere is enough: ten faces of 
 of them opposite, each split into 4^4 triangles.
 """
 
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -13,25 +14,40 @@ import trimesh
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Indices = NDArray[np.int32]
 
 SUBDIVISIONS = 4
 COVERING_RAD = 0.048
 """No direction is farther than this (2.75 degrees) from the nearest of the set or from its opposite."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HalfSphere:
+    """Unit directions, coarse to fine."""
+
+    directions: Array  # (1329, 3)
+    triangles: Indices  # (2560, 3) between directions; they cover half a sphere
+    nearby: Indices  # (1329,) the nearest of the directions before each
+
+
 @cache
-def half_sphere() -> tuple[Array, Indices]:
-    """Unit directions (1329, 3) and the triangles (2560, 3) between them, which cover half a sphere."""
+def half_sphere() -> HalfSphere:
+    """The set of directions."""
     icosahedron = trimesh.creation.icosahedron()
     # a plane in general position: of two opposite faces one is on either side
     upper = icosahedron.triangles_center @ [0.2, 0.3, 0.9] > 0
-    directions, triangles = icosahedron.vertices, icosahedron.faces[upper]
+    directions, triangles = np.array(icosahedron.vertices), icosahedron.faces[upper]
     for _ in range(SUBDIVISIONS):
         directions, triangles = trimesh.remesh.subdivide(directions, triangles)
         directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     used, triangles = np.unique(triangles, return_inverse=True)
-    return _constant(np.asarray(directions[used])), _constant(triangles.reshape(-1, 3))
+    directions = np.array(directions[used])
+    nearby = np.tril(directions @ directions.T + 1, -1).argmax(axis=1)
+    return HalfSphere(
+        _constant(directions),
+        _constant(triangles.reshape(-1, 3).astype(np.int32)),
+        _constant(nearby.astype(np.int32)),
+    )
 
 
 @cache
@@ -41,12 +57,12 @@ def near_frames() -> Indices:
     Every orthonormal frame has a triple whose first two directions are within `COVERING_RAD` of two
     of its axes.
     """
-    directions, _ = half_sphere()
+    directions = half_sphere().directions
     limit = np.sin(2 * COVERING_RAD)
     first, second = np.nonzero(np.triu(np.abs(directions @ directions.T) < limit))
     nearest = scipy.spatial.cKDTree(np.concatenate([directions, -directions]))
     _, third = nearest.query(np.cross(directions[first], directions[second]))
-    return _constant(np.column_stack([first, second, third % len(directions)]))
+    return _constant(np.column_stack([first, second, third % len(directions)]).astype(np.int32))
 
 
 def _constant(array: NDArray[Any]) -> NDArray[Any]:

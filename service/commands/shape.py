@@ -65,7 +65,8 @@ def command(
     measured: list[dict[str, Any]] = []
     for path in track(meshes, "Measuring", console=errors, transient=True, disable=not errors.is_terminal):
         try:
-            measured.append({"file": str(path)} | asdict(measure_shape(read_mesh(path))))
+            mesh = read_mesh(path)
+            measured.append({"file": str(path)} | asdict(measure_shape(mesh.vertices, mesh.faces)))
         except (MeshError, UsageError, OSError) as err:
             reason = err.strerror or err if isinstance(err, OSError) else err
             errors.print(f"stonefall: {path}: {reason}")

@@ -9,7 +9,11 @@ import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from pipeline.measuring import measure_shape
+from pipeline.measuring import ShapeMeasurement, measure_shape
+
+
+def measured(mesh: trimesh.Trimesh) -> ShapeMeasurement:
+    return measure_shape(mesh.vertices, mesh.faces)
 
 
 def box(*edges: float) -> trimesh.Trimesh:
@@ -99,7 +103,7 @@ def posed(mesh: trimesh.Trimesh, seed: int) -> trimesh.Trimesh:
 def test_known_body_in_a_random_pose(name: str, seed: int) -> None:
     make, sizes = BODIES[name]
     mesh = posed(make(*sizes), seed)
-    shape = measure_shape(mesh)
+    shape = measured(mesh)
 
     volume, area, equivalent, sphericity, max_feret, min_feret, sieve = SIZES[name]
     assert shape.volume_mm3 == pytest.approx(volume, rel=1e-3)
@@ -134,7 +138,7 @@ def test_l_tromino_is_not_convex(seed: int) -> None:
     sides += [(i, 6 + (i + 1) % 6, 6 + i) for i in range(6)]
     mesh = trimesh.Trimesh(np.concatenate([bottom, top]), np.concatenate([caps[:, ::-1], caps + 6, sides]))
 
-    shape = measure_shape(posed(mesh, seed))
+    shape = measured(posed(mesh, seed))
 
     assert shape.volume_mm3 == pytest.approx(3000, rel=1e-9)
     assert shape.surface_area_mm2 == pytest.approx(1400, rel=1e-9)
@@ -152,7 +156,7 @@ def test_d4791_length_of_a_box_is_its_diagonal_and_the_rest_is_perpendicular_to_
     around = np.cos(angle) * first + np.sin(angle) * np.cross(diagonal, first)
     extents = np.ptp(box(*edges).vertices @ around.T, axis=0)
 
-    shape = measure_shape(posed(box(*edges), seed))
+    shape = measured(posed(box(*edges), seed))
 
     assert shape.length_mm == pytest.approx(32.863, rel=1e-4)
     assert shape.width_mm == pytest.approx(extents.max(), rel=1e-5)
@@ -174,4 +178,4 @@ def test_least_width_of_a_polyhedron_is_that_of_a_face_or_of_two_edges(seed: int
     normals = normals[lengths > 1e-6] / lengths[lengths > 1e-6, None]
     least = np.ptp(points @ normals.T, axis=0).min()
 
-    assert measure_shape(mesh).min_feret_mm == pytest.approx(least, rel=2e-4)
+    assert measured(mesh).min_feret_mm == pytest.approx(least, rel=2e-4)

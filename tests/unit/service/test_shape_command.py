@@ -31,7 +31,7 @@ def test_each_format_measures_the_same(tmp_path: Path, suffix: str) -> None:
     (measured,) = json.loads(result.stdout)
     assert measured["file"] == str(path)
     assert set(measured) == {"file"} | {field.name for field in fields(ShapeMeasurement)}
-    expected = asdict(measure_shape(BOX))
+    expected = asdict(measure_shape(BOX.vertices, BOX.faces))
     for name, value in expected.items():
         assert measured[name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-4)), name
 
