@@ -1,13 +1,24 @@
 """Exact silhouettes of spheres, without images: ground truth for carving and consistency."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
-from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, Silhouette, SilhouetteSet, ViewStatus
+from pipeline.segmentation.silhouette import (
+    INSIDE,
+    MARGIN_PX,
+    OUTSIDE,
+    UNKNOWN,
+    Silhouette,
+    SilhouetteSet,
+    ViewStatus,
+)
+
+SPARSE_PX = 8
 
 
 def sphere_silhouette(
@@ -19,10 +30,10 @@ def sphere_silhouette(
     ((u, v),) = camera.project(center_mm[None])[0]
     reach_px = int(np.tan(tangent_angle) * camera.focal_px * 1.05) + MARGIN_PX
     left, top = int(u) - reach_px, int(v) - reach_px
-    grid_v, grid_u = np.mgrid[top : top + 2 * reach_px, left : left + 2 * reach_px]
-    rays = camera.rays(np.stack([grid_u, grid_v], axis=-1).reshape(-1, 2))
-    cosine = rays @ offset / np.linalg.norm(offset)
-    angle = np.arccos(np.clip(cosine, -1, 1)).reshape(grid_u.shape)
+    slope_u, slope_v = _slopes(camera, left, top, 2 * reach_px)
+    x, y, z = camera.R @ offset / np.linalg.norm(offset)
+    cosine = (x * slope_u + y * slope_v + z) / np.sqrt(slope_u**2 + slope_v**2 + 1)
+    angle = np.arccos(np.clip(cosine, -1, 1))
     distance_px = ((tangent_angle - angle) * camera.focal_px).astype(np.float32)
 
     # the outline: rays on the tangent cone
@@ -42,6 +53,23 @@ def sphere_silhouette(
     )
 
 
+def _slopes(
+    camera: CameraCalibration, left: int, top: int, size_px: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Slopes (h, w) to the optical axis of the rays through a square of pixels, to 1e-3 px.
+
+    A lens bends so little that between every `SPARSE_PX`-th pixel they are linear.
+    """
+    nodes = np.arange(0, size_px + SPARSE_PX, SPARSE_PX)
+    grid_v, grid_u = np.meshgrid(top + nodes, left + nodes, indexing="ij")
+    rays = camera.rays(np.stack([grid_u, grid_v], axis=-1).reshape(-1, 2)) @ camera.R.T
+    weights = np.maximum(1 - np.abs(np.arange(size_px)[:, None] - nodes) / SPARSE_PX, 0)
+    slope_u, slope_v = (
+        weights @ (rays[:, axis] / rays[:, 2]).reshape(len(nodes), -1) @ weights.T for axis in range(2)
+    )
+    return slope_u, slope_v
+
+
 def sphere_silhouettes(
     rig: RigCalibration,
     center_mm: Iterable[float] = (0.0, 0.0, 0.0),
@@ -56,3 +84,21 @@ def sphere_silhouettes(
         for camera in rig.cameras
         if camera.id in wanted
     }
+
+
+def hidden(silhouette: Silhouette, at: int, share: float) -> Silhouette:
+    """The silhouette with a disc around the outline's point `at` unknown; its radius is a share of the width."""
+    outline_uv = silhouette.outline_uv
+    radius_px = share * np.ptp(outline_uv[:, 0])
+    height, width = silhouette.labels.shape
+    v, u = np.mgrid[:height, :width]
+    center_u, center_v = outline_uv[at] - silhouette.offset_uv
+    within_px = (radius_px - np.hypot(u - center_u, v - center_v)).clip(-MARGIN_PX, MARGIN_PX)
+    known = np.linalg.norm(outline_uv - outline_uv[at], axis=1) > radius_px
+    distance_px = np.maximum(silhouette.distance_px, within_px).astype(np.float32)
+    return replace(
+        silhouette,
+        labels=np.where(within_px > 0, UNKNOWN, silhouette.labels),
+        outline_uv=outline_uv[known],
+        measure_distance=lambda: distance_px,
+    )

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.silhouettes import sphere_silhouettes
 
-from pipeline.carving import CarvingParameters, VisualHull, carve
+from pipeline.carving import CarvingParameters, VisualHull, all_leaves, carve
 from pipeline.frames import CameraId
 from pipeline.meshing import mesh_hull
 from pipeline.rig import RigCalibration
@@ -159,7 +159,12 @@ def test_islands_are_left_out_of_the_mesh() -> None:
     field[-6:-3, 10:13, 10:13] = hull.pitch_mm
     mesh = meshed(
         VisualHull(
-            field=field, level=0.0, origin_mm=hull.origin_mm, pitch_mm=hull.pitch_mm, touches_border=False
+            field=field,
+            leaves=all_leaves(field.shape),
+            level=0.0,
+            origin_mm=hull.origin_mm,
+            pitch_mm=hull.pitch_mm,
+            touches_border=False,
         )
     )
     assert mesh.body_count == 1
@@ -175,7 +180,7 @@ def test_too_few_views_and_foreign_cameras_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"n": 100}, {"size_mm": 0.0}, {"size_mm": float("nan")}, {"max_disagreeing_views": -1}]
+    "wrong", [{"n": 98}, {"size_mm": 0.0}, {"size_mm": float("nan")}, {"max_disagreeing_views": -1}]
 )
 def test_parameters_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):

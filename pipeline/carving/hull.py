@@ -1,0 +1,56 @@
+"""The visual hull as a field, and what it is asked to be."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.carving.octree import LEAF
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CarvingParameters:
+    """Grid and field of the visual hull."""
+
+    size_mm: float = 50.0  # edge of the cube around the rig's centre
+    n: int = 256  # samples an edge
+    field: Literal["sub_voxel", "view_count"] = "sub_voxel"
+    max_disagreeing_views: int = 0  # views that may exclude a voxel without carving it
+
+    def __post_init__(self) -> None:
+        if self.n % LEAF or not 16 <= self.n <= 1024:
+            raise ValueError(f"n must be a multiple of {LEAF} between 16 and 1024")
+        if not 0 < self.size_mm < 1000:
+            raise ValueError("size_mm must be between 0 and 1000")
+        if self.max_disagreeing_views < 0:
+            raise ValueError("max_disagreeing_views must not be negative")
+
+    @property
+    def pitch_mm(self) -> float:
+        return self.size_mm / self.n
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VisualHull:
+    """The field around the body, above `level` inside it; its outermost samples are outside.
+
+    `field[i, j, k]` belongs to the point `origin_mm + pitch_mm (i, j, k)`. A cell of marching cubes, between
+    samples i and i + 1, j and j + 1, k and k + 1, is cut only if its lowest sample lies in a leaf. At the ends of
+    cut edges of cells the field is exact, elsewhere only the side is.
+    """
+
+    field: Array  # (nx, ny, nz)
+    leaves: NDArray[np.int32]  # (L, 3) first samples of the blocks of LEAF^3 that may be cut
+    level: float
+    origin_mm: NDArray[np.float64]  # (3,) of the first sample
+    pitch_mm: float
+    touches_border: bool  # the body leaves the carved volume
+
+
+def all_leaves(shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """Leaves (L, 3) of a field (nx, ny, nz) that may be cut anywhere."""
+    counts = [-(-size // LEAF) for size in shape]
+    return (LEAF * np.indices(counts).reshape(3, -1).T).astype(np.int32)

@@ -1,0 +1,114 @@
+"""Carving only where the surface is."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.carving.hull import CarvingParameters, VisualHull
+from pipeline.carving.octree import LEAF, Octree, octree_of
+from pipeline.carving.samples import SAMPLES, count, fill, lower, place, steps_of
+from pipeline.carving.views import Pinholes, View, pinholes_of, usable_views
+from pipeline.frames import CameraId
+from pipeline.rig import RigCalibration
+from pipeline.rig_design import nominal_rig
+from pipeline.segmentation.silhouette import Silhouette
+from pipeline.warm_ball import ball_silhouettes
+
+Array = NDArray[np.float32]
+
+
+def carve(
+    silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, parameters: CarvingParameters
+) -> VisualHull:
+    """Largest body consistent with every usable silhouette but `max_disagreeing_views`.
+
+    Unknown pixels, and views without a usable silhouette, carve nothing.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two usable silhouettes, or a camera that the rig does not know.
+    """
+    views = usable_views(silhouettes, rig)
+    n_overruled = parameters.max_disagreeing_views
+    if len(views) < 2 + n_overruled:
+        raise ValueError(f"{len(views)} usable silhouettes are too few to carve")
+    n, pitch_mm = parameters.n, parameters.pitch_mm
+    pinholes = pinholes_of(views, parameters.size_mm)
+    octree = octree_of(views, pinholes, n, parameters.size_mm, n_overruled)
+    if parameters.field == "view_count":
+        values = _counts(views, pinholes, octree, parameters)
+        level, inside, outside = len(views) - n_overruled - 0.5, float(len(views)), 0.0
+    else:
+        values = _distances_mm(views, pinholes, octree, parameters)
+        level, inside, outside = 0.0, 2 * pitch_mm, -pitch_mm
+    if len(octree.leaves) == 0:
+        corner, shape = np.zeros(3, np.int64), (0, 0, 0)
+    else:  # the box of the leaves in a shell of outside, so that its surface is closed
+        corner = octree.leaves.min(axis=0).astype(np.int64) - 1
+        shape = tuple(octree.leaves.max(axis=0) + LEAF + 1 - corner)
+    field = np.zeros(shape, np.float32)
+    for blocks, edge in octree.solid:
+        fill(field, corner, blocks, edge, inside)
+    touches_border = place(field, corner, octree.leaves, values, n, level, inside, outside)
+    return VisualHull(
+        field=field,
+        leaves=octree.leaves - corner.astype(np.int32),
+        level=level,
+        origin_mm=np.asarray(pitch_mm * (corner + (1 - n) / 2), np.float64),
+        pitch_mm=pitch_mm,
+        touches_border=touches_border,
+    )
+
+
+def warm_up(parameters: CarvingParameters) -> VisualHull:
+    """A coarse hull of a ball: compiles what the first stone would wait for."""
+    rig = nominal_rig()
+    return carve(ball_silhouettes(rig), rig, replace(parameters, n=32))
+
+
+def _distances_mm(
+    views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
+) -> Array:
+    """Signed distances (L, SAMPLES) to the viewing cones' intersection, cut off at about a voxel."""
+    pitch_mm, n_leaves = parameters.pitch_mm, len(octree.leaves)
+    smallest_mm = np.full((parameters.max_disagreeing_views + 1, n_leaves, SAMPLES), np.inf, np.float32)
+    open_parts = np.full(n_leaves, 255, np.uint8)
+    steps_mm = steps_of(pinholes, parameters.pitch_mm)
+    for view, (_, silhouette) in enumerate(views):
+        lower(
+            smallest_mm,
+            open_parts,
+            octree.leaves,
+            octree.states,
+            parameters.n,
+            pitch_mm,
+            pinholes,
+            view,
+            steps_mm,
+            silhouette.distance_px,
+        )
+    return smallest_mm[-1]
+
+
+def _counts(
+    views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
+) -> Array:
+    """The paper's S (L, SAMPLES): how many silhouettes contain the nearest pixel of each sample's projection."""
+    counts = np.zeros((len(octree.leaves), SAMPLES), np.float32)
+    steps_mm = steps_of(pinholes, parameters.pitch_mm)
+    for view, (_, silhouette) in enumerate(views):
+        count(
+            counts,
+            octree.leaves,
+            octree.states,
+            parameters.n,
+            parameters.pitch_mm,
+            pinholes,
+            view,
+            steps_mm,
+            silhouette.labels,
+        )
+    return counts

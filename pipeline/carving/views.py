@@ -1,0 +1,143 @@
+"""The views that carve, as numpy and as compiled loops take them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.compiled import compiled
+from pipeline.frames import CameraId
+from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.segmentation.silhouette import Silhouette
+
+Array = NDArray[np.float64]
+View = tuple[CameraCalibration, Silhouette]
+Lens = tuple[Any, ...]
+"""A row of `Pinholes.lenses`, all in double or all in single precision, in which what it projects stays."""
+
+CORNERS = np.array([[1, j, k] for j in (-1, 1) for k in (-1, 1)], np.float64)
+"""Of a cube around the origin, those that are not opposite to another."""
+
+
+class Pinholes(NamedTuple):
+    """V cameras that see regions of their images, and the largest extents of a cube of half edge 1 in their frames."""
+
+    R: Array  # (V, 3, 3)
+    t_mm: Array  # (V, 3)
+    lenses: Array  # (V, 10) of region pixels: fx, skew, cx, fy, cy, then k1, k2, p1, p2, k3
+    focals_px: Array  # (V,) mean
+    stretches_px: Array  # (V,) most that a step of 1 at depth 1 is in the image, anywhere in the grid
+    across: Array  # (V,) from the cube's centre to a corner, at right angles to the optical axis
+    along: Array  # (V,) the same along it
+
+
+def usable_views(silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration) -> list[View]:
+    """Cameras with their usable silhouettes, in the rig's order."""
+    unknown = sorted(set(silhouettes) - set(rig.camera_ids))
+    if unknown:
+        raise ValueError(f"the rig has no camera {', '.join(unknown)}")
+    return [
+        (camera, silhouettes[camera.id])
+        for camera in rig.cameras
+        if camera.id in silhouettes and silhouettes[camera.id].is_usable
+    ]
+
+
+def pinholes_of(views: Sequence[View], size_mm: float) -> Pinholes:
+    """The views' cameras; distances in the image are bounded within a cube of this edge around the origin."""
+    cameras = [camera for camera, _ in views]
+    K = np.array([camera.K for camera in cameras])
+    distortions = np.array([camera.distortion for camera in cameras])
+    R, t_mm = np.array([camera.R for camera in cameras]), np.array([camera.t_mm for camera in cameras])
+    offsets_px = np.array([silhouette.offset_uv for _, silhouette in views])
+    lenses = np.column_stack(
+        [
+            *(K[:, 0, 0], K[:, 0, 1], K[:, 0, 2] - offsets_px[:, 0]),
+            *(K[:, 1, 1], K[:, 1, 2] - offsets_px[:, 1]),
+            distortions,
+        ]
+    )
+    radius_mm = np.sqrt(3) / 2 * size_mm
+    # no point of the cube is seen under a larger one; of a camera within the cube any may be
+    slope = (np.hypot(t_mm[:, 0], t_mm[:, 1]) + radius_mm) / np.maximum(t_mm[:, 2] - radius_mm, 1e-3)
+    # a bound of the norm of the distortion's derivative
+    k1, k2, p1, p2, k3 = np.abs(distortions).T
+    bend = 3 * k1 * slope**2 + 5 * k2 * slope**4 + 7 * k3 * slope**6 + 6 * (p1 + p2) * slope
+    corners = np.einsum("vij,cj->vci", R, CORNERS)
+    return Pinholes(
+        R=R,
+        t_mm=t_mm,
+        lenses=lenses,
+        focals_px=np.array([camera.focal_px for camera in cameras]),
+        stretches_px=(1 + bend) * (np.maximum(K[:, 0, 0], K[:, 1, 1]) + np.abs(K[:, 0, 1])),
+        across=np.linalg.norm(corners[:, :, :2], axis=2).max(axis=1),
+        along=np.abs(corners[:, :, 2]).max(axis=1),
+    )
+
+
+@compiled
+def in_camera(pinholes: Pinholes, view: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A world point in a camera's frame, mm."""
+    R, t = pinholes.R, pinholes.t_mm  # rows of arrays would be counted references
+    return (
+        R[view, 0, 0] * x + R[view, 0, 1] * y + R[view, 0, 2] * z + t[view, 0],
+        R[view, 1, 0] * x + R[view, 1, 1] * y + R[view, 1, 2] * z + t[view, 1],
+        R[view, 2, 0] * x + R[view, 2, 1] * y + R[view, 2, 2] * z + t[view, 2],
+    )
+
+
+@compiled
+def lens_of(pinholes: Pinholes, view: int) -> Lens:
+    """A row of `lenses`."""
+    row = pinholes.lenses
+    return (
+        row[view, 0], row[view, 1], row[view, 2], row[view, 3], row[view, 4],
+        row[view, 5], row[view, 6], row[view, 7], row[view, 8], row[view, 9],
+    )  # fmt: skip
+
+
+@compiled
+def single(lens: Lens) -> Lens:
+    """The lens in single precision."""
+    a, b, c, d, e, f, g, h, i, j = lens
+    return (
+        np.float32(a), np.float32(b), np.float32(c), np.float32(d), np.float32(e),
+        np.float32(f), np.float32(g), np.float32(h), np.float32(i), np.float32(j),
+    )  # fmt: skip
+
+
+@compiled
+def pixel_of(lens: Lens, x: float, y: float) -> tuple[float, float]:
+    """Region pixel u, v of a point at x, y in depth 1, as `CameraCalibration.project` has it."""
+    fx, skew, cx, fy, cy, k1, k2, p1, p2, k3 = lens
+    r2 = x * x + y * y
+    bend = r2 * (k1 + r2 * (k2 + r2 * k3))  # whole numbers would make doubles of floats
+    a = x + x * bend + (p1 + p1) * x * y + p2 * (r2 + x * x + x * x)
+    b = y + y * bend + p1 * (r2 + y * y + y * y) + (p2 + p2) * x * y
+    return fx * a + skew * b + cx, fy * b + cy
+
+
+@compiled
+def look(
+    pinholes: Pinholes,
+    view: int,
+    x: float,
+    y: float,
+    z: float,
+    steps_mm: NDArray[np.float32],
+    seen: NDArray[np.float32],
+) -> None:
+    """How a camera sees points around a world point: (4, P) region pixels u, v, depth, slope to the optical axis.
+
+    `steps_mm` (V, 3, P) lead to them in the cameras' frames.
+    """
+    x, y, z = in_camera(pinholes, view, x, y, z)
+    x0, y0, z0 = np.float32(x), np.float32(y), np.float32(z)
+    lens = single(lens_of(pinholes, view))
+    for point in range(steps_mm.shape[2]):
+        depth_mm = z0 + steps_mm[view, 2, point]
+        x, y = (x0 + steps_mm[view, 0, point]) / depth_mm, (y0 + steps_mm[view, 1, point]) / depth_mm
+        u, v = pixel_of(lens, x, y)
+        seen[0, point], seen[1, point], seen[2, point] = u, v, depth_mm
+        seen[3, point] = np.sqrt(x * x + y * y)
