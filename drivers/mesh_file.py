@@ -1,0 +1,30 @@
+"""Meshes on disk: binary PLY, what every mesh program reads."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+HEADER = """\
+ply
+format binary_little_endian 1.0
+comment vertices in mm
+element vertex {n_vertices}
+property float x
+property float y
+property float z
+element face {n_faces}
+property list uchar int vertex_indices
+end_header
+"""
+FACE = np.dtype([("n_corners", "u1"), ("corners", "<i4", 3)])
+
+
+def write_mesh(path: Path, vertices_mm: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+    """Write vertices (N, 3), in single precision, and faces (M, 3)."""
+    rows = np.empty(len(faces), FACE)
+    rows["n_corners"], rows["corners"] = 3, faces
+    with path.open("wb") as file:
+        file.write(HEADER.format(n_vertices=len(vertices_mm), n_faces=len(faces)).encode("ascii"))
+        vertices_mm.astype("<f4").tofile(file)
+        rows.tofile(file)

@@ -1,0 +1,88 @@
+"""How the surface crosses a cube, for each of the 256 ways in which its corners are inside or outside.
+
+On each face of the cube the surface cuts off every run of inside corners on its own, also where only opposite
+corners are inside. The cube on the other side of that face sees the same corners and cuts them off along the
+same lines, run through the other way. So the lines of a cube's faces close to loops, and the surfaces of all
+cubes together close too, whatever the field (cf. Lorensen and Cline 1987, whose table leaves holes there).
+
+Corner 4 dx + 2 dy + dz of a cube is (dx, dy, dz) from its first.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Loop = list[int]
+
+CORNERS = tuple((c >> 2 & 1, c >> 1 & 1, c & 1) for c in range(8))
+EDGES = tuple(
+    (corner, corner + (4 >> axis)) for axis in range(3) for corner in range(8) if not corner & 4 >> axis
+)
+"""Corners (low, high) of each edge: four along x, along y, along z."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CubeCases:
+    """Bit c of a case tells that corner c is inside."""
+
+    triangles: NDArray[np.int8]  # (256, 5, 3) edges, counter-clockwise seen from outside
+    n_triangles: NDArray[np.int8]  # (256,)
+
+
+@cache
+def cube_cases() -> CubeCases:
+    """The triangles of every case. No diagonal of a loop lies on a face, where the next cube could have it too."""
+    triangles = np.zeros((256, 5, 3), np.int8)
+    n_triangles = np.zeros(256, np.int8)
+    for case in range(256):
+        for loop in _loops(case):
+            first, *others = next(turned for turned in _turned(loop) if _spans_no_face(turned))
+            for second, third in pairwise(others):
+                triangles[case, n_triangles[case]] = first, second, third
+                n_triangles[case] += 1
+    return CubeCases(triangles=triangles, n_triangles=n_triangles)
+
+
+def _faces() -> list[Loop]:
+    """Corners of the six faces, counter-clockwise seen from outside."""
+    faces = []
+    for axis in range(3):
+        step, u, v = (4 >> (axis + turn) % 3 for turn in range(3))
+        faces += [[0, v, u + v, u], [step, step + u, step + u + v, step + v]]
+    return faces
+
+
+def _loops(case: int) -> list[Loop]:
+    """Edges that the surface crosses, in the order in which it does, counter-clockwise seen from outside."""
+    edge_between = {frozenset(ends): edge for edge, ends in enumerate(EDGES)}
+    following: dict[int, int] = {}
+    for face in _faces():
+        is_inside = [bool(case >> corner & 1) for corner in face]
+        for last in range(4):
+            if not is_inside[last] or is_inside[(last + 1) % 4]:
+                continue
+            first = last  # of the run of inside corners
+            while is_inside[first - 1]:
+                first -= 1
+            entered = edge_between[frozenset((face[first - 1], face[first]))]
+            following[entered] = edge_between[frozenset((face[last], face[(last + 1) % 4]))]
+    loops = []
+    while following:
+        loop = [min(following)]
+        while (edge := following.pop(loop[-1])) != loop[0]:
+            loop.append(edge)
+        loops.append(loop)
+    return loops
+
+
+def _turned(loop: Loop) -> list[Loop]:
+    return [loop[start:] + loop[:start] for start in range(len(loop))]
+
+
+def _spans_no_face(loop: Loop) -> bool:
+    """Whether no diagonal from the loop's first edge lies on a face of the cube."""
+    diagonals = [{*EDGES[loop[0]], *EDGES[other]} for other in loop[2:-1]]
+    return not any(corners <= set(face) for corners in diagonals for face in _faces())

@@ -1,0 +1,187 @@
+"""Marching cubes, only where the surface is (Lorensen and Cline 1987): over the leaves of the hull's octree.
+
+A leaf is a block of 4^3 samples. Each sample stands for the cube between it and the next samples, and for the
+three edges of the grid that begin at it. Where such an edge is cut there is one vertex, which the four cubes
+around the edge share.
+"""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.carving import LEAF
+from pipeline.compiled import compiled
+from pipeline.meshing.cases import CORNERS, EDGES, cube_cases
+
+Array = NDArray[np.float64]
+Field = NDArray[np.float32]
+Leaves = NDArray[np.int32]
+Cases = NDArray[np.uint8]
+Faces = NDArray[np.int64]
+
+SAMPLES = LEAF**3
+"""In a leaf, by rows: sample (LEAF i + j) LEAF + k is (i, j, k) from the first one."""
+FULL_ROW = 2 ** (LEAF + 1) - 1
+"""Bits of a row of samples that are all inside, that of the next leaf too."""
+
+
+def march(field: Field, level: float, leaves: Leaves) -> tuple[Array, Faces]:
+    """Vertices (N, 3), in samples, and faces (M, 3) of the surface where a field (nx, ny, nz) passes `level`.
+
+    `leaves` (L, 3) are the first samples of different ones; beyond the field all is outside. The surface is
+    closed, its faces are counter-clockwise seen from where the field is lower. Orders follow that of the leaves.
+
+    Raises
+    ------
+    ValueError
+        The surface goes on where there is no leaf.
+    """
+    table = cube_cases()
+    leaves = np.ascontiguousarray(leaves)
+    is_cut = np.zeros(len(leaves), np.bool_)
+    cases = np.empty((len(leaves), SAMPLES), np.uint8)
+    field = _reaching(field, leaves)
+    rows = np.empty((LEAF + 1, LEAF + 1), np.int64)
+    n_vertices, n_faces = _classify(field, level, leaves, table.n_triangles, rows, is_cut, cases)
+    vertices, faces = np.empty((n_vertices, 3)), np.empty((n_faces, 3), np.int64)
+    if n_faces:
+        leaves, cases = leaves[is_cut], cases[is_cut]
+        ids = np.empty((len(leaves) + 1, 3 * SAMPLES), np.int32)
+        ids[-1] = -1
+        _place(field, level, leaves, cases, vertices, ids)
+        if not _connect(cases, ids, _neighbors(leaves), _owners(), table.triangles, table.n_triangles, faces):
+            raise ValueError("the surface goes on where there is no leaf")
+    return vertices, faces
+
+
+def _reaching(field: Field, leaves: Leaves) -> Field:
+    """The field, enlarged where a leaf's cubes reach beyond it."""
+    beyond = np.maximum(leaves.max(axis=0, initial=0) + LEAF + 1 - field.shape, 0)
+    if not beyond.any():
+        return field
+    return np.pad(field, [(0, n) for n in beyond], constant_values=-np.inf)
+
+
+def _neighbors(leaves: Leaves) -> NDArray[np.int32]:
+    """Rows (L, 8) of the leaves around the upper corner of each leaf, itself first; L where there is none."""
+    blocks = (leaves - leaves.min(axis=0)) // LEAF
+    shape = tuple(blocks.max(axis=0) + 2)
+    first = np.ravel_multi_index(tuple(blocks.T), shape)
+    rows = np.full(np.prod(shape), len(leaves), np.int32)
+    rows[first] = np.arange(len(leaves))
+    return rows[first[:, None] + np.ravel_multi_index(tuple(np.transpose(CORNERS)), shape)]
+
+
+@cache
+def _owners() -> NDArray[np.int16]:
+    """Where each edge of each cube of a leaf begins (64, 12, 2): in which neighbour, and 3 sample + axis there.
+
+    Neighbour 4 dx + 2 dy + dz lies that many leaves further along the axes.
+    """
+    owners = np.empty((SAMPLES, len(EDGES), 2), np.int16)
+    for cube, first in enumerate(np.ndindex((LEAF,) * 3)):
+        for edge, (begin, end) in enumerate(EDGES):
+            leaf, sample = np.divmod(np.add(first, CORNERS[begin]), LEAF)
+            axis = np.argmax(np.subtract(CORNERS[end], CORNERS[begin]))
+            owners[cube, edge] = leaf @ (4, 2, 1), 3 * np.ravel_multi_index(sample, (LEAF,) * 3) + axis
+    return owners
+
+
+@compiled
+def _classify(
+    field: Field,
+    level: float,
+    leaves: Leaves,
+    n_triangles: NDArray[np.int8],
+    rows: NDArray[np.int64],
+    is_cut: NDArray[np.bool_],
+    cases: Cases,
+) -> tuple[int, int]:
+    """Tell which leaves (L,) are cut, with the case (L, 64) of each cube there; returns how many vertices and faces."""
+    n_vertices = n_faces = 0
+    for leaf in range(len(leaves)):
+        x, y, z = leaves[leaf, 0], leaves[leaf, 1], leaves[leaf, 2]
+        some, every = 0, FULL_ROW
+        for i in range(LEAF + 1):
+            for j in range(LEAF + 1):
+                row = 0
+                for k in range(LEAF + 1):
+                    row |= int(field[x + i, y + j, z + k] > level) << k
+                rows[i, j] = row  # bit k: sample i, j, k of the leaf is inside
+                some |= row
+                every &= row
+        if some == 0 or every == FULL_ROW:
+            continue
+        is_cut[leaf] = True
+        for i in range(LEAF):
+            for j in range(LEAF):
+                for k in range(LEAF):
+                    case = (
+                        (rows[i, j] >> k & 3)
+                        | (rows[i, j + 1] >> k & 3) << 2
+                        | (rows[i + 1, j] >> k & 3) << 4
+                        | (rows[i + 1, j + 1] >> k & 3) << 6
+                    )
+                    cases[leaf, (LEAF * i + j) * LEAF + k] = case
+                    n_vertices += _is_cut(case, 0) + _is_cut(case, 1) + _is_cut(case, 2)
+                    n_faces += n_triangles[case]
+    return n_vertices, n_faces
+
+
+@compiled
+def _is_cut(case: int, axis: int) -> int:
+    """Whether the edge along an axis from a cube's first corner is cut, 0 or 1."""
+    return (case ^ case >> (4 >> axis)) & 1
+
+
+@compiled
+def _place(
+    field: Field, level: float, leaves: Leaves, cases: Cases, vertices: Array, ids: NDArray[np.int32]
+) -> None:
+    """Set the vertices (N, 3), and which of them is on the edge along an axis from a sample: (L, 3 sample + axis).
+
+    Edges that are not cut are left as they are.
+    """
+    n = 0
+    for leaf in range(len(leaves)):
+        for sample in range(SAMPLES):
+            case = cases[leaf, sample]
+            if case == 0 or case == 255:
+                continue
+            x = leaves[leaf, 0] + sample // LEAF**2
+            y = leaves[leaf, 1] + sample // LEAF % LEAF
+            z = leaves[leaf, 2] + sample % LEAF
+            here = float(field[x, y, z])
+            for axis in range(3):
+                if _is_cut(case, axis):
+                    there = float(field[x + (axis == 0), y + (axis == 1), z + (axis == 2)])
+                    vertices[n, 0], vertices[n, 1], vertices[n, 2] = x, y, z
+                    vertices[n, axis] += (level - here) / (there - here)
+                    ids[leaf, 3 * sample + axis] = n
+                    n += 1
+
+
+@compiled
+def _connect(
+    cases: Cases,
+    ids: NDArray[np.int32],
+    neighbors: NDArray[np.int32],
+    owners: NDArray[np.int16],
+    triangles: NDArray[np.int8],
+    n_triangles: NDArray[np.int8],
+    faces: Faces,
+) -> bool:
+    """Set the faces (M, 3), as rows of the vertices; tells whether all of these are there."""
+    n = lowest = 0
+    for leaf in range(len(cases)):
+        for cube in range(SAMPLES):
+            case = cases[leaf, cube]
+            for triangle in range(n_triangles[case]):
+                for corner in range(3):
+                    edge = triangles[case, triangle, corner]
+                    vertex = ids[neighbors[leaf, owners[cube, edge, 0]], owners[cube, edge, 1]]
+                    lowest = min(lowest, vertex)
+                    faces[n, corner] = vertex
+                n += 1
+    return lowest >= 0

@@ -1,0 +1,64 @@
+"""From the hull's field to a closed triangle mesh (marching cubes, the paper's eq. (11))."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.measure import marching_cubes
+
+from pipeline.carving import VisualHull, all_leaves
+from pipeline.meshing.cubes import march
+from pipeline.meshing.parts import largest_part
+
+Mesher = Literal["leaves", "skimage"]
+"""Our own marching cubes, or scikit-image's over the whole field, which holds the GIL and is slower."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParticleMesh:
+    """Closed surface in the world frame; faces counter-clockwise seen from outside."""
+
+    vertices_mm: NDArray[np.float64]  # (N, 3)
+    faces: NDArray[np.int64]  # (M, 3)
+
+
+def mesh_hull(hull: VisualHull, mesher: Mesher = "leaves") -> ParticleMesh | None:
+    """Surface of the hull's largest part, or `None` when the hull is empty.
+
+    Where the hull meets the border of the grid the surface closes there; `hull.touches_border` tells.
+    """
+    if mesher == "skimage":
+        vertices, faces = _skimage_surface(hull)
+    else:
+        vertices, faces = march(hull.field, hull.level, hull.leaves)
+    if len(faces) == 0:
+        return None
+    vertices, faces = largest_part(vertices, faces)
+    vertices *= hull.pitch_mm
+    vertices += hull.origin_mm
+    return ParticleMesh(vertices, faces)
+
+
+def _skimage_surface(hull: VisualHull) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    if not (hull.field > hull.level).any():
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    vertices, faces, _, _ = marching_cubes(
+        hull.field, hull.level, gradient_direction="ascent", allow_degenerate=False
+    )
+    return vertices.astype(np.float64), faces.astype(np.int64)
+
+
+def warm_up() -> ParticleMesh | None:
+    """Compile what meshing needs, by meshing a small ball."""
+    samples = np.indices((8, 8, 8))
+    return mesh_hull(
+        VisualHull(
+            field=(3 - np.linalg.norm(samples - 3.6, axis=0)).astype(np.float32),
+            leaves=all_leaves((8, 8, 8)),
+            level=0.0,
+            origin_mm=np.zeros(3),
+            pitch_mm=1.0,
+            touches_border=False,
+        )
+    )
