@@ -5,10 +5,9 @@ pixel, names the one view that is wrong whatever its error does to the hull, and
 see, such as a bay that one view fills, the hull shows:
 
 Every point of a silhouette's edge is the image of a point of the body: the viewing ray through it
-must touch the body, hence the hull of the other views. For a ray of view k the largest value along
-it of the other views' field is its signed clearance: about zero or a little above for a consistent view
-(the hull is never smaller than the body), negative where view k claims a body that others exclude,
-and large where it denies a body that all others see.
+must touch the body, hence the hull of the other views. Its clearance (`pipeline.clearance`) is about zero or
+a little above for a consistent view (the hull is never smaller than the body), negative where the view claims
+a body that others exclude, and large where it denies a body that all others see.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,20 +23,15 @@ from pipeline.calibration.tangency import (
     outlines_of,
     tangency_scores_px,
 )
-from pipeline.carving import View, distances_mm, usable_views
+from pipeline.carving import View, usable_views
+from pipeline.clearance import Sphere, body_sphere, clearances_px
 from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig_design import nominal_rig
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette
+from pipeline.warm_ball import ball_silhouettes
 
 Array = NDArray[np.float64]
-
-RAYS = 64
-"""Rays a view, spread evenly over its outline."""
-STEPS = (40, 9, 9)
-"""Samples a ray within the sphere around the body, then around the highest of the last ones."""
-ROUNDING_MM = 1e-3
-HOPELESS_MM = -0.5
-"""Samples that far outside are given up first; only where a ray has no better ones are they taken up again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +69,10 @@ class _Judgement:
     """The clearances of some views in the field of the others, and the view they speak against."""
 
     views: Sequence[View]
-    sphere: tuple[Array, float]  # around the hull: centre (3,) and radius in mm
-    clearances_px: Sequence[Array]  # one for each view, of each of its rays
+    sphere: Sphere  # around the hull
+    clearances_px: Sequence[
+        Array
+    ]  # one for each view, of each of its rays; of agreeing views below zero only
     worst: CameraId | None
     problem: str = ""
 
@@ -107,6 +103,12 @@ def check_consistency(
         tangency_px=tangency_px,
         image_shifts_px=image_shifts_px(tangents),
     )
+
+
+def warm_up() -> Consistency:
+    """What a ball's views say of each other: compiles all that the first stone would wait for."""
+    rig = nominal_rig()
+    return check_consistency(ball_silhouettes(rig), rig, ConsistencyParameters())
 
 
 def displaced_views(
@@ -146,7 +148,7 @@ def _careful_judgement(
         suspects[judgement.worst] = f"contradicts the other views: {judgement.problem}"
         views = [view for view in views if view[0].id != judgement.worst]
     if judgement is not None and overruled > 0:
-        all_counted_px = _clearances_px(views, judgement.sphere, 0)
+        all_counted_px = clearances_px(views, judgement.sphere, 0, [camera.id for camera, _ in views])
         judgement = replace(judgement, clearances_px=all_counted_px)
     return judgement, suspects
 
@@ -155,19 +157,19 @@ def _judgement(
     views: Sequence[View], overruled: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
 ) -> _Judgement | None:
     """What the views' field says with `overruled` votes against each point not counted; `None` without a hull."""
-    sphere = _body_sphere(views, overruled)
+    sphere = body_sphere(views, overruled)
     if sphere is None:
         return None
-    clearances_px = _clearances_px(views, sphere, overruled)
+    found_px = clearances_px(views, sphere, overruled, settled_above_zero=agreeing)
     worst, problem, score = None, "", 1.0
-    for (camera, _), clearance_px in zip(views, clearances_px, strict=True):
+    for (camera, _), clearance_px in zip(views, found_px, strict=True):
         claimed = _rms_outside(clearance_px) / parameters.max_residual_px
         # what an agreeing view excludes, no other knows of: the hull without it is that much larger
         denied = 0.0 if camera.id in agreeing else _denied(clearance_px, camera, sphere[1], parameters)
         if max(claimed, denied) > score:
             worst, score = camera.id, max(claimed, denied)
             problem = "claims a body that other views exclude" if claimed > denied else "denies the body"
-    return _Judgement(views=views, sphere=sphere, clearances_px=clearances_px, worst=worst, problem=problem)
+    return _Judgement(views=views, sphere=sphere, clearances_px=found_px, worst=worst, problem=problem)
 
 
 def _denied(
@@ -191,86 +193,3 @@ def _residuals_px(judgement: _Judgement) -> dict[CameraId, float]:
 
 def _rms_outside(clearance_px: Array) -> float:
     return float(np.sqrt(np.mean(np.minimum(clearance_px, 0) ** 2))) if len(clearance_px) else 0.0
-
-
-def _body_sphere(views: Sequence[View], overruled: int) -> tuple[Array, float] | None:
-    """Centre (3,) and radius in mm of a sphere around the hull, from a coarse grid; `None` without a hull."""
-    pitch_mm, half_mm = 2.0, 30.0
-    axis_mm = np.arange(-half_mm, half_mm + pitch_mm / 2, pitch_mm, dtype=np.float32)
-    points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm, indexing="ij"), axis=-1).reshape(-1, 3)
-    votes_against = np.zeros(len(points_mm), np.int64)
-    for view in views:
-        votes_against += distances_mm([view], points_mm)[0] <= -pitch_mm * np.sqrt(3) / 2
-        is_left = votes_against <= overruled
-        points_mm, votes_against = points_mm[is_left], votes_against[is_left]
-    if len(points_mm) == 0:
-        return None
-    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
-    return ((low + high) / 2).astype(np.float64), float(np.linalg.norm(high - low) / 2 + pitch_mm)
-
-
-def _clearances_px(views: Sequence[View], sphere: tuple[Array, float], overruled: int) -> list[Array]:
-    """Per view the clearances (RAYS,) in px of its outline's rays in the field of the other views.
-
-    The highest value along a ray is sought on ever shorter stretches: where the body touches the ray
-    with a sharp corner the peak is narrow.
-    """
-    center_mm, radius_mm = sphere
-    chosen_uv = [_spread(silhouette.outline_uv) for _, silhouette in views]
-    owners = np.repeat(np.arange(len(views)), [len(chosen) for chosen in chosen_uv])
-    eyes_mm = np.array([camera.center_mm for camera, _ in views])[owners]
-    directions = np.concatenate([camera.rays(uv) for (camera, _), uv in zip(views, chosen_uv, strict=True)])
-    closest_mm = ((center_mm - eyes_mm) * directions).sum(axis=1)
-    peak_mm, reach_mm, highest_mm = closest_mm, radius_mm, np.full(len(owners), HOPELESS_MM)
-    for steps in STEPS:
-        along_mm = peak_mm[:, None] + np.linspace(-reach_mm, reach_mm, steps)
-        points_mm = eyes_mm[:, None] + along_mm[..., None] * directions[:, None]
-        best, highest_mm = _highest(
-            views, points_mm.astype(np.float32), owners, overruled, highest_mm - ROUNDING_MM
-        )
-        peak_mm = along_mm[np.arange(len(owners)), best]
-        reach_mm *= 2 / (steps - 1)
-    focal_px = np.array([camera.focal_px for camera, _ in views])[owners]
-    clearances_px = highest_mm * focal_px / np.maximum(closest_mm, 1.0)
-    return [clearances_px[owners == view] for view in range(len(views))]
-
-
-def _spread(outline_uv: Array) -> Array:
-    """At most `RAYS` points, evenly spread over an outline (N, 2)."""
-    n = len(outline_uv)
-    return outline_uv[np.linspace(0, n, min(RAYS, n), endpoint=False).astype(int)]
-
-
-def _highest(
-    views: Sequence[View],
-    points_mm: NDArray[np.float32],
-    owners: NDArray[np.int64],
-    overruled: int,
-    at_least_mm: Array,
-) -> tuple[NDArray[np.int64], Array]:
-    """Of the samples (R, S, 3) of each ray the one highest in the field of the views but its owner, and its value.
-
-    A sample is given up as soon as so many views have it below `at_least_mm` (R,) that its value must be; after
-    three or four views few are left.
-    """
-    n_rays, n_samples, _ = points_mm.shape
-    values_mm = np.full((n_rays, n_samples), -np.inf, np.float32)
-    sample, left_mm = np.arange(values_mm.size), points_mm.reshape(-1, 3)
-    owner, bound_mm = np.repeat(owners, n_samples), np.repeat(at_least_mm, n_samples)
-    smallest_mm = np.full((overruled + 1, len(sample)), np.inf, np.float32)  # so far, in order
-    for index, view in enumerate(views):
-        found_mm = distances_mm([view], left_mm)[0]
-        found_mm[owner == index] = np.inf
-        for kept_mm in smallest_mm:
-            kept_mm[:], found_mm = np.minimum(kept_mm, found_mm), np.maximum(kept_mm, found_mm)
-        is_left = np.flatnonzero(smallest_mm[-1] > bound_mm)
-        sample, left_mm, smallest_mm = sample[is_left], left_mm[is_left], smallest_mm[:, is_left]
-        owner, bound_mm = owner[is_left], bound_mm[is_left]
-    values_mm.ravel()[sample] = smallest_mm[-1]
-    best, highest_mm = values_mm.argmax(axis=1), values_mm.max(axis=1)
-    given_up = np.isneginf(highest_mm) & np.isfinite(at_least_mm)
-    if given_up.any():
-        best[given_up], highest_mm[given_up] = _highest(
-            views, points_mm[given_up], owners[given_up], overruled, np.full(given_up.sum(), -np.inf)
-        )
-    return best, highest_mm

@@ -14,13 +14,14 @@ a camera turned about the line of sight to a round body.
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.compiled import compiled
 from pipeline.frames import CameraId
+from pipeline.outline_hull import flat_rays, hull_corners
 from pipeline.rig import RigCalibration
-from pipeline.segmentation.silhouette import Silhouette, is_beside_gap
+from pipeline.segmentation.silhouette import Silhouette
 
 Array = NDArray[np.float64]
 Outlines = Mapping[CameraId, Array]
@@ -72,23 +73,19 @@ def epipolar_tangents(outlines: Outlines, rig: RigCalibration) -> EpipolarTangen
 
 
 def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
-    """The first half of `epipolar_tangents`, which does not change with the poses of the cameras.
-
-    The hull is that of the distorted image: over a silhouette a straight line is bent by less than 0.01 px.
-    """
+    """The first half of `epipolar_tangents`, which does not change with the poses of the cameras."""
     views = [camera for camera in rig.cameras if len(outlines.get(camera.id, ())) >= 3]
     corners, trusted = [], []
     for camera in views:
-        outline = outlines[camera.id]
-        on_hull = cv2.convexHull(outline.astype(np.float32), returnPoints=False)[:, 0]
-        directions = camera.rays(outline[on_hull]) @ camera.R.T
-        corners.append(directions / directions[:, 2:])
-        trusted.append(~is_beside_gap(outline)[on_hull])
+        outline_uv = outlines[camera.id]
+        on_hull, goes_on = hull_corners(outline_uv)
+        corners.append(flat_rays(camera, outline_uv[on_hull]))
+        trusted.append(goes_on)
     longest = max((len(points) for points in corners), default=1)
-    rays = np.empty((len(views), longest, 3))
+    rays = np.ones((len(views), longest, 3))
     is_trusted = np.empty((len(views), longest), bool)
     for view, (points, flags) in enumerate(zip(corners, trusted, strict=True)):
-        rays[view, : len(points)], rays[view, len(points) :] = points, points[0]
+        rays[view, : len(points), :2], rays[view, len(points) :, :2] = points, points[0]
         is_trusted[view, : len(flags)], is_trusted[view, len(flags) :] = flags, flags[0]
     return OutlineHulls(cameras=tuple(camera.id for camera in views), rays=rays, is_trusted=is_trusted)
 
@@ -102,7 +99,7 @@ def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
     rays = hulls.rays @ R
     pairs = np.column_stack(np.triu_indices(len(views), 1))
     frames = _frames(centers_mm, rays.mean(axis=1), pairs)
-    sides = [_touching(rays[side], hulls.is_trusted[side], frames) for side in pairs.T]
+    sides = [_touching(rays, hulls.is_trusted, side, frames) for side in np.ascontiguousarray(pairs.T)]
     angles, trusted, touching, by_ray = (np.stack(values, axis=1) for values in zip(*sides, strict=True))
     by_ray[:, 1] *= -1
     by_pixel = (by_ray @ R[pairs, :2].swapaxes(-1, -2)) / focal_px[pairs][:, :, None]
@@ -140,12 +137,13 @@ def tangency_scores_px(
     first, second = tangents.pairs.T
     residuals_px[first, second] = residuals_px[second, first] = epipolar_residuals_px(tangents)
     residuals_px[:, [camera in without for camera in tangents.cameras]] = np.nan
-    scores = {}
-    for camera, row in zip(tangents.cameras, residuals_px, strict=True):
-        known = row[~np.isnan(row)]
-        if len(known) >= MIN_PAIRS and camera not in without:
-            scores[camera] = float(np.median(known))
-    return scores
+    counts = (~np.isnan(residuals_px)).sum(axis=1)
+    in_order_px = np.sort(residuals_px, axis=1).tolist()  # unknown ones last
+    return {
+        camera: (row_px[(count - 1) // 2] + row_px[count // 2]) / 2
+        for camera, row_px, count in zip(tangents.cameras, in_order_px, counts.tolist(), strict=True)
+        if count >= MIN_PAIRS and camera not in without
+    }
 
 
 def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, float]]:
@@ -190,28 +188,44 @@ def _frames(centers_mm: Array, middles: Array, pairs: NDArray[np.int64]) -> Arra
     return np.stack([towards, np.cross(baseline, towards)], axis=2)
 
 
+@compiled
 def _touching(
-    rays: Array, is_trusted: NDArray[np.bool_], frames: Array
+    rays: Array, is_trusted: NDArray[np.bool_], views: NDArray[np.int64], frames: Array
 ) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-    """The two extreme planes of one camera of each pair.
+    """The two extreme planes of one camera of each pair: rays (V, H, 3), cameras `views` (P,), frames (P, 3, 2).
 
     Returns their angles (P, 2), whether they can be trusted (P, 2), the rays (P, 2, 3) that touch,
     and the gradient (P, 2, 3) of each angle by its ray.
     """
-    components = rays @ frames  # (P, H, 2): towards the body, across the baseline
-    is_behind = components[..., 0] <= 0
-    slopes = components[..., 1] / np.where(is_behind, 1, components[..., 0])
-    extreme = np.stack([slopes.argmin(axis=1), slopes.argmax(axis=1)], axis=1)
-    row = np.arange(len(rays))[:, None]
-    is_pierced = is_behind.any(axis=1, keepdims=True) | (np.abs(slopes[row, extreme]) > MAX_SLOPE)
-    x, y = np.moveaxis(components[row, extreme], -1, 0)
-    across = -y[..., None] * frames[:, None, :, 0] + x[..., None] * frames[:, None, :, 1]
-    return (
-        np.arctan2(y, x),
-        is_trusted[row, extreme] & ~is_pierced,
-        rays[row, extreme],
-        across / np.maximum(x**2 + y**2, 1e-12)[..., None],
-    )
+    n_pairs = len(views)
+    angles, trusted = np.empty((n_pairs, 2)), np.empty((n_pairs, 2), np.bool_)
+    touching, gradients = np.empty((n_pairs, 2, 3)), np.empty((n_pairs, 2, 3))
+    for pair in range(n_pairs):
+        view, frame = views[pair], frames[pair]
+        least, greatest, is_pierced = np.inf, -np.inf, False
+        first = last = 0
+        for corner in range(rays.shape[1]):
+            ray = rays[view, corner]
+            towards = ray[0] * frame[0, 0] + ray[1] * frame[1, 0] + ray[2] * frame[2, 0]
+            across = ray[0] * frame[0, 1] + ray[1] * frame[1, 1] + ray[2] * frame[2, 1]
+            is_pierced |= towards <= 0
+            slope = across / towards
+            if slope < least:
+                least, first = slope, corner
+            if slope > greatest:
+                greatest, last = slope, corner
+        for plane, corner in enumerate((first, last)):
+            x = y = 0.0
+            for axis in range(3):
+                touching[pair, plane, axis] = rays[view, corner, axis]
+                x += rays[view, corner, axis] * frame[axis, 0]
+                y += rays[view, corner, axis] * frame[axis, 1]
+            trusted[pair, plane] = is_trusted[view, corner] and not is_pierced and abs(y) <= MAX_SLOPE * x
+            angles[pair, plane] = np.arctan2(y, x)
+            for axis in range(3):
+                turn = x * frame[axis, 1] - y * frame[axis, 0]
+                gradients[pair, plane, axis] = turn / max(x * x + y * y, 1e-12)
+    return angles, trusted, touching, gradients
 
 
 def _unit(vectors: Array) -> Array:

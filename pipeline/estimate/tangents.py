@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.segmentation.silhouette import is_beside_gap
+from pipeline.outline_hull import flat_rays, hull_corners
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ N_ANGLES = 60
 SLACK_MM = 0.004
 """By which planes are moved outwards before they cut rays: a tenth of a pixel. Planes that nearly contain
 a ray would otherwise cut it anywhere, by the noise of the outlines."""
+SEEN_POINTS = 10
+"""A tangent is left out if the edge was not seen so many points to either side of where it touches: closer to a gap
+it may be the noise of the outline that has it touch there, and not beyond."""
 MAX_OVERLAP_MM = 0.3
 """A ray that the planes leave less than minus this much of misses the body: its view is at odds with others."""
 
@@ -61,10 +64,16 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
 
     An outline without points gives none, and rays that miss the body are left out.
     """
-    per_view = [_tangents_of_view(view, center_mm) for view in views]
-    normals, offsets_mm, points_mm, directions = (
-        np.concatenate([part[i] for part in per_view]) for i in range(4)
+    cameras = [camera for camera, _ in views]
+    per_view = [_touching_view(view) for view in views]
+    index = np.repeat(np.arange(len(views)), [len(planes) for planes, _ in per_view])
+    R = np.array([camera.R for camera in cameras])[index]
+    eyes_mm = np.array([camera.center_mm - center_mm for camera in cameras])[index]
+    normals, directions = (
+        (_unit(np.concatenate(parts))[:, None] @ R)[:, 0] for parts in zip(*per_view, strict=True)
     )
+    offsets_mm = (normals * eyes_mm).sum(axis=1)
+    points_mm = eyes_mm - (directions * eyes_mm).sum(axis=1, keepdims=True) * directions
     low_mm, high_mm = segments_mm(normals, offsets_mm, points_mm, directions)
     touching = np.isfinite(high_mm - low_mm) & (high_mm - low_mm > -MAX_OVERLAP_MM)
     middle_mm = (low_mm + high_mm) / 2
@@ -80,29 +89,31 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
     )
 
 
-def _tangents_of_view(view: View, center_mm: Array) -> tuple[Array, Array, Array, Array]:
-    """Normals, offsets, feet and directions of one view."""
+def _touching_view(view: View) -> tuple[Array, Array]:
+    """Normals (T, 3) of planes through the camera's centre that touch the outline, and rays (T, 3) to where they do.
+
+    Both in the camera's frame, of any length.
+    """
     camera, silhouette = view
     outline_uv = silhouette.outline_uv
     if len(outline_uv) < 3:
-        return np.empty((0, 3)), np.empty(0), np.empty((0, 3)), np.empty((0, 3))
+        return np.empty((0, 3)), np.empty((0, 3))
     angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
     outwards = np.column_stack([np.cos(angles), np.sin(angles)])
+    corners, goes_on = hull_corners(outline_uv, SEEN_POINTS)
     # distortion bends the plane so little that each tangent's point is among these
-    candidates = np.unique((outwards @ outline_uv.T).argmax(axis=1))
-    rays = camera.rays(outline_uv[candidates]) @ camera.R.T
-    flat = rays[:, :2] / rays[:, 2:]
-    heights = flat @ outwards.T
+    candidates = (outwards @ outline_uv[corners].T).argmax(axis=1)
+    rays = np.ones((len(candidates), 3))
+    rays[:, :2] = flat_rays(camera, outline_uv[corners[candidates]])
+    heights = rays[:, :2] @ outwards.T
     best = heights.argmax(axis=0)
-    known = ~is_beside_gap(outline_uv)[candidates][best]
-    best, outwards, heights = best[known], outwards[known], heights.max(axis=0)[known]
+    normals = np.column_stack([outwards, -heights.max(axis=0)])
+    known = goes_on[candidates][best]
+    return normals[known], rays[best[known]]
 
-    normals = np.column_stack([outwards, -heights])
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True) @ camera.R
-    directions = rays[best] @ camera.R
-    eye_mm = camera.center_mm - center_mm
-    points_mm = eye_mm - (directions @ eye_mm)[:, None] * directions
-    return normals, normals @ eye_mm, points_mm, directions
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def segments_mm(

@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 from support.forms import silhouettes_of
 from support.silhouettes import sphere_silhouette, sphere_silhouettes
 
-from pipeline.consistency import ConsistencyParameters, check_consistency
+from pipeline import clearance, outline_hull
+from pipeline.calibration import tangency
+from pipeline.consistency import ConsistencyParameters, check_consistency, warm_up
 from pipeline.frames import CameraId
 from pipeline.rig_design import as_built, nominal_rig
 
@@ -24,12 +26,17 @@ def seen_instead(camera: CameraId, center_mm: tuple[float, float, float], radius
     return {**silhouettes, camera: sphere_silhouette(view, np.array(center_mm), radius_mm)}
 
 
-def test_good_views_agree() -> None:
+def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> None:
+    kernels = [clearance._ask, tangency._touching, outline_hull._corners, outline_hull._undistorted]
+    assert warm_up().is_consistent
+    compiled = [kernel.signatures for kernel in kernels]
+    assert all(compiled)
     found = check_consistency(sphere_silhouettes(RIG, CENTER_MM), RIG, PARAMETERS)
     assert found.is_consistent
     assert not found.suspects
     assert set(found.residuals_px) == set(RIG.camera_ids)
     assert max(found.residuals_px.values()) < 0.2
+    assert [kernel.signatures for kernel in kernels] == compiled
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ from support.silhouettes import sphere_silhouettes
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.estimate import body, estimate_body, inner, surface, tangents, warm_up
-from pipeline.estimate.warming import RADIUS_MM
 from pipeline.meshing import mesh_hull
 from pipeline.rig_design import nominal_rig
+from pipeline.warm_ball import RADIUS_MM
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [body._volume_mm3, inner._greatest, surface._along, tangents._left_by]
+    kernels = [body._volumes_mm3, inner._greatest, surface._along, tangents._left_by]
     made_up = warm_up()
     assert made_up.fallback is None
     assert made_up.volume_mm3 == pytest.approx(4 / 3 * np.pi * RADIUS_MM**3, rel=0.05)

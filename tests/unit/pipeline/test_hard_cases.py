@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.segmentation.background import flash_gain
+from pipeline.segmentation.light import flash_gain
 from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
 
 

@@ -16,7 +16,7 @@ from pipeline.synthesis.trials import random_body
 def test_forms(form: str) -> None:
     bodies = [irregular(form, 20.0, np.random.default_rng(seed)) for seed in (1, 2)]
     assert bodies[0].mesh.volume != pytest.approx(bodies[1].mesh.volume, rel=1e-3)
-    shape = measure_shape(bodies[0].mesh)
+    shape = measure_shape(bodies[0].mesh.vertices, bodies[0].mesh.faces)
     assert shape.max_feret_mm == pytest.approx(20.0, rel=1e-3)
     np.testing.assert_allclose(bodies[0].mesh.center_mass, 0, atol=1e-6)
     if form == "splinter":

@@ -26,23 +26,33 @@ def test_our_network_says_where_the_body_is() -> None:
     assert (network.kind, network.size_px, network.provider) == ("stonefall", 256, CPU)
     assert network.fallback is None
     assert network.name == f"stonefall-{network.sha256[:8]}"
-    image = _disc(1024, 1280, 200)
-    for expected in (None, np.ones_like(image)):
-        body = network.probability(image, expected)
+    image = _disc(256, 256, 60)
+    for expected in (np.zeros_like(image), np.ones_like(image)):
+        body = network.probability(np.stack([image, expected]))
         assert body.shape == image.shape
         assert np.mean((body > 0.5) != (image < 0.5)) < 0.01
     # what is expected there is no body, whatever it looks like
-    assert network.probability(image, image).max() < 0.01
+    assert network.probability(np.stack([image, image])).max() < 0.01
+
+
+def test_a_network_of_open_size_computes_on_what_it_is_given() -> None:
+    network = load_network(difference_network("n", size_px="256"))
+    assert (network.size_px, network.step_px) == (256, 16)
+    image = _disc(96, 128, 30)
+    body = network.probability(np.stack([image, np.ones_like(image)]))
+    assert np.mean((body > 0.5) != (image < 0.5)) < 0.02
+    with pytest.raises(ModelError, match="N open only with size_px in the metadata"):
+        load_network(difference_network("n"))
 
 
 def test_a_u2net_sees_the_image_alone() -> None:
     network = load_network(darkness_network())
     assert (network.kind, network.size_px) == ("u2net", 320)
     image = _disc(1024, 1280, 200)
-    body = network.probability(image, None)
+    body = network.probability(image[None])
     assert body.shape == image.shape
     assert np.mean((body > 0.5) != (image < 0.5)) < 0.01
-    np.testing.assert_array_equal(body, network.probability(image, np.zeros_like(image)))
+    np.testing.assert_array_equal(body, network.probability(np.stack([image, image])))
 
 
 def test_a_u2net_of_any_size_runs_at_the_published_one() -> None:
@@ -86,15 +96,15 @@ def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
 
     network = load_network(difference_network(), (GPU, CPU), start=start)
     assert network.provider == CPU
-    assert network.fallback == f"{GPU} failed: CUDA failure 2: out of memory; the CPU computes"
+    assert network.fallback == f"{GPU} failed: CUDA failure 2: out of memory, the CPU computes"
 
 
 def test_out_of_memory_in_a_run_goes_on_on_the_cpu() -> None:
     network = load_network(difference_network(), (GPU,), start=start_on_gpu(n_runs=1))
-    image = _disc(256, 256, 60)
-    first = network.probability(image, None)
+    view = np.stack([_disc(256, 256, 60)] * 2)
+    first = network.probability(view)
     assert (network.provider, network.fallback) == (GPU, None)
-    second = network.probability(image, None)
+    second = network.probability(view)
     np.testing.assert_array_equal(first, second)
     assert network.provider == CPU
     assert network.fallback is not None
@@ -106,9 +116,9 @@ def test_a_provider_that_does_not_start_is_told() -> None:
         return start_session(model, (CPU,))  # as onnxruntime does when libraries are missing
 
     network = load_network(difference_network(), (GPU,), start=start)
-    assert network.fallback == f"{GPU} did not start; the CPU computes"
+    assert network.fallback == f"{GPU} did not start, the CPU computes"
     network = load_network(difference_network(), ("NoSuchProvider", CPU))
-    assert network.fallback == "this onnxruntime has no NoSuchProvider; the CPU computes"
+    assert network.fallback == "this onnxruntime has no NoSuchProvider, the CPU computes"
 
 
 def test_a_cpu_that_cannot_compute_is_an_error() -> None:
@@ -120,4 +130,4 @@ def test_a_cpu_that_cannot_compute_is_an_error() -> None:
         difference_network(), start=lambda model, names: Broken(start_session(model, names), 0)
     )
     with pytest.raises(ModelError, match=f"model {network.name}: cannot be run: Failed to allocate"):
-        network.probability(_disc(256, 256, 60), None)
+        network.probability(np.ones((2, 256, 256), np.float32))

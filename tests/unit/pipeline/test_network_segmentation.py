@@ -12,13 +12,23 @@ from hypothesis import strategies as st
 from support.networks import GPU, darkness_network, difference_network, start_on_gpu
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, ViewStatus, ground, limits, region
+from pipeline.segmentation import (
+    BackgroundModel,
+    Segmenter,
+    Silhouette,
+    ViewStatus,
+    behind,
+    ground,
+    limits,
+    region,
+)
 from pipeline.segmentation.background import COARSE, CameraBackground
+from pipeline.segmentation.behind import Behind
 from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.ground import carried
 from pipeline.segmentation.network import load_network
 from pipeline.segmentation.neural import NetworkSegmenter
-from pipeline.segmentation.region import Region, square_around, whole
+from pipeline.segmentation.region import Region, rectangle_around, whole
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
@@ -195,13 +205,15 @@ def test_dust_far_away_does_not_hide_a_small_stone() -> None:
 
 def test_squares_hold_what_is_looked_at() -> None:
     shape = (1024, 1280)
-    square = square_around((900, 700, 300, 200), 44, shape, 256)
+    square = rectangle_around((900, 700, 300, 200), 44, shape, 256, 256)
     assert (square.scale, square.width, square.height) == (2, 256, 256)
     rows, columns = square.within(shape)
     assert (rows.stop - rows.start, columns.stop - columns.start) == (512, 512)
     assert rows.start <= 656 < 944 <= rows.stop
     assert columns.start <= 856 < 1244 <= columns.stop
-    all_of = whole(shape, 256)
+    near = rectangle_around((900, 700, 300, 200), 44, shape, 256, 16)
+    assert (near.scale, near.width, near.height) == (2, 224, 160)
+    all_of = whole(shape, 256, 256)
     assert (all_of.scale, all_of.left, all_of.top) == (5, 0, -128)
     assert all_of.within(shape) == (slice(0, 1024), slice(0, 1280))
     part, (rows, columns) = all_of.part((10, 100, 20, 30), 20)
@@ -210,15 +222,22 @@ def test_squares_hold_what_is_looked_at() -> None:
 
 
 @given(
-    st.integers(0, 1200), st.integers(0, 900), st.integers(1, 400), st.integers(1, 400), st.integers(0, 44)
+    st.integers(0, 1200),
+    st.integers(0, 900),
+    st.integers(1, 400),
+    st.integers(1, 400),
+    st.integers(0, 44),
+    st.sampled_from([16, 256]),
 )
-def test_squares_hold_a_box_and_begin_with_a_block(
-    x: int, y: int, width: int, height: int, margin_px: int
+def test_rectangles_hold_a_box_and_begin_with_a_block(
+    x: int, y: int, width: int, height: int, margin_px: int, step: int
 ) -> None:
     shape = (1022, 1279)
     width, height = min(width, shape[1] - x), min(height, shape[0] - y)
-    square = square_around((x, y, width, height), margin_px, shape, 256)
+    square = rectangle_around((x, y, width, height), margin_px, shape, 256, step)
     assert (square.left % COARSE, square.top % COARSE) == (0, 0)
+    assert (square.width % step, square.height % step) == (0, 0)
+    assert max(square.width, square.height) <= 256
     rows, columns = square.within(shape)
     near_px = max(margin_px - COARSE // 2 - 1, 0)
     last_u, last_v = (length // COARSE * COARSE for length in reversed(shape))  # where the last block ends
@@ -229,27 +248,62 @@ def test_squares_hold_a_box_and_begin_with_a_block(
 
 
 @pytest.mark.parametrize("box", [(0, 0, 1280, 1024), (500, 300, 100, 100), (1000, 800, 250, 200)])
-def test_there_and_back_again(box: tuple[int, int, int, int]) -> None:
+@pytest.mark.parametrize("step", [16, 256])
+def test_there_and_back_again(box: tuple[int, int, int, int], step: int) -> None:
     """A smooth image survives the way to the network's pixels and back."""
     v, u = np.mgrid[:1024, :1280].astype(np.float32)
-    image = 100 + 50 * np.sin(u / 200) * np.cos(v / 170)
-    square = square_around(box, 0, image.shape, 256)
-    reduced = square.reduced(image)
-    inside = (slice(40, -40),) * 2
-    near, of_square = square.part((100, 90, 70, 60), 3)
-    rows, columns = near.within(image.shape)
-    back = near.enlarged(reduced[of_square], image.shape)
-    np.testing.assert_allclose(back[5:-5, 5:-5], image[rows, columns][5:-5, 5:-5], atol=0.6)
-    blocks = near.halved((reduced > 100)[of_square].view(np.uint8), image.shape)
+    smooth = 100 + 50 * np.sin(u / 200) * np.cos(v / 170)
+    image = np.rint(smooth).astype(np.uint8)
+    region = rectangle_around(box, 0, image.shape, 256, step)
+    reduced, sampled = (np.empty((region.height, region.width), np.float32) for _ in range(2))
+    region.reduce(image, 1.0, reduced)
+    region.sample(cv2.resize(smooth, (320, 256), interpolation=cv2.INTER_AREA), 0.5, sampled)
+    inside = (slice(region.height // 6, -region.height // 6), slice(region.width // 6, -region.width // 6))
+    np.testing.assert_allclose(2 * sampled[inside], reduced[inside], atol=1.0)
+    rows, columns = region.within(image.shape)
+    back = region.enlarged(reduced, image.shape)
+    np.testing.assert_allclose(back[5:-5, 5:-5], smooth[rows, columns][5:-5, 5:-5], atol=1.0)
+    mask = (reduced > 100).view(np.uint8)
+    blocks = region.halved(mask, image.shape)
     assert np.mean(blocks != (image[rows, columns] > 100)[::2, ::2]) < 0.03
-    light = np.linspace(0.9, 1.1, near.width, dtype=np.float32) + np.zeros((near.height, 1), np.float32)
-    wanted = (reduced > 100)[of_square].view(np.uint8)
-    lit = near.lit(light, wanted, image)
-    everywhere = near.enlarged(light, image.shape) * image[rows, columns]
-    np.testing.assert_allclose(lit[::2, ::2][blocks != 0], everywhere[::2, ::2][blocks != 0], rtol=0.01)
-    assert not np.any(lit[::2, ::2][blocks == 0])
-    coarse = cv2.resize(image, (320, 256), interpolation=cv2.INTER_AREA)
-    np.testing.assert_allclose(square.sampled(coarse)[inside], reduced[inside], atol=1.0)
+    middles = region.middles(image[rows, columns], image.shape)
+    assert np.abs(middles - reduced)[middles > 0].max() < 1.5
+    assert np.count_nonzero(middles) * region.scale**2 == pytest.approx(image[rows, columns].size, rel=0.04)
+
+
+@pytest.mark.parametrize("box", [(0, 0, 1280, 1024), (1000, 800, 250, 200)])
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_what_is_behind_is_computed_where_it_is_wanted(
+    box: tuple[int, int, int, int], is_whole: bool
+) -> None:
+    """Of the whole image's empty view, or of the region's alone."""
+    rng = np.random.default_rng(3)
+    shape = (1024, 1280)
+    empty = rng.integers(50, 200, shape).astype(np.uint8)
+    region = rectangle_around(box, 0, shape, 256, 16)
+    place = region.within(shape)
+    light = np.linspace(0.9, 1.1, region.width, dtype=np.float32) + np.zeros((region.height, 1), np.float32)
+    view = Behind(
+        region=region,
+        shape=shape,
+        light=light,
+        empty=empty if is_whole else np.ascontiguousarray(empty[place]),
+    )
+    wanted = (rng.random(light.shape) < 0.4).view(np.uint8)
+    at = tuple(
+        (np.arange(part.start, part.stop) - first) // region.scale
+        for part, first in zip(place, (region.top, region.left), strict=True)
+    )
+    image = np.rint(empty[place] * light[np.ix_(*at)]).astype(np.uint8)
+    everywhere = np.where(wanted[np.ix_(*at)], image, 0)
+    np.testing.assert_allclose(view.lit(wanted).astype(int), everywhere.astype(int), atol=1)
+    assert not view.differs(image, wanted, 0.02, 1.0).any()
+    changed = image - 10 * (np.ix_(*at)[1] > region.width // 2).astype(np.uint8)
+    found = view.differs(changed, wanted, 0.0, 5.0)
+    right = np.arange(region.width) > region.width // 2 + 1
+    inner = slice(30, -30)
+    np.testing.assert_array_equal(found[inner, inner][:, right[inner]], wanted[inner, inner][:, right[inner]])
+    assert not found[:, : region.width // 2].any()
 
 
 @settings(max_examples=20, deadline=None)
@@ -287,7 +341,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [ground._carried, region._light, limits.limits_of, limits._differing]
+    kernels = [ground._carried, region._reduce, limits.limits_of, behind._lit, behind._differ]
     segmenter = network_segmenter()
     warm_up(ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter))
     compiled = [len(kernel.signatures) for kernel in kernels]

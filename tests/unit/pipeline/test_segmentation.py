@@ -14,8 +14,9 @@ from support.silhouettes import sphere_silhouette
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segment_all
-from pipeline.segmentation.background import flash_gain, learn_background
+from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.delineation import delineate
+from pipeline.segmentation.light import flash_gain
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere

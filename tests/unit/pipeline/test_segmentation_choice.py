@@ -145,8 +145,9 @@ DOUBTS = [
     (faint_stone(), wall(), "of the view"),  # which is empty to the other one
     (far_shadow(), wall(), "of the view"),  # multiple
     (bright_cut(), wall(), "of the view"),  # clipped
+    (np.where(disc(260, 160, 15), 32.0, APERTURE), APERTURE, "differs, where it is dark"),  # empty
 ]
-NAMES = ["stripes", "bright", "aperture", "faint", "far shadow", "bright and cut"]
+NAMES = ["stripes", "bright", "aperture", "faint", "far shadow", "bright and cut", "in an aperture"]
 
 
 @pytest.mark.parametrize(("image", "behind", "reason"), DOUBTS, ids=NAMES)
@@ -199,7 +200,9 @@ def test_an_aperture_beside_a_stone_is_no_body(u: float, v: float, radius_px: fl
     image = np.where(disc(130, 160, 60), STONE, housing)
     found = choosing(None, "background")(frame_of(image), known(housing))
     assert found.status is ViewStatus.OK
-    assert choosing(None, "background")(frame_of(housing), known(housing)).status is ViewStatus.EMPTY
+    network = Network()
+    empty = choosing(network)(frame_of(housing), known(housing))
+    assert (empty.status, empty.fallback, network.asked) == (ViewStatus.EMPTY, None, [])
 
 
 @pytest.mark.parametrize("wanted", ["auto", "background"])

@@ -113,7 +113,7 @@ def test_the_truth_is_that_of_the_photographed_body(simulated: SimulatedRig) -> 
     rng = stream(0, 3)
     placed = tumble(ball(), simulated.rig, rng)
     bundle = render_bundle([placed], simulated, rng, sequence=2, label="ball", kind=BundleKind.BALL)
-    truth = truth_of(placed, bundle, measure_shape(placed.body.mesh))
+    truth = truth_of(placed, bundle, measure_shape(placed.body.mesh.vertices, placed.body.mesh.faces))
     np.testing.assert_allclose(truth.mesh.center_mass, placed.offset_mm, atol=1e-9)
     document = truth_to_document(truth)
     assert document["bundle"] == bundle.name == "000002-ball"

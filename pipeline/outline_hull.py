@@ -1,0 +1,94 @@
+"""The corners of an outline's convex hull: what touches the lines, hence the planes, that touch the body.
+
+The hull is that of the distorted image: over a silhouette a straight line is bent by less than 0.01 px.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.compiled import compiled
+from pipeline.rig import CameraCalibration
+from pipeline.segmentation.silhouette import MAX_STEP_PX
+
+Array = NDArray[np.float64]
+
+TILT = 1e-3
+"""Points are sorted along a line that much off the rows: many share a column, none the place on that line."""
+ITERATIONS = 20
+CONVERGED = 1e-14
+
+
+def hull_corners(outline_uv: Array, reach: int = 1) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The corners of the convex hull of an outline (N, 2), N > 2, in order, as indices (H,), and which can be trusted.
+
+    Of those the edge was seen as far as the `reach`-th point on either side; from others the body may reach further.
+    """
+    corners = _corners(outline_uv, np.argsort(outline_uv[:, 0] + TILT * outline_uv[:, 1]))
+    return corners, _goes_on(outline_uv, corners, reach)
+
+
+def flat_rays(camera: CameraCalibration, pixels_uv: Array) -> Array:
+    """Where the viewing rays through pixels (N, 2) meet the plane at depth 1 of the camera's own frame, (N, 2)."""
+    return _undistorted(pixels_uv, camera.K, camera.distortion)
+
+
+def viewing_rays(camera: CameraCalibration, pixels_uv: Array) -> Array:
+    """Unit directions (N, 3) in the world frame, as `CameraCalibration.rays`, in a fifth of its time."""
+    rays = np.ones((len(pixels_uv), 3))
+    rays[:, :2] = flat_rays(camera, pixels_uv)
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True) @ camera.R)
+
+
+@compiled
+def _corners(points: Array, order: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Andrew's monotone chain, there and back along the points (N, 2) in their order (N,)."""
+    n = len(order)
+    chain, length, least = np.empty(2 * n, np.int64), 0, 2
+    for place in range(2 * n - 1):
+        point = order[place if place < n else 2 * n - 2 - place]
+        if place == n:
+            least = length + 1
+        while length >= least:
+            a, b = chain[length - 2], chain[length - 1]
+            turn = (points[b, 0] - points[a, 0]) * (points[point, 1] - points[a, 1])
+            turn -= (points[b, 1] - points[a, 1]) * (points[point, 0] - points[a, 0])
+            if turn > 0:
+                break
+            length -= 1
+        chain[length] = point
+        length += 1
+    return chain[: length - 1].copy()
+
+
+@compiled
+def _goes_on(points: Array, which: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
+    """Whether an outline (N, 2) has no gap among the `reach` steps before and after some of its points (H,)."""
+    n = len(points)
+    goes_on = np.ones(len(which), np.bool_)
+    for i in range(len(which)):
+        for step in range(-reach, reach):
+            start, end = (which[i] + step) % n, (which[i] + step + 1) % n
+            u, v = points[end, 0] - points[start, 0], points[end, 1] - points[start, 1]
+            goes_on[i] &= u * u + v * v <= MAX_STEP_PX * MAX_STEP_PX
+    return goes_on
+
+
+@compiled
+def _undistorted(pixels_uv: Array, K: Array, distortion: Array) -> Array:
+    """Fixed-point iterations of the inverse of `pipeline.rig.distort`."""
+    flat = np.empty(pixels_uv.shape)
+    k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
+    for i in range(len(pixels_uv)):
+        seen_y = (pixels_uv[i, 1] - K[1, 2]) / K[1, 1]
+        seen_x = (pixels_uv[i, 0] - K[0, 2] - K[0, 1] * seen_y) / K[0, 0]
+        x, y = seen_x, seen_y
+        for _ in range(ITERATIONS):
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            last_x, last_y = x, y
+            x = (seen_x - 2 * p1 * last_x * last_y - p2 * (r2 + 2 * last_x * last_x)) / radial
+            y = (seen_y - p1 * (r2 + 2 * last_y * last_y) - 2 * p2 * last_x * last_y) / radial
+            if abs(x - last_x) + abs(y - last_y) < CONVERGED:
+                break
+        flat[i, 0], flat[i, 1] = x, y
+    return flat
