@@ -6,19 +6,19 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-import trimesh
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.consistency import Consistency, ConsistencyParameters, check_consistency
+from pipeline.each import Each
 from pipeline.errors import MeshError, RejectedError, RejectReason
 from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
-from pipeline.measuring.solid import solid_of
+from pipeline.measuring.solid import surface_area_mm2
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
-from pipeline.meshing import ParticleMesh, mesh_hull
+from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, ViewStatus, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
@@ -82,6 +82,7 @@ class PipelineParameters:
     views: ViewsParameters = field(default_factory=ViewsParameters)
     consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     carving: CarvingParameters = field(default_factory=CarvingParameters)
+    mesher: Mesher = "leaves"
     body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
 
@@ -150,19 +151,21 @@ def measure_bundle(
     segmenter: Segmenter,
     parameters: PipelineParameters,
     on_stage: Callable[[str], None] = lambda stage: None,
+    each: Each = map,
 ) -> ParticleResult:
     """Measure the particle of one bundle; a bundle that shows none is a result with a `rejection`.
 
-    `on_stage` is told the name of each stage as it ends, so that the caller's clock can time it.
+    `on_stage` is told the name of each stage as it ends, so that the caller's clock can time it. `each` is how
+    views are worked on; the result does not depend on it.
 
     Raises
     ------
     RigError
         The rig has no calibration for a camera of the bundle.
     """
-    silhouettes = segment_all(bundle.frames, background, segmenter)
+    silhouettes = segment_all(bundle.frames, background, segmenter, each)
     on_stage("segment")
-    optics = observe_all(bundle.frames, background, silhouettes)
+    optics = observe_all(bundle.frames, background, silhouettes, each)
     on_stage("optics")
     dropped = dict(bundle.missing)
     consistency = None
@@ -182,7 +185,7 @@ def measure_bundle(
         on_stage("carve")
         if hull.touches_border:
             raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
-        hull_mesh = mesh_hull(hull)
+        hull_mesh = mesh_hull(hull, parameters.mesher)
         on_stage("mesh")
         if hull_mesh is None:
             raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
@@ -275,8 +278,7 @@ def _measure(
     parameters: PipelineParameters,
 ) -> ParticleMeasurement:
     try:
-        shape = measure_shape(_trimesh(mesh))
-        solid = solid_of(_trimesh(hull))
+        shape = measure_shape(mesh.vertices_mm, mesh.faces)
     except MeshError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
     model = parameters.measuring.volume_model
@@ -285,7 +287,7 @@ def _measure(
         volume_mm3 = model.volume_mm3(estimate.hull_volume_mm3, estimate.volume_mm3)
     else:  # the least excess that any body's hull has
         volume_model = "sphere"
-        volume_mm3 = solid.volume_mm3 / _sphere_excess(shape, carving, rig)
+        volume_mm3 = estimate.hull_volume_mm3 / _sphere_excess(shape, carving, rig)
     angularities = [
         gradient_angularity(silhouette.outline_uv)
         for silhouette in carving.values()
@@ -295,17 +297,18 @@ def _measure(
     return ParticleMeasurement(
         body=parameters.body.kind if estimate.fallback is None else "hull",
         shape=shape,
-        hull=HullMeasurement(volume_mm3=solid.volume_mm3, surface_area_mm2=solid.surface_area_mm2),
+        hull=HullMeasurement(
+            volume_mm3=estimate.hull_volume_mm3,
+            surface_area_mm2=(
+                shape.surface_area_mm2 if mesh is hull else surface_area_mm2(hull.vertices_mm, hull.faces)
+            ),
+        ),
         volume_mm3=volume_mm3,
         volume_model=volume_model,
         volume_estimate_mm3=estimate.volume_mm3,
         angularity=float(np.mean(angularities)) if angularities else None,
         mass_g=None if density is None else density * volume_mm3 / 1000,
     )
-
-
-def _trimesh(mesh: ParticleMesh) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False)
 
 
 def _sphere_excess(shape: ShapeMeasurement, carving: SilhouetteSet, rig: RigCalibration) -> float:

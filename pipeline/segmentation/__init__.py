@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
+from pipeline.each import Each
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import BackgroundModel
 from pipeline.segmentation.silhouette import Silhouette, SilhouetteSet, ViewStatus
@@ -17,10 +18,11 @@ class Segmenter(Protocol):
 
 
 def segment_all(
-    frames: Mapping[CameraId, Frame], background: BackgroundModel, segmenter: Segmenter
+    frames: Mapping[CameraId, Frame], background: BackgroundModel, segmenter: Segmenter, each: Each = map
 ) -> SilhouetteSet:
-    """One silhouette per frame."""
-    return {camera: segmenter(frame, background) for camera, frame in frames.items()}
+    """One silhouette per frame, in the order of the frames; `each` may segment several at a time."""
+    silhouettes = each(lambda frame: segmenter(frame, background), frames.values())
+    return dict(zip(frames, silhouettes, strict=True))
 
 
 __all__ = ["BackgroundModel", "Segmenter", "Silhouette", "SilhouetteSet", "ViewStatus", "segment_all"]

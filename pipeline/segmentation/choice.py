@@ -6,7 +6,7 @@ other's place where it finds nothing, and the silhouette says which of them it i
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from pipeline.errors import ModelError
 from pipeline.frames import Frame
 from pipeline.segmentation import Segmenter
-from pipeline.segmentation.background import COARSE, BackgroundModel
+from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
 from pipeline.segmentation.silhouette import INSIDE, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
-from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView, sampled
+from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView
 
 Grey = NDArray[np.uint8]
+Place = tuple[slice, slice]
+"""Rows and columns."""
 
 Wanted = Literal["auto", "background", "onnx"]
 """The segmenter that is asked first; `auto`: the background's, and the network where its ground is not sound."""
@@ -29,6 +31,7 @@ RING_BLOCKS = (2, 8)
 and within the margin that a silhouette has."""
 RIM_BLOCKS = (1, 3)
 """The rim of a body, likewise inwards: beyond the blur of the edge, and no further than its level is carried."""
+EVERYWHERE = (slice(None), slice(None))
 FRAME_BLOCKS = 4
 """A view without a silhouette is looked at in blocks of this edge, in blocks of 4 px."""
 PLAIN = 0.75
@@ -45,6 +48,8 @@ class ChoiceParameters:
     max_faint_share: float = 0.06  # of the rim of a body with less; 5 mm across a screw have a twentieth
     max_unseen_share: float = 0.12  # of the outline; a screw hides 0.07 of that of a stone of 15 mm
     max_doubtful_share: float = 0.002  # of a view neither wall nor clearly different: a body of 4 mm
+    max_dark_error: float = 0.02  # of the wall, where it is dark: four times what noise does to a block
+    max_dark_share: float = 0.001  # of a view with a greater one: a stone of 2 mm before an aperture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,16 +116,19 @@ class ChoosingSegmenter:
         if self.wanted != "auto":
             return None
         known, p = background[frame.camera], self.parameters
-        wall = np.where(known.coarse < np.float32(PLAIN * known.typical), np.uint8(0), empty.expected)
-        seen = sampled(frame.image)
-        if not found.is_usable:
-            return _doubt_of_view(seen, wall, p)
-        return _doubt_of_light(seen, wall, found, p)
+        if found.is_usable:
+            place, labels = _blocks_of(found)
+            return _doubt_of_light(_beside(empty, known, place), labels, p)
+        view = _beside(empty, known, EVERYWHERE)
+        doubt = _doubt_of_view(view, p)
+        if doubt is None and found.status is ViewStatus.EMPTY:
+            return _doubt_of_dark(view, known.typical * empty.gain, p)
+        return doubt
 
 
 def unseen_share(found: Silhouette) -> float:
     """Share of the outline that was not seen, 0..1."""
-    steps_px = np.linalg.norm(found.outline_uv - np.roll(found.outline_uv, 1, axis=0), axis=1)
+    steps_px = np.hypot(*np.diff(found.outline_uv, axis=0, append=found.outline_uv[:1]).T)
     return float(steps_px[steps_px > MAX_STEP_PX].sum() / max(steps_px.sum(), 1))
 
 
@@ -131,14 +139,34 @@ def hidden_share(found: Silhouette) -> float:
     return unseen_share(found) + unknown
 
 
-def _doubt_of_view(seen: Grey, empty: Grey, parameters: ChoiceParameters) -> str | None:
-    """Whether anything but bodies of good contrast differs from the empty rig."""
-    height, width = seen.shape
-    blocks = (max(width // FRAME_BLOCKS, 1), max(height // FRAME_BLOCKS, 1))
-    is_wall = (empty > 0).view(np.uint8)
+class _Beside(NamedTuple):
+    """What is seen in a part of a view, beside the empty rig; arrays (h, w) of blocks."""
+
+    seen: Grey
+    empty: Grey
+    is_wall: Grey  # 1 where that is the plain wall
+
+
+def _beside(empty: EmptyView, known: CameraBackground, place: Place) -> _Beside:
+    expected = np.asarray(cv2.convertScaleAbs(empty.levels[place], alpha=empty.gain), np.uint8)
+    is_wall = known.coarse[place] >= np.float32(PLAIN * known.typical)
+    return _Beside(seen=empty.seen[place], empty=expected, is_wall=is_wall.view(np.uint8))
+
+
+def _blocks_of(found: Silhouette) -> tuple[Place, Grey]:
+    """The blocks around a silhouette, and its label in the middle of each."""
+    (left, top), (height, width) = found.offset_uv, found.labels.shape
+    rows = slice(-(-top // COARSE), (top + height) // COARSE)
+    columns = slice(-(-left // COARSE), (left + width) // COARSE)
+    first = (rows.start * COARSE + COARSE // 2 - top, columns.start * COARSE + COARSE // 2 - left)
+    labels = found.labels[first[0] :: COARSE, first[1] :: COARSE]
+    return (rows, columns), labels[: rows.stop - rows.start, : columns.stop - columns.start]
+
+
+def _doubt_of_view(view: _Beside, parameters: ChoiceParameters) -> str | None:
+    """Whether anything but bodies of good contrast differs from the wall of the empty rig."""
     seen, empty, is_wall = (
-        np.asarray(cv2.resize(each, blocks, interpolation=cv2.INTER_AREA), np.uint8)
-        for each in (seen, empty, 255 * is_wall)
+        _reduced(each) for each in (view.seen, view.empty * view.is_wall, 255 * view.is_wall)
     )
     clear = _grown(_differs(seen, empty, parameters.clear_contrast), 1)
     is_doubtful = (is_wall == 255) & (_differs(seen, empty, parameters.max_light_error) > clear)
@@ -146,27 +174,42 @@ def _doubt_of_view(seen: Grey, empty: Grey, parameters: ChoiceParameters) -> str
     return f"light differs over {share:.1%} of the view" if share > parameters.max_doubtful_share else None
 
 
-def _doubt_of_light(seen: Grey, empty: Grey, found: Silhouette, parameters: ChoiceParameters) -> str | None:
+def _doubt_of_dark(view: _Beside, wall: float, parameters: ChoiceParameters) -> str | None:
+    """Whether anything is before an aperture, where a body is not told by as much as before the wall."""
+    seen, empty, beside_wall = (
+        _reduced(each) for each in (view.seen, view.empty, 255 * _grown(view.is_wall, 1))
+    )
+    is_other = (beside_wall == 0) & (cv2.absdiff(seen, empty) > parameters.max_dark_error * wall)
+    share = float(np.mean(is_other))
+    return f"{share:.1%} of the view differs, where it is dark" if share > parameters.max_dark_share else None
+
+
+def _reduced(view: Grey) -> Grey:
+    """Means over `FRAME_BLOCKS` of a view (h, w)."""
+    height, width = view.shape
+    size = (max(width // FRAME_BLOCKS, 1), max(height // FRAME_BLOCKS, 1))
+    return np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _doubt_of_light(view: _Beside, labels: Grey, parameters: ChoiceParameters) -> str | None:
     """Whether the wall beside the body is what it was, and the body differs from it."""
-    (left, top), (height, width) = found.offset_uv, found.labels.shape
-    rows = slice(-(-top // COARSE), (top + height) // COARSE)
-    columns = slice(-(-left // COARSE), (left + width) // COARSE)
-    first = (rows.start * COARSE + COARSE // 2 - top, columns.start * COARSE + COARSE // 2 - left)
-    seen = np.asarray(cv2.blur(seen[rows, columns], (3, 3)), np.uint8)  # a third of the noise
-    empty = empty[rows, columns]
-    labels = found.labels[first[0] :: COARSE, first[1] :: COARSE][: len(empty), : empty.shape[1]]
+    seen = np.asarray(cv2.blur(view.seen, (3, 3)), np.uint8)  # a third of the noise
     inside, covered = (labels == INSIDE).view(np.uint8), (labels != OUTSIDE).view(np.uint8)
     nearest, farthest = RING_BLOCKS
-    ring = (empty > 0) & (_grown(inside, farthest) > _grown(covered, nearest))
-    is_off = _differs(seen, empty, parameters.max_light_error)[ring]
-    if is_off.size and is_off.mean() > parameters.max_dim_share:
-        errors = np.abs(seen[ring] / empty[ring].astype(np.float32) - 1)
+    ring = (_grown(inside, farthest) > _grown(covered, nearest)) & view.is_wall
+    if _share(_differs(seen, view.empty, parameters.max_light_error), ring) > parameters.max_dim_share:
+        is_beside = ring.view(np.bool_)
+        errors = np.abs(seen[is_beside] / view.empty[is_beside].astype(np.float32) - 1)
         return f"light differs by {np.quantile(errors, 0.9):.0%} around the body"
     shallow, deep = RIM_BLOCKS
-    rim = (empty > 0) & (_grown(covered, -shallow) > _grown(inside, -deep))
-    is_clear = _differs(seen, empty, parameters.clear_contrast)[rim]
-    faint = 1 - float(is_clear.mean()) if is_clear.size else 0.0
+    rim = (_grown(covered, -shallow) > _grown(inside, -deep)) & view.is_wall
+    faint = _share(1 - _differs(seen, view.empty, parameters.clear_contrast), rim)
     return f"{faint:.0%} of the edge without contrast" if faint > parameters.max_faint_share else None
+
+
+def _share(mask: Grey, of: Grey) -> float:
+    """Share of a mask (h, w) that another covers; 0 of none."""
+    return cv2.countNonZero(mask & of) / max(cv2.countNonZero(of), 1)
 
 
 def _differs(seen: Grey, empty: Grey, share: float) -> Grey:

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
+from pipeline.compiled import compiled
 from pipeline.frames import Frame
 from pipeline.segmentation.edge import Contours, Edge
-from pipeline.segmentation.grey_levels import GreyLevels, carried, crossings, decide
+from pipeline.segmentation.grey_levels import GreyLevels, carried, crossings, decide, spread
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.steepest import to_steepest
 
@@ -47,11 +48,12 @@ class Delineation:
 
 def delineate(
     image: Grey | Array,
-    expected: Array,
+    expected: Grey | Array,
     core: Mask,
     possible: Mask,
     unknown: Mask,
     *,
+    expected_from_uv: tuple[int, int] = (0, 0),
     gain: float = 1.0,
     min_contrast: float = MIN_CONTRAST,
     hole_px: int = HOLE_PX,
@@ -63,7 +65,7 @@ def delineate(
     image
         (h, w) grey levels of a region.
     expected
-        (h, w) grey level of what is behind the body, in this light once `gain` is applied.
+        (H, W) grey level of what is behind the body, in this light once `gain` is applied, of the region or more.
     core
         Surely body, and not at its blurred edge: its grey level is carried outwards. This mask and the next
         two are (h, w), or of half that size, rounded up, where each pixel stands for a block of 2 x 2.
@@ -71,6 +73,8 @@ def delineate(
         Outside of it nothing is body.
     unknown
         Grey levels mean nothing here, unless it is core.
+    expected_from_uv
+        Where in `expected` the region begins.
     gain
         Factor on `expected`, which is looked at only near the edge.
     min_contrast
@@ -78,41 +82,39 @@ def delineate(
     hole_px
         Holes of the body up to this area are filled.
     """
-    known = np.maximum(INSIDE * core, UNKNOWN * unknown)
+    known, open_cells, twice = spread(core, possible, unknown)
     is_half = core.shape != image.shape
+    left, top = expected_from_uv
     view = GreyLevels(
+        # compiled loops are compiled again for other kinds of arrays
         image=image if image.flags.c_contiguous and image.flags.writeable else image.copy(),
-        expected=expected,
+        expected=expected if expected.flags.c_contiguous else expected.copy(),
+        left=left,
+        top=top,
         gain=np.float32(gain),
         known=known,
-        open_cells=np.flatnonzero(np.asarray(possible) & (known == OUTSIDE)),
+        open_cells=open_cells,
         halvings=int(is_half),
     )
-    labels = _doubled(known, image.shape) if is_half else known.copy()
+    height, width = image.shape
+    labels = np.ascontiguousarray(twice.view(np.uint8)[:height, :width]) if is_half else known.copy()
     levels = carried(view)
     if not (decide(view, levels, np.float32(min_contrast), labels) or np.any(core)):
         return Delineation(labels=labels, edge=None)
     for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
         body, contours = _largest_with_holes_filled(labels, hole_px)
         if body is not labels:
-            labels = np.where(labels == UNKNOWN, UNKNOWN, INSIDE * body)
+            _keep(body, labels)
         points_uv, seen = crossings(view, levels, body, labels, np.concatenate(contours)[:, 0])
+        ends = np.cumsum([len(contour) for contour in contours])
         n_doubtful = 0
-        for part in np.split(np.arange(len(seen)), np.cumsum([len(contour) for contour in contours[:-1]])):
-            along = slice(part[0], part[-1] + 1)
-            n_doubtful += to_steepest(
-                view.image,
-                expected,
-                view.gain,
-                np.float32(min_contrast),
-                labels,
-                points_uv[along],
-                seen[along],
-            )
+        for first, last in zip([0, *ends[:-1]], ends, strict=True):
+            along = slice(first, last)
+            n_doubtful += to_steepest(view, np.float32(min_contrast), labels, points_uv[along], seen[along])
         if n_doubtful == 0:
             break
-    # the last points before a gap already bend towards what hides the edge
-    seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
+    if not seen.all():  # the last points before a gap already bend towards what hides the edge
+        seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
     edge = Edge(body=body, contours=contours, points_uv=points_uv, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
 
@@ -156,14 +158,6 @@ def no_body(frame: Frame, status: ViewStatus, found_by: str = "background") -> S
     )
 
 
-def _doubled(mask: Grey, shape: tuple[int, ...]) -> Grey:
-    """The mask at twice its size, cut to this shape."""
-    height, width = mask.shape
-    doubled = np.empty((height, 2, 2 * width), np.uint8)
-    doubled[:] = (mask * np.uint16(0x0101)).view(np.uint8)[:, None]  # the same byte twice
-    return np.ascontiguousarray(doubled.reshape(2 * height, 2 * width)[: shape[0], : shape[1]])
-
-
 def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contours]:
     """The component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
@@ -173,24 +167,38 @@ def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contou
     contours = [np.asarray(contour, np.int32) for contour in found]
     if len(contours) == 1:
         return labels, contours
-    largest, size = 0, -1
-    for index, contour in enumerate(contours):
-        if hierarchy[0][index][3] >= 0 or cv2.contourArea(contour) + len(contour) <= size:
-            continue  # a hole, or too small to win
-        u, v, width, height = cv2.boundingRect(contour)
-        part = np.zeros((height, width), np.uint8)
-        cv2.drawContours(part, [contour], 0, 1, cv2.FILLED, offset=(-u, -v))
-        is_inside = labels[v : v + height, u : u + width] == INSIDE
-        n_inside = int(np.count_nonzero(is_inside & part.view(np.bool_)))
-        if n_inside > size:
-            largest, size = index, n_inside
+    outer = [index for index in range(len(contours)) if hierarchy[0][index][3] < 0]
+    outer.sort(key=lambda index: -cv2.contourArea(contours[index]))
+    largest, *others = outer
+    rivals = [(_n_inside(labels, contours[index]), index) for index in others]
+    n_inside, rival = max(rivals, default=(0, largest))
+    if n_inside > 0 and n_inside > _n_inside(labels, contours[largest]):
+        largest = rival
     body, kept = np.zeros_like(labels), [contours[largest]]
-    cv2.drawContours(body, contours, largest, 1, cv2.FILLED)
+    cv2.drawContours(body, contours, largest, int(INSIDE), cv2.FILLED)
     hole = int(hierarchy[0][largest][2])
     while hole >= 0:
         if cv2.contourArea(contours[hole]) > hole_px:
-            cv2.drawContours(body, contours, hole, 0, cv2.FILLED)
-            cv2.drawContours(body, contours, hole, 1, 1)  # a hole's contour runs on the body's pixels
+            cv2.drawContours(body, contours, hole, int(OUTSIDE), cv2.FILLED)
+            cv2.drawContours(
+                body, contours, hole, int(INSIDE), 1
+            )  # a hole's contour runs on the body's pixels
             kept.append(contours[hole])
         hole = int(hierarchy[0][hole][0])
     return body, kept
+
+
+@compiled
+def _keep(body: Grey, labels: Grey) -> None:
+    """Of the labels (h, w) the body's and what is unknown."""
+    for v in range(body.shape[0]):
+        for u in range(body.shape[1]):
+            labels[v, u] = UNKNOWN if labels[v, u] == UNKNOWN else body[v, u]
+
+
+def _n_inside(labels: Grey, contour: NDArray[np.int32]) -> int:
+    """Number of pixels (h, w) that are inside, and within an outer contour."""
+    u, v, width, height = cv2.boundingRect(contour)
+    part = np.zeros((height, width), np.uint8)
+    cv2.drawContours(part, [contour], 0, int(INSIDE), cv2.FILLED, offset=(-u, -v))
+    return int(np.count_nonzero(labels[v : v + height, u : u + width] & part == INSIDE))

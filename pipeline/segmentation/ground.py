@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
-from pipeline.segmentation.background import CameraBackground, flash_gain
+from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation.light import flash_gain
 
 Array = NDArray[np.float32]
 Bits = NDArray[np.uint8]
@@ -35,7 +36,7 @@ class Ground:
 
     coarse: Array  # (H/4, W/4) grey level of each block, but for `gain`
     wall: float  # grey level of the plain wall in this image
-    mean: Array | None  # (H, W) the empty rig; None: nothing is known but `coarse`
+    levels: Bits | None  # (H, W) of the empty rig; None: nothing is known but `coarse`
     gain: float  # of this flash
 
 
@@ -43,9 +44,9 @@ def ground_of(coarse: Bits, known: CameraBackground | None) -> Ground:
     """What to expect in an image of which every fourth row and column (H/4, W/4) is given."""
     if known is None:
         surface = _smooth_surface(coarse)
-        return Ground(coarse=surface, wall=max(float(np.median(surface)), 1.0), mean=None, gain=1.0)
+        return Ground(coarse=surface, wall=max(float(np.median(surface)), 1.0), levels=None, gain=1.0)
     gain = flash_gain(coarse, known.coarse)
-    return Ground(coarse=known.coarse, wall=max(gain * known.typical, 1.0), mean=known.mean, gain=gain)
+    return Ground(coarse=known.coarse, wall=max(gain * known.typical, 1.0), levels=known.levels, gain=gain)
 
 
 def carried(values: Array, is_known: Bits) -> Array:

@@ -4,12 +4,14 @@ The network is sure of most pixels, one way or the other. Between, `delineate` d
 where these have too little contrast, or contradict the network, are unknown.
 """
 
+from math import ceil
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
-from pipeline.segmentation.silhouette import INSIDE
+from pipeline.segmentation.behind import LEAST_SIDE_PX, Behind
 
 Array = NDArray[np.float32]
 Bits = NDArray[np.uint8]
@@ -83,39 +85,34 @@ def limits_of(
     return limits
 
 
-def halo_of(image: Bits, expected: Array, labels: Bits, noise: float) -> Bits:
+def halo_of(behind: Behind, image: Bits, inside: Bits, suspect: Bits, noise: float) -> Bits:
     """Around what differs from the expected just outside of the body found: a rim, a highlight, a sharp shadow.
 
-    As all masks for `delineate`, it is given for every second row and column.
+    Parameters
+    ----------
+    behind
+        What is expected, for a region of the image.
+    image
+        (h, w) the part of the image that is in the region.
+    inside, suspect
+        (height, width) 1 for the region's pixels that are body, and for those that may not be what is expected.
+    noise
+        Standard deviation of a pixel of the image.
+
+    Returns
+    -------
+    array
+        (height, width) 1 for the pixels of the region to be looked at.
     """
-    height, width = labels.shape
-    inside = (labels == INSIDE).view(np.uint8)
-    halved = cv2.resize(inside, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_NEAREST)
-    body = np.minimum(halved, 1)
-    near, around = (
-        # a disc of the greater size costs ten times more
-        np.asarray(cv2.dilate(body, np.ones((distance_px + 1,) * 2, np.uint8)), np.uint8)
-        for distance_px in HALO_PX
+    scale = behind.region.scale
+    # a disc would cost ten times more
+    near, around = (_widened(inside, reach_px / scale) for reach_px in HALO_PX)
+    beyond = behind.differs(
+        image, suspect & (around - near), HALO_CONTRAST, NOISE_SIGMAS / LEAST_SIDE_PX * noise
     )
-    beyond = _differing(image, expected, around - near, NOISE_SIGMAS / 3 * noise)
-    if not beyond.any():
-        return beyond
-    return np.asarray(cv2.dilate(beyond, np.ones((HALO_PX[0] * 2 + 1,) * 2, np.uint8)), np.uint8)
+    return _widened(beyond, 2 * HALO_PX[0] / scale) if beyond.any() else beyond
 
 
-@compiled
-def _differing(image: Bits, expected: Array, ring: Bits, least_grey: float) -> Bits:
-    """Where in a ring (h / 2, w / 2) the mean of nine pixels differs from what is expected there."""
-    height, width = ring.shape
-    differs = np.zeros(ring.shape, np.uint8)
-    for row in range(1, height - 1):
-        for column in range(1, width - 1):
-            if not ring[row, column]:
-                continue
-            total = np.float32(0)
-            for v in range(2 * row - 2, 2 * row + 3, 2):
-                for u in range(2 * column - 2, 2 * column + 3, 2):
-                    total += expected[v, u] - np.float32(image[v, u])
-            least = max(HALO_CONTRAST * expected[2 * row, 2 * column], least_grey)
-            differs[row, column] = abs(total) > 9 * least
-    return differs
+def _widened(mask: Bits, reach: float) -> Bits:
+    """The mask (h, w) wider by so many pixels on each side, rounded up."""
+    return np.asarray(cv2.dilate(mask, np.ones((2 * ceil(reach) + 1,) * 2, np.uint8)), np.uint8)

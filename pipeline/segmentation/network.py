@@ -2,6 +2,7 @@
 
 Two kinds are told apart by what the file says of itself: our own ("stonefall", see `FORMAT`), which sees the
 image and what is expected behind the body, and any of the shape of a U2-Net ("u2net"), which sees the image.
+A file that leaves height and width open computes on what it is given, so small bodies cost less.
 """
 
 import hashlib
@@ -16,21 +17,29 @@ from numpy.typing import NDArray
 from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors
 
 from pipeline.errors import ModelError
-from pipeline.segmentation.region import whole
 from pipeline.segmentation.u2net import PUBLISHED_SIZE_PX, saliency, u2net_input
 
 Array = NDArray[np.float32]
 
 FORMAT = "stonefall-network/1"
 """Value of `format` in the metadata of our own networks."""
+SIZE_PX = "size_px"
+"""The edge, there, of the largest square that a network of open size was trained for."""
+STEP_PX = 16
+"""Such a network halves its resolution four times."""
 CPU = "CPUExecutionProvider"
 AUTOMATIC_PROVIDERS = ("CUDAExecutionProvider", CPU)
 """Tried in this order where nothing is configured. Not TensorRT, which builds its engine for minutes at each start."""
 PROVIDER_OPTIONS: Mapping[str, Mapping[str, str]] = {
-    "CUDAExecutionProvider": {"use_tf32": "0"}  # ten bits of mantissa are another network
+    "CUDAExecutionProvider": {
+        "use_tf32": "0",  # ten bits of mantissa are another network
+        "cudnn_conv_algo_search": "HEURISTIC",  # trying all of them takes long, for every new size of a view
+    }
 }
 MAX_RELATIVE = np.float32(2.0)
 """Our network sees nothing brighter than twice the wall: saturation."""
+CPU_COMPUTES, CANNOT_BE_RUN = "the CPU computes", "cannot be run"
+"""In what is said of a network that does not run where it should, or not at all."""
 RUNTIME_ERRORS = (
     runtime_errors.EPFail,
     runtime_errors.EngineError,
@@ -77,13 +86,15 @@ def start_session(model: bytes, providers: Sequence[str]) -> Session:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Network:
-    """A loaded network. Not for use by several threads at once."""
+    """A loaded network, for any number of threads."""
 
     name: str
     sha256: str
     kind: Kind
     size_px: int
-    """Edge of the square it computes on."""
+    """Edge of the largest square it computes on."""
+    step_px: int
+    """Height and width are multiples of it."""
     metadata: Mapping[str, str]
     fallback: str | None
     """Why it does not run where it was wanted to, for people."""
@@ -96,48 +107,40 @@ class Network:
         """Where it runs."""
         return self._session.get_providers()[0]
 
-    def probability(self, image_relative: Array, expected_relative: Array | None) -> Array:
-        """P(body) (h, w) of a region, which is brought to the network's size and back.
+    def probability(self, view: Array) -> Array:
+        """P(body) (h, w) of a region.
 
-        Our own network sees the region padded to a square, a U2-Net sees it squeezed into one, as published.
-        The result is no sharper than the network's own pixels. A U2-Net's is relative: its greatest value is
-        1 in an empty image, too.
+        A U2-Net sees the region squeezed into its square, as published. Its result is relative: its greatest value
+        is 1 in an empty image, too.
 
         Parameters
         ----------
-        image_relative
-            (h, w) image as a share of the plain wall's grey level.
-        expected_relative
-            (h, w) what is expected behind the body, in the same unit; None where nothing is known of it.
+        view
+            (2, h, w) image, and what is expected behind the body, as shares of the plain wall's grey level and no
+            more than `MAX_RELATIVE`; 0 where nothing is known of it. A U2-Net takes the image alone, of any size.
 
         Raises
         ------
         ModelError
             The network cannot compute, not even on the CPU.
         """
-        height, width = image_relative.shape
-        if self.kind == "u2net":
-            squeezed = _resized(image_relative, (self.size_px, self.size_px))
-            return _resized(saliency(self._run(u2net_input(squeezed))), (width, height))
-        view = np.zeros((1, 2, self.size_px, self.size_px), np.float32)
-        region = whole(image_relative.shape, self.size_px)
-        is_square = image_relative.shape == view.shape[2:]
-        for channel, values in enumerate((image_relative, expected_relative)):
-            if values is not None:
-                seen = values if is_square else region.reduced(values)
-                np.clip(seen, 0, MAX_RELATIVE, out=view[0, channel])
-        found = self._run(view)
-        return found if is_square else region.enlarged(found, image_relative.shape)
+        if self.kind == "stonefall":
+            return self._run(view[None])
+        height, width = view.shape[1:]
+        squeezed = _resized(view[0], (self.size_px, self.size_px))
+        return _resized(saliency(self._run(u2net_input(squeezed))), (width, height))
 
     def _run(self, view: Array) -> Array:
-        """First output (size, size) for an input (1, channels, size, size); on the CPU when a provider fails."""
-        source, target = self._session.get_inputs()[0].name, self._session.get_outputs()[0].name
+        """First output (h, w) for an input (1, channels, h, w); on the CPU when a provider fails."""
+        session = self._session
+        source, target = session.get_inputs()[0].name, session.get_outputs()[0].name
         try:
-            found = self._session.run([target], {source: view})
+            found = session.run([target], {source: view})
         except RUNTIME_ERRORS as err:
-            if self.provider == CPU:
-                raise ModelError(f"model {self.name}: cannot be run: {_line(err)}") from err
-            self.fallback = f"{self.provider} failed, the CPU computes: {_line(err)}"
+            provider = session.get_providers()[0]
+            if provider == CPU:
+                raise ModelError(f"model {self.name}: {CANNOT_BE_RUN}: {_line(err)}") from err
+            self.fallback = f"{provider} failed, {CPU_COMPUTES}: {_line(err)}"
             self._session = self._start(self._model, (CPU,))
             return self._run(view)
         return np.asarray(found[0][0, 0], np.float32)
@@ -162,11 +165,13 @@ def load_network(
             f'model {sha256[:8]}: its metadata says format = "{metadata["format"]}", expected "{FORMAT}";'
             " use a model trained for this version"
         )
+    size_px, step_px = _sizes_px(session, kind, metadata, sha256)
     return Network(
         name=f"{kind}-{sha256[:8]}",
         sha256=sha256,
         kind=kind,
-        size_px=_size_px(session, kind, sha256),
+        size_px=size_px,
+        step_px=step_px,
         metadata=metadata,
         fallback=fallback,
         _model=model,
@@ -205,14 +210,14 @@ def _first_session(model: bytes, providers: Sequence[str], start: StartSession) 
         raise ModelError(
             f"expected an ONNX model, found {len(model)} bytes that are none: {_line(err)}"
         ) from err
-    return session, "; ".join([*problems, "the CPU computes"]) if problems else None
+    return session, f"{', '.join(problems)}, {CPU_COMPUTES}" if problems else None
 
 
-def _size_px(session: Session, kind: Kind, sha256: str) -> int:
-    """Edge of the square input; `ModelError` where inputs and outputs are not those of the kind."""
+def _sizes_px(session: Session, kind: Kind, metadata: Mapping[str, str], sha256: str) -> tuple[int, int]:
+    """Largest edge of the input, and the step of smaller ones; `ModelError` where it is not that of the kind."""
     inputs, outputs = session.get_inputs(), session.get_outputs()
     channels, expected = (
-        (2, 'one input 1x2xNxN ("view") and one output 1x1xNxN ("body")')
+        (2, f'one input 1x2xNxN ("view"; N open only with {SIZE_PX} in the metadata), one output 1x1xNxN')
         if kind == "stonefall"
         else (3, "a U2-Net: one input 1x3xNxN, first output 1x1xNxN")
     )
@@ -220,9 +225,11 @@ def _size_px(session: Session, kind: Kind, sha256: str) -> int:
     if [len(shape) for shape in shapes] == [4, 4] and _fits(shapes[0], channels) and _fits(shapes[1], 1):
         size = shapes[0][2]
         if isinstance(size, int):
-            return size
+            return size, size
         if kind == "u2net":
-            return PUBLISHED_SIZE_PX
+            return PUBLISHED_SIZE_PX, PUBLISHED_SIZE_PX
+        if metadata.get(SIZE_PX, "").isdigit():
+            return int(metadata[SIZE_PX]), STEP_PX
     found = [f"{part.name} {'x'.join(map(str, part.shape))}" for part in (*inputs, *outputs[:1])]
     raise ModelError(f"model {sha256[:8]}: expected {expected}; found {', '.join(found) or 'nothing'}")
 

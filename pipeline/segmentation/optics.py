@@ -13,8 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.compiled import compiled
+from pipeline.each import Each
 from pipeline.frames import CameraId, Frame, Image
-from pipeline.segmentation.background import COARSE, LIT, SLOWEST_WEIGHT, BackgroundModel, CameraBackground
+from pipeline.segmentation.background import COARSE, SLOWEST_WEIGHT, BackgroundModel, CameraBackground
+from pipeline.segmentation.light import LIT
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 
 Array = NDArray[np.float32]
@@ -23,9 +26,12 @@ Mask = NDArray[np.bool_]
 UNPLACED = (ViewStatus.MULTIPLE, ViewStatus.CLIPPED)
 """A body is in view, but nothing says where: it would count as dark wall."""
 BLOCK_PX = COARSE * LIT
-ROW_STEP = 8
-"""Of so many rows of the image one is looked at."""
-RIDGE = np.float32(1e-3)
+ROWS = (4, 12)
+"""Of each block these rows are looked at."""
+EVERY = 3
+"""Of so many blocks one tells of the noise: fifteen hundred are plenty."""
+LEAST_LIGHT = 0.02
+RIDGE = 1e-3
 SATURATED = 255
 SPOT = 0.05
 """A block that is darker than its surroundings by this share is a spot."""
@@ -38,7 +44,7 @@ PROFILES = 48
 """Places along the outline at which its edge is looked at."""
 MIN_OUTLINE_PX = 150
 """The grey level behind the edge of a body with a shorter outline is not flat anywhere."""
-REACH_PX, STEP_PX = 12.0, 0.8
+REACH_PX, STEP_PX, N_STEPS = 12.0, 0.8, 31
 PLATEAU_PX = 8.0
 """Beyond this distance from the edge, blur (to 5 px of motion) mixes nothing in."""
 TANGENT_POINTS = 6
@@ -65,14 +71,20 @@ def observe_all(
     frames: Mapping[CameraId, Frame],
     background: BackgroundModel,
     silhouettes: Mapping[CameraId, Silhouette] = MappingProxyType({}),
+    each: Each = map,
 ) -> dict[CameraId, ViewOptics]:
-    """Of every frame that has a background to compare with, unless bodies were seen whose place is not known."""
-    observed = {
-        camera: observe_optics(frame, background, silhouette)
+    """Of every frame that has a background to compare with, unless bodies were seen whose place is not known.
+
+    `each` may look at several at a time.
+    """
+    placed = [
+        frame
         for camera, frame in frames.items()
         if (silhouette := silhouettes.get(camera)) is None or silhouette.status not in UNPLACED
-    }
-    return {camera: optics for camera, optics in observed.items() if optics is not None}
+    ]
+    observed = each(lambda frame: observe_optics(frame, background, silhouettes.get(frame.camera)), placed)
+    pairs = zip(placed, observed, strict=True)
+    return {frame.camera: optics for frame, optics in pairs if optics is not None}
 
 
 def observe_optics(
@@ -86,17 +98,12 @@ def observe_optics(
     if known is None or known.mean.shape != frame.image.shape:
         return None
     is_wall = known.shows_wall & ~_near_body(silhouette, known.shows_wall.shape)
-    wall = np.flatnonzero(is_wall)[::3]  # fifteen hundred blocks are plenty
-    if len(wall) < MIN_BLOCKS:
+    if np.count_nonzero(is_wall) < MIN_BLOCKS:
         return None
-    few_rows = np.ascontiguousarray(frame.image[ROW_STEP // 2 :: ROW_STEP])
-    ratio: Array = np.divide(
-        block_means(few_rows, is_wall.shape), np.maximum(known.flat_field, 1), dtype=np.float32
-    )
-    rows, columns = _centred(wall, ratio.shape)
-    of_wall = ratio.ravel()[wall]
-    brightness, slope_u, slope_v = _plane(columns, rows, of_wall)
-    level = of_wall / np.maximum(brightness + slope_u * columns + slope_v * rows, np.float32(0.02))
+    means, saturated_share = _block_means(frame.image, *is_wall.shape)
+    ratio: Array = np.divide(means, np.maximum(known.flat_field, 1), dtype=np.float32)
+    brightness, slope_u, slope_v = _plane(ratio, is_wall)
+    level = _levels(ratio, is_wall, brightness, slope_u, slope_v)
     clearest = np.partition(level, -len(level) // 20)[-len(level) // 20]
     edge = None if silhouette is None else _edge(frame.image, silhouette.outline_uv)
     return ViewOptics(
@@ -104,18 +111,34 @@ def observe_optics(
         gradient_uv=(2 * slope_u / brightness, 2 * slope_v / brightness),
         dust=max(0.0, 1 - float(level.mean() / max(clearest, 1e-6))),
         spots_share=_spots_share(ratio, is_wall),
-        saturated_share=np.count_nonzero(few_rows == SATURATED) / few_rows.size,
-        noise_grey=_noise(frame.image, known, wall),
+        saturated_share=saturated_share,
+        noise_grey=_noise_grey(frame.image, known, is_wall),
         edge_width_px=None if edge is None else edge[0],
         contrast=None if edge is None else edge[1],
     )
 
 
-def block_means(few_rows: Image, shape: tuple[int, ...]) -> Array:
-    """Means (H/16, W/16) of blocks, in whole grey levels, from every eighth row (H/8, W) of an image."""
-    height, width = shape
-    rows = few_rows[: height * BLOCK_PX // ROW_STEP, : width * BLOCK_PX]
-    return cv2.resize(rows, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+@compiled
+def _block_means(image: Image, height: int, width: int) -> tuple[Array, float]:
+    """Means (h, w) of blocks of an image (H, W), from two rows of each, and the share of pixels that is saturated."""
+    means = np.empty((height, width), np.float32)
+    n_columns = min(width * BLOCK_PX, image.shape[1])
+    sums, saturated = np.zeros(width * BLOCK_PX, np.uint16), np.zeros(width * BLOCK_PX, np.uint16)
+    n_saturated = 0
+    for row in range(height):
+        upper = image[min(row * BLOCK_PX + ROWS[0], len(image) - 1)]
+        lower = image[min(row * BLOCK_PX + ROWS[1], len(image) - 1)]
+        for u in range(n_columns):
+            sums[u] = np.uint16(upper[u]) + np.uint16(lower[u])
+            saturated[u] += (upper[u] == SATURATED) + (lower[u] == SATURATED)
+        for column in range(width):
+            total = 0
+            for u in range(column * BLOCK_PX, (column + 1) * BLOCK_PX):
+                total += sums[u]
+            means[row, column] = np.float32(total) / np.float32(len(ROWS) * BLOCK_PX)
+    for u in range(n_columns):
+        n_saturated += saturated[u]
+    return means, n_saturated / (len(ROWS) * height * n_columns)
 
 
 def _near_body(silhouette: Silhouette | None, shape: tuple[int, ...]) -> Mask:
@@ -127,80 +150,136 @@ def _near_body(silhouette: Silhouette | None, shape: tuple[int, ...]) -> Mask:
     return near
 
 
-def _centred(blocks: NDArray[np.intp], shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Rows and columns (N,) of blocks with these flat indices (N,), -1..1 from border to border."""
-    rows, columns = (
-        ((2 * at + 1) / np.float32(size) - 1).astype(np.float32)
-        for at, size in zip(np.divmod(blocks, shape[1]), shape, strict=True)
-    )
-    return rows, columns
-
-
-def _plane(u: Array, v: Array, values: Array) -> tuple[float, float, float]:
-    """Least squares plane through values (N,): in the middle, and its slopes along u and v."""
-    terms = np.stack([np.ones_like(u), u, v])
+def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
+    """Least squares plane through some of the values (h, w): in the middle, and its slopes along u and v."""
+    products = _products(values, is_wall)
     # the little on the diagonal only matters where all lie on one line
-    middle, slope_u, slope_v = np.linalg.solve(terms @ terms.T + RIDGE * np.eye(3), terms @ values)
+    middle, slope_u, slope_v = np.linalg.solve(products[:3, :3] + RIDGE * np.eye(3), products[:3, 3])
     return max(float(middle), 0.01), float(slope_u), float(slope_v)
+
+
+@compiled
+def _products(values: Array, is_wall: Mask) -> NDArray[np.float64]:
+    """Sums of the products (4, 4) of 1, u, v and the value, over some places (h, w), -1..1 from border to border."""
+    height, width = values.shape
+    sums, terms = np.zeros((4, 4)), np.ones(4)
+    for row in range(height):
+        for column in range(width):
+            if is_wall[row, column]:
+                terms[1], terms[2] = (2 * column + 1) / width - 1, (2 * row + 1) / height - 1
+                terms[3] = values[row, column]
+                for i in range(4):
+                    for j in range(4):
+                        sums[i, j] += terms[i] * terms[j]
+    return sums
+
+
+@compiled
+def _levels(values: Array, is_wall: Mask, middle: float, slope_u: float, slope_v: float) -> Array:
+    """The values (N,) at some places (h, w), relative to a plane."""
+    height, width = values.shape
+    levels = np.empty(height * width, np.float32)
+    n = 0
+    for row in range(height):
+        for column in range(width):
+            if is_wall[row, column]:
+                u, v = (2 * column + 1) / width - 1, (2 * row + 1) / height - 1
+                levels[n] = values[row, column] / max(middle + slope_u * u + slope_v * v, LEAST_LIGHT)
+                n += 1
+    return levels[:n]
 
 
 def _spots_share(ratio: Array, is_wall: Mask) -> float:
     """Share of the wall that is darker than what surrounds it."""
+    of_wall = ratio[is_wall]
+    if of_wall.min() >= (1 - SPOT) * of_wall.max():
+        return 0.0  # no block is darker than any other
     window = (SURROUNDINGS, SURROUNDINGS)
     weight = cv2.blur(is_wall.astype(np.float32), window)
-    around = cv2.blur(np.where(is_wall, ratio, np.float32(0)), window)
+    around = cv2.blur(ratio * is_wall, window)
     return float(np.mean((ratio * weight < (1 - SPOT) * around)[is_wall]))
 
 
-def _noise(image: Image, known: CameraBackground, wall: NDArray[np.intp]) -> float:
+def _noise_grey(image: Image, known: CameraBackground, is_wall: Mask) -> float:
     """From one pixel of each block of wall, less its neighbour's, so that no slope of light or dust counts."""
-    row, column = np.divmod(wall, known.shows_wall.shape[1])
-    here = (row * BLOCK_PX + BLOCK_PX // 2) * image.shape[1] + column * BLOCK_PX + BLOCK_PX // 2
-    now, before = ((each.take(here), each.take(here + 1)) for each in (image, known.mean))
-    gain = np.float32(now[0].sum() / max(float(before[0].sum()), 1.0))
-    difference = now[0].astype(np.float32) - now[1] - gain * (before[0] - before[1])
     # the mean has noise of its own: of so many frames, or of those that it remembers
     of_mean = max(1 / known.n_frames, SLOWEST_WEIGHT / (2 - SLOWEST_WEIGHT))
-    typical = np.minimum(np.abs(difference), MAX_NOISE_GREY).mean()
     # of a normal distribution sqrt(2 / pi) times its standard deviation; of two pixels
-    return float(typical * np.sqrt(np.pi / 2) / np.sqrt(2 * (1 + of_mean)))
+    deviation = _deviation(image, known.mean, is_wall)
+    return float(deviation * np.sqrt(np.pi / 2) / np.sqrt(2 * (1 + of_mean)))
+
+
+@compiled
+def _deviation(image: Image, mean: Array, is_wall: Mask) -> float:
+    """Mean deviation of a pixel's difference to its neighbour from the background's (H, W), at blocks (h, w)."""
+    differences = np.empty((is_wall.size // EVERY + 1, 2))
+    n, n_wall, seen, empty = 0, 0, 0.0, 0.0
+    for row in range(is_wall.shape[0]):
+        for column in range(is_wall.shape[1]):
+            n_wall += is_wall[row, column]
+            if is_wall[row, column] and n_wall % EVERY == 0:
+                v, u = row * BLOCK_PX + BLOCK_PX // 2, column * BLOCK_PX + BLOCK_PX // 2
+                seen += image[v, u]
+                empty += mean[v, u]
+                differences[n, 0] = float(image[v, u]) - float(image[v, u + 1])
+                differences[n, 1] = mean[v, u] - mean[v, u + 1]
+                n += 1
+    gain, total = seen / max(empty, 1.0), 0.0
+    for i in range(n):
+        total += min(abs(differences[i, 0] - gain * differences[i, 1]), MAX_NOISE_GREY)
+    return total / max(n, 1)
 
 
 def _edge(image: Image, outline_uv: NDArray[np.float64]) -> tuple[float, float] | None:
     """Width from 10 to 90 % in px, and contrast, of the median profile across an outline (N, 2)."""
-    steps_px = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    profiles = _profiles(image, outline_uv, steps_px)
-    within = profiles[:, steps_px <= -PLATEAU_PX].mean(axis=1, keepdims=True)
-    beyond = profiles[:, steps_px >= PLATEAU_PX].mean(axis=1, keepdims=True)
-    step = beyond - within
-    is_clear = np.abs(step[:, 0]) > MIN_STEP_GREY
-    if np.count_nonzero(is_clear) < MIN_BLOCKS:
+    if len(outline_uv) < MIN_OUTLINE_PX:
         return None
-    rise = _middle(((profiles - within) / np.where(step == 0, 1, step))[is_clear])
-    low_px, high_px = np.interp([0.1, 0.9], np.maximum.accumulate(rise), steps_px)
-    return float(high_px - low_px), float(_middle(np.abs(step) / np.maximum(beyond, 1))[0])
+    rises, contrasts = _profiles(image, outline_uv)
+    if len(rises) < MIN_BLOCKS:
+        return None
+    # the upper median, in a fifth of the time that np.median takes
+    middle = len(rises) // 2
+    rise = np.sort(rises, axis=0)[middle]
+    low, high = np.interp([0.1, 0.9], np.maximum.accumulate(rise), np.arange(N_STEPS))
+    return float(high - low) * STEP_PX, float(np.sort(contrasts)[middle])
 
 
-def _profiles(image: Image, outline_uv: NDArray[np.float64], steps_px: NDArray[np.float64]) -> Array:
-    """Grey levels (P, S) at so many px outwards from places along an outline, where it runs unbroken."""
-    n_points = len(outline_uv)
-    if n_points < MIN_OUTLINE_PX:
-        return np.empty((0, len(steps_px)), np.float32)
-    at = np.arange(0, n_points, max(1, n_points // PROFILES))
-    tangent = outline_uv[(at + TANGENT_POINTS) % n_points] - outline_uv[at - TANGENT_POINTS]
-    length = np.hypot(*tangent.T)
-    unbroken = (length > TANGENT_POINTS) & (length < 3 * TANGENT_POINTS)
-    outward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.maximum(length, 1)[:, None]
-    # positive for an outline that runs clockwise as seen
-    outward *= np.sign(cv2.contourArea(outline_uv[::TANGENT_POINTS].astype(np.float32), oriented=True))
-    at_u, at_v = (
-        (outline_uv[at, axis, None] + steps_px * outward[:, axis, None])[unbroken].astype(np.float32)
-        for axis in (0, 1)
-    )
-    grey = cv2.remap(image, at_u, at_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return grey.astype(np.float32)
-
-
-def _middle(values: Array) -> Array:
-    """The upper median (S,) of each column (N, S), in a fifth of the time that np.median takes."""
-    return np.sort(values, axis=0)[len(values) // 2]
+@compiled
+def _profiles(image: Image, outline_uv: NDArray[np.float64]) -> tuple[Array, Array]:
+    """Across an outline where it runs unbroken: rises (P, N_STEPS) outwards, 0..1, and contrasts (P,)."""
+    height, width = image.shape
+    n_points, n_plateau = len(outline_uv), int((REACH_PX - PLATEAU_PX) / STEP_PX) + 1
+    doubled_area = 0.0  # positive for an outline that runs clockwise as seen
+    for i in range(n_points):
+        after = (i + 1) % n_points
+        doubled_area += outline_uv[i, 0] * outline_uv[after, 1] - outline_uv[after, 0] * outline_uv[i, 1]
+    every = max(1, n_points // PROFILES)
+    rises = np.empty((n_points // every + 1, N_STEPS), np.float32)
+    contrasts = np.empty(len(rises), np.float32)
+    n_clear = 0
+    for i in range(0, n_points, every):
+        before, after = (i - TANGENT_POINTS) % n_points, (i + TANGENT_POINTS) % n_points
+        along_u = outline_uv[after, 0] - outline_uv[before, 0]
+        along_v = outline_uv[after, 1] - outline_uv[before, 1]
+        length = np.sqrt(along_u**2 + along_v**2)
+        if not TANGENT_POINTS < length < 3 * TANGENT_POINTS:
+            continue
+        length = length if doubled_area > 0 else -length
+        for k in range(N_STEPS):
+            outwards_px = STEP_PX * k - REACH_PX
+            u = min(max(outline_uv[i, 0] + outwards_px * along_v / length, 0.0), width - 1.001)
+            v = min(max(outline_uv[i, 1] - outwards_px * along_u / length, 0.0), height - 1.001)
+            x, y = int(u), int(v)
+            upper = image[y, x] + (u - x) * (float(image[y, x + 1]) - image[y, x])
+            lower = image[y + 1, x] + (u - x) * (float(image[y + 1, x + 1]) - image[y + 1, x])
+            rises[n_clear, k] = upper + (v - y) * (lower - upper)
+        within, beyond = 0.0, 0.0
+        for k in range(n_plateau):
+            within += rises[n_clear, k] / n_plateau
+            beyond += rises[n_clear, N_STEPS - 1 - k] / n_plateau
+        if abs(beyond - within) > MIN_STEP_GREY:
+            for k in range(N_STEPS):
+                rises[n_clear, k] = (rises[n_clear, k] - within) / (beyond - within)
+            contrasts[n_clear] = abs(beyond - within) / max(beyond, 1.0)
+            n_clear += 1
+    return rises[:n_clear], contrasts[:n_clear]

@@ -1,7 +1,6 @@
 """The region of an image that a network sees, and the way between its pixels and the image's."""
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -12,9 +11,10 @@ from pipeline.segmentation.background import COARSE
 
 Array = NDArray[np.float32]
 Bits = NDArray[np.uint8]
-Pixels = TypeVar("Pixels", Array, Bits)
 Box = tuple[int, int, int, int]
 """x, y, width, height."""
+ROOM = 8
+"""So many pixels of its own a region is wider on each side than it must be: near its border a network sees less."""
 ALIGNED = 4
 """Parts of a region are multiples of so many pixels: means over blocks are far quicker then."""
 
@@ -59,20 +59,19 @@ class Region:
         )
         return region, (rows, columns)
 
-    def reduced(self, image: Pixels) -> Array:
-        """Means (height, width) of an image (H, W)."""
-        cut = _replicated(image, self.left, self.top, self.scale * self.width, self.scale * self.height)
-        small = cv2.resize(cut, (self.width, self.height), interpolation=cv2.INTER_AREA)
-        return np.asarray(small, np.float32)
+    def reduce(self, image: Bits, factor: float, means: Array) -> None:
+        """Write means (height, width) of an image (H, W), whose border goes on outside of it, times a factor."""
+        _reduce(image, self.left, self.top, self.scale, np.float32(factor), means)
 
-    def sampled(self, coarse: Array) -> Array:
-        """The same (height, width) of a smooth image, of which block means (H/4, W/4) are enough."""
+    def sample(self, coarse: Array, factor: float, means: Array) -> None:
+        """Write the same of a smooth image, of which block means (H/4, W/4) are enough."""
         left, top, width, height = (
             size // COARSE
             for size in (self.left, self.top, self.scale * self.width, self.scale * self.height)
         )
         cut = _replicated(coarse, left, top, width, height)
-        return np.asarray(cv2.resize(cut, (self.width, self.height), interpolation=cv2.INTER_LINEAR))
+        cv2.resize(cut, (self.width, self.height), dst=means, interpolation=cv2.INTER_LINEAR)
+        means *= np.float32(factor)
 
     def enlarged(self, values: Array, shape: tuple[int, ...]) -> Array:
         """Values (height, width) interpolated for the pixels `within` an image (H, W)."""
@@ -83,50 +82,52 @@ class Region:
             rows.start - self.top : rows.stop - self.top, columns.start - self.left : columns.stop - self.left
         ]
 
-    def lit(self, light: Array, wanted: Bits, empty: Array) -> Array:
-        """An image (H, W) in this light (height, width), for the pixels `within` it that are wanted (height, width).
-
-        The others are 0: what is asked for beside an edge need not be computed everywhere.
-        """
-        rows, columns = self.within(empty.shape)
-        result = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
-        _light(light, wanted, empty, self.scale, self.top, self.left, rows.start, columns.start, result)
-        return result
-
     def halved(self, mask: Bits, shape: tuple[int, ...]) -> Bits:
-        """A mask (height, width) for every second row and column of the pixels `within` an image (H, W)."""
-        rows, columns = self.within(shape)
-        of_rows = np.arange(rows.start - self.top, rows.stop - self.top, 2) // self.scale
-        of_columns = np.arange(columns.start - self.left, columns.stop - self.left, 2) // self.scale
-        return mask.take(of_rows, axis=0).take(of_columns, axis=1)
+        """A mask (height, width) for blocks of 2 x 2 of the pixels `within` an image (H, W)."""
+        rows, columns = (
+            slice((at.start - first) // 2, (at.stop - first + 1) // 2)
+            for at, first in zip(self.within(shape), (self.top, self.left), strict=True)
+        )
+        size = (self.scale * self.width // 2, self.scale * self.height // 2)
+        return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)[rows, columns]
+
+    def middles(self, fine: Bits, shape: tuple[int, ...]) -> Bits:
+        """Of pixels (h, w) `within` an image (H, W) those in the middle of the region's (height, width); else 0."""
+        result = np.zeros((self.height, self.width), np.uint8)
+        place, chosen = [], []
+        for at, first in zip(self.within(shape), (self.top, self.left), strict=True):
+            middle = first + self.scale // 2
+            index = max(-(-(at.start - middle) // self.scale), 0)
+            begin = middle + self.scale * index - at.start
+            place.append(slice(index, index + len(range(begin, at.stop - at.start, self.scale))))
+            chosen.append(slice(begin, None, self.scale))
+        result[tuple(place)] = fine[tuple(chosen)]
+        return result
 
 
 @compiled
-def _light(
-    light: Array,
-    wanted: Bits,
-    empty: Array,
-    scale: int,
-    top: int,
-    left: int,
-    first_row: int,
-    first_column: int,
-    result: Array,
-) -> None:
-    """Light differs too little from one pixel of the network to the next for interpolation to matter."""
-    height, width = result.shape
-    for y in range(light.shape[0]):
-        last_v = min(top + (y + 1) * scale - first_row, height)
-        for x in range(light.shape[1]):
-            if not wanted[y, x]:
-                continue
-            last_u = min(left + (x + 1) * scale - first_column, width)
-            for v in range(max(top + y * scale - first_row, 0), last_v):
-                for u in range(max(left + x * scale - first_column, 0), last_u):
-                    result[v, u] = empty[first_row + v, first_column + u] * light[y, x]
+def _reduce(image: Bits, left: int, top: int, scale: int, factor: np.float32, means: Array) -> None:
+    height, width = means.shape
+    n_rows, n_columns = image.shape
+    first, last = max(-left, 0), min(n_columns - left, scale * width)
+    sums = np.zeros(scale * width, np.uint16)
+    factor /= np.float32(scale**2)
+    for y in range(height):
+        sums[:] = 0
+        within = sums[first:last]
+        for v in range(top + y * scale, top + (y + 1) * scale):
+            row = image[min(max(v, 0), n_rows - 1), left + first : left + last]
+            for i in range(len(row)):
+                within[i] += row[i]
+        sums[:first], sums[last:] = sums[first], sums[last - 1]
+        for x in range(width):
+            total = 0
+            for k in range(scale):
+                total += sums[scale * x + k]
+            means[y, x] = np.float32(total) * factor
 
 
-def _replicated(image: Pixels, left: int, top: int, width: int, height: int) -> Pixels:
+def _replicated(image: Array, left: int, top: int, width: int, height: int) -> Array:
     """A rectangle (height, width) of an image (H, W), whose border goes on where it reaches beyond."""
     cut = image[max(top, 0) : top + height, max(left, 0) : left + width]
     bottom, right = height - len(cut) - max(-top, 0), width - cut.shape[1] - max(-left, 0)
@@ -137,25 +138,29 @@ def _replicated(image: Pixels, left: int, top: int, width: int, height: int) -> 
     )
 
 
-def square_around(box: Box, margin_px: int, shape: tuple[int, ...], size: int) -> Region:
-    """The finest square of `size` that holds a box and its margin, inside of the image (H, W) if it can be.
+def rectangle_around(box: Box, margin_px: int, shape: tuple[int, ...], largest: int, step: int) -> Region:
+    """The finest region that holds a box and its margin, inside of the image (H, W) if it can be.
 
-    It begins with a coarse block, so that the margin is up to half of one narrower.
+    Its edges are multiples of `step`, at most `largest`. It begins with a coarse block, so that the margin is up to
+    half of one narrower.
     """
     x, y, width, height = box
-    scale = -(-(max(width, height) + 2 * margin_px) // size)
-    side_px = scale * size
+    scale = -(-(max(width, height) + 2 * margin_px) // largest)
+    columns, rows = (
+        min(-(-((length + 2 * margin_px) // scale + 2 * ROOM) // step) * step, largest)
+        for length in (width, height)
+    )
     left, top = (
         # in an image too small for it, in the middle
         (min(max(first, 0), room - side_px) if side_px <= room else (room - side_px) // 2) // COARSE * COARSE
-        for first, room in (
-            (x + width // 2 - side_px // 2 + COARSE // 2, shape[1]),
-            (y + height // 2 - side_px // 2 + COARSE // 2, shape[0]),
+        for first, side_px, room in (
+            (x + width // 2 - scale * columns // 2 + COARSE // 2, scale * columns, shape[1]),
+            (y + height // 2 - scale * rows // 2 + COARSE // 2, scale * rows, shape[0]),
         )
     )
-    return Region(left=left, top=top, scale=scale, width=size, height=size)
+    return Region(left=left, top=top, scale=scale, width=columns, height=rows)
 
 
-def whole(shape: tuple[int, ...], size: int) -> Region:
-    """The square that holds an image of this shape (H, W)."""
-    return square_around((0, 0, shape[1], shape[0]), 0, shape, size)
+def whole(shape: tuple[int, ...], largest: int, step: int) -> Region:
+    """The region that holds an image of this shape (H, W)."""
+    return rectangle_around((0, 0, shape[1], shape[0]), 0, shape, largest, step)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
+from pipeline.segmentation.grey_levels import GreyLevels
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]
@@ -23,6 +24,9 @@ N_SLOPES = 7
 """Steps at which the slope is taken: it is steepest at one of them, the first and last excepted."""
 SPAN = 4
 """Steps over which a slope is taken: 2 px, three times the lens's blur."""
+N_STEPS = N_SLOPES + SPAN
+LANES = 8
+"""Slopes are kept in rows of so many, which the processor adds at once."""
 LEAST_SLOPE = np.float32(0.04)
 """Of an edge, as a share of what is behind over `SPAN`; grain and noise have less."""
 BEYOND_PX = np.float32(3.0)
@@ -39,9 +43,7 @@ DOUBT_PX = 4
 
 @compiled
 def to_steepest(
-    image: Grey | Array,
-    expected: Array,
-    gain: np.float32,
+    view: GreyLevels,
     min_contrast: np.float32,
     labels: Grey,
     points_uv: NDArray[np.float64],
@@ -52,12 +54,58 @@ def to_steepest(
     Pixels of `labels` (h, w) outside of the body, beside a point that does not lie on its edge, become
     unknown. The number of such points is returned.
     """
-    height, width = image.shape
-    n_points, n_steps = len(points_uv), N_SLOPES + SPAN
+    n_points = len(points_uv)
+    inwards = _inwards(view, points_uv, seen)
+    slopes = _slopes(view, points_uv, inwards, seen)
+    rests = np.zeros(n_points, np.float32)  # of the body, just outside of the edge, in grey levels
+    behinds, heights = np.zeros(n_points, np.float32), np.zeros(n_points, np.float32)
+    smooth = np.empty(LANES, np.float32)
+    for i in range(n_points):
+        if not seen[i]:
+            continue
+        for k in range(LANES):
+            smooth[k] = 0
+        for j in range(len(WEIGHTS)):
+            near = _along(i, j - len(WEIGHTS) // 2, n_points)
+            near = near if seen[near] else i
+            for k in range(LANES):
+                smooth[k] += WEIGHTS[j] * slopes[near, k]
+        best = 1
+        for k in range(2, N_SLOPES - 1):
+            if abs(smooth[k]) > abs(smooth[best]):
+                best = k
+        before, highest, after = abs(smooth[best - 1]), abs(smooth[best]), abs(smooth[best + 1])
+        bend = min(before - 2 * highest + after, np.float32(-1e-3))
+        top = min(max((before - after) / (2 * bend), np.float32(-0.5)), np.float32(0.5))
+        depth_px = (np.float32(best - N_SLOPES // 2) + top) * STEP_PX
+        points_uv[i, 0] += depth_px * inwards[i, 0]
+        points_uv[i, 1] += depth_px * inwards[i, 1]
+        u = int(points_uv[i, 0] - BEYOND_PX * inwards[i, 0] + 0.5)
+        v = int(points_uv[i, 1] - BEYOND_PX * inwards[i, 1] + 0.5)
+        behinds[i], heights[i] = view.gain * np.float32(view.expected[v + view.top, u + view.left]), highest
+        if labels[v, u] == OUTSIDE:
+            rests[i] = behinds[i] - np.float32(view.image[v, u])
+    n_doubtful = 0
+    for i in range(n_points):
+        if not seen[i]:
+            continue
+        rest = np.float32(0)
+        for j in range(len(WEIGHTS)):
+            rest += WEIGHTS[j] * rests[_along(i, j - len(WEIGHTS) // 2, n_points)]
+        least_rest = max(REST_SHARE * min_contrast * behinds[i], LEAST_REST)
+        if heights[i] < LEAST_SLOPE * behinds[i] or abs(rest) > least_rest:
+            n_doubtful += 1
+            _doubt(labels, int(points_uv[i, 0] + 0.5), int(points_uv[i, 1] + 0.5))
+    return n_doubtful
+
+
+@compiled
+def _inwards(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey) -> Array:
+    """Inward normals (N, 2) of a contour; points that have none, or are at the border of the region, are not seen."""
+    height, width = view.image.shape
+    n_points = len(points_uv)
     far_px = BEYOND_PX + np.float32(2)
-    inwards = np.zeros((n_points, 2), np.float32)
-    slopes = np.zeros((n_points, N_SLOPES), np.float32)
-    profile = np.zeros(n_steps, np.float32)
+    inwards = np.empty((n_points, 2), np.float32)
     for i in range(n_points):
         before = after = i
         for _ in range(TANGENT_REACH):
@@ -67,69 +115,59 @@ def to_steepest(
         du = np.float32(points_uv[after, 0] - points_uv[before, 0])
         dv = np.float32(points_uv[after, 1] - points_uv[before, 1])
         length = max(np.sqrt(du * du + dv * dv), np.float32(1e-6))
-        du, dv = dv / length, -du / length
-        inwards[i, 0], inwards[i, 1] = du, dv
-        point_u, point_v = np.float32(points_uv[i, 0]), np.float32(points_uv[i, 1])
-        if not (far_px <= min(point_u, point_v) and point_u < width - far_px and point_v < height - far_px):
-            seen[i] = 0  # at the border of the region
-        if before == after:
-            seen[i] = 0  # alone, and an edge without direction
+        inwards[i, 0], inwards[i, 1] = dv / length, -du / length
+        u, v = points_uv[i, 0], points_uv[i, 1]
+        if before == after or not (far_px <= min(u, v) and u < width - far_px and v < height - far_px):
+            seen[i] = 0
+    return inwards
+
+
+@compiled
+def _slopes(view: GreyLevels, points_uv: NDArray[np.float64], inwards: Array, seen: Grey) -> Array:
+    """Change of the grey level (N, LANES) across the edge, over `SPAN` steps, at `N_SLOPES` of them."""
+    # unsigned indices of a flat image: numba asks of any other whether it is negative
+    width = np.uint64(view.image.shape[1])
+    image, expected = view.image.ravel(), view.expected.ravel()
+    half, expected_width = np.float32(0.5) * view.gain, view.expected.shape[1]
+    slopes = np.zeros((len(points_uv), LANES), np.float32)
+    profile, at, behind_at = (
+        np.zeros(N_STEPS, np.float32),
+        np.empty(N_STEPS, np.int64),
+        np.empty(N_STEPS, np.int64),
+    )
+    right, down = np.empty(N_STEPS, np.float32), np.empty(N_STEPS, np.float32)
+    for i in range(len(points_uv)):
         if not seen[i]:
             continue
-        for k in range(n_steps):
-            depth_px = np.float32(k - n_steps // 2) * STEP_PX
-            u, v = point_u + depth_px * du, point_v + depth_px * dv
-            x, y = int(u), int(v)
-            a, b = u - np.float32(x), v - np.float32(y)
-            upper, lower = np.float32(image[y, x]), np.float32(image[y + 1, x])
-            upper += a * (np.float32(image[y, x + 1]) - upper)
-            lower += a * (np.float32(image[y + 1, x + 1]) - lower)
+        point_u, point_v = np.float32(points_uv[i, 0]), np.float32(points_uv[i, 1])
+        for k in range(N_STEPS):
+            depth_px = np.float32(k - N_STEPS // 2) * STEP_PX
+            u, v = point_u + depth_px * inwards[i, 0], point_v + depth_px * inwards[i, 1]
+            x, y = np.int32(u), np.int32(v)
+            right[k], down[k] = u - np.float32(x), v - np.float32(y)
+            at[k] = y * np.int64(width) + x
+            behind_at[k] = (y + view.top) * expected_width + x + view.left
+        for k in range(N_STEPS):
+            pixel = np.uint64(at[k])
+            upper, lower = np.float32(image[pixel]), np.float32(image[pixel + width])
+            upper += right[k] * (np.float32(image[pixel + np.uint64(1)]) - upper)
+            lower += right[k] * (np.float32(image[pixel + width + np.uint64(1)]) - lower)
             # at the edge half of what is behind shines through: so its own slope has no share in the sum's
-            profile[k] = np.float32(0.5) * gain * expected[y, x] - upper - b * (lower - upper)
+            behind = half * np.float32(expected[np.uint64(behind_at[k])])
+            profile[k] = behind - upper - down[k] * (lower - upper)
         for k in range(N_SLOPES):
             slopes[i, k] = profile[k + SPAN] - profile[k]
-    rests = np.zeros(n_points, np.float32)  # of the body, just outside of the edge, in grey levels
-    behinds = np.zeros(n_points, np.float32)
-    heights = np.zeros(n_points, np.float32)
-    smooth = np.zeros(N_SLOPES, np.float32)
-    for i in range(n_points):
-        if not seen[i]:
-            continue
-        smooth[:] = 0
-        for j in range(len(WEIGHTS)):
-            near = _along(i, j - len(WEIGHTS) // 2, n_points)
-            near = near if seen[near] else i
-            for k in range(N_SLOPES):
-                smooth[k] += WEIGHTS[j] * slopes[near, k]
-        best = 1
-        for k in range(1, N_SLOPES - 1):
-            if abs(smooth[k]) > abs(smooth[best]):
-                best = k
-        before, highest, after = abs(smooth[best - 1]), abs(smooth[best]), abs(smooth[best + 1])
-        bend = min(before - 2 * highest + after, np.float32(-1e-3))
-        top = min(max((before - after) / (2 * bend), np.float32(-0.5)), np.float32(0.5))
-        depth_px = (best - N_SLOPES // 2 + top) * STEP_PX
-        points_uv[i, 0] += depth_px * inwards[i, 0]
-        points_uv[i, 1] += depth_px * inwards[i, 1]
-        u = int(points_uv[i, 0] - BEYOND_PX * inwards[i, 0] + 0.5)
-        v = int(points_uv[i, 1] - BEYOND_PX * inwards[i, 1] + 0.5)
-        behinds[i], heights[i] = gain * expected[v, u], highest
-        if labels[v, u] == OUTSIDE:
-            rests[i] = behinds[i] - np.float32(image[v, u])
-    n_doubtful = 0
-    for i in range(n_points):
-        rest = np.float32(0)
-        for j in range(len(WEIGHTS)):
-            rest += WEIGHTS[j] * rests[_along(i, j - len(WEIGHTS) // 2, n_points)]
-        least_rest = max(REST_SHARE * min_contrast * behinds[i], LEAST_REST)
-        if seen[i] and (heights[i] < LEAST_SLOPE * behinds[i] or abs(rest) > least_rest):
-            n_doubtful += 1
-            u, v = int(points_uv[i, 0] + 0.5), int(points_uv[i, 1] + 0.5)
-            for y in range(max(v - DOUBT_PX, 0), min(v + DOUBT_PX + 1, height)):
-                for x in range(max(u - DOUBT_PX, 0), min(u + DOUBT_PX + 1, width)):
-                    if labels[y, x] == OUTSIDE and (y - v) ** 2 + (x - u) ** 2 <= DOUBT_PX**2:
-                        labels[y, x] = UNKNOWN
-    return n_doubtful
+    return slopes
+
+
+@compiled
+def _doubt(labels: Grey, u: int, v: int) -> None:
+    """What is outside around a point is unknown."""
+    height, width = labels.shape
+    for y in range(max(v - DOUBT_PX, 0), min(v + DOUBT_PX + 1, height)):
+        for x in range(max(u - DOUBT_PX, 0), min(u + DOUBT_PX + 1, width)):
+            if labels[y, x] == OUTSIDE and (y - v) ** 2 + (x - u) ** 2 <= DOUBT_PX**2:
+                labels[y, x] = UNKNOWN
 
 
 @compiled

@@ -4,33 +4,23 @@ Where the background itself is dark (screws, vents, apertures, holes) body and b
 told apart: those pixels are unknown, and an unknown pixel never carves.
 """
 
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation.background import (
-    COARSE,
-    BackgroundModel,
-    CameraBackground,
-    flash_gain,
-    uneven_light,
-)
+from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
+from pipeline.segmentation.comparison import DIFFERS, Thresholds, limits_around, marked, sampled
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
+from pipeline.segmentation.light import flash_gain, uneven_light
+from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
-Level = TypeVar("Level", np.uint8, np.float32)
 Box = tuple[int, int, int, int]  # x, y, width, height
-
-FINE = 2
-"""Within the region of the body every so many-th pixel of every so many-th row is compared."""
-CORE_DEPTH = 2
-"""Beyond this depth, in fine steps, behind the first trace of the body, blur no longer mixes the background in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,18 +45,12 @@ class SegmentationParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EmptyView:
-    """What a view shows without a body, in the light of one flash; arrays (h, w)."""
+    """What a view shows without a body, in the light of one flash, beside what it shows; arrays (H/4, W/4)."""
 
-    expected: Grey  # grey level
-    allowed: Grey  # deviation from it that is no body
-    dark: Grey  # 1 where no deviation tells anything
+    seen: Grey  # a pixel of each block
+    levels: Grey  # grey level without a body, but for `gain`
     gain: float  # strength of the flash, relative to the background's
     light: Array | None  # strength of the light at each place on top of that, `None` where it is even
-
-    def differs(self, seen: Grey) -> Grey:
-        """1 where an image is not the empty view."""
-        deviation = np.asarray(cv2.absdiff(seen, self.expected), np.uint8)
-        return (deviation > self.allowed).view(np.uint8) & ~self.dark
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,99 +68,80 @@ class BackgroundSegmenter:
         known = background.get(frame.camera)
         if known is None or known.mean.shape != frame.image.shape:
             return no_body(frame, ViewStatus.NO_BACKGROUND), None
-        status, empty, box = self.locate(frame, known)
+        empty = empty_view(frame.image, known)
+        status, box = self.locate(empty, known)
         if box is None:
             return no_body(frame, status), empty
-        rows, columns = _full_size(box, frame.image.shape)
-        image = frame.image[rows, columns].copy()
-        expected = known.mean[rows, columns]
+        region = _full_size(box, frame.image.shape)
+        rows, columns = region
+        image = frame.image[region].copy()
+        even = levels = known.levels
+        left, top = columns.start, rows.start
         if empty.light is not None:
-            expected = expected * _magnified(empty.light, rows, columns, image.shape)
-
-        seen = image[::FINE, ::FINE].copy()
-        nearby = replace(
-            empty,
-            expected=_magnified(empty.expected, rows, columns, seen.shape),
-            allowed=_magnified(empty.allowed, rows, columns, seen.shape),
-            dark=_magnified(empty.dark, rows, columns, seen.shape),
-        )
-        unknown = np.asarray(cv2.dilate(nearby.dark, _disc(1)), np.uint8)
-        differs = nearby.differs(seen) & (1 - unknown)
+            even, left, top = even[region].copy(), 0, 0
+            levels = _lit(even, empty.light[_in_blocks(region)])
         delineation = delineate(
             image,
-            expected,
-            cv2.erode(differs, _disc(CORE_DEPTH)).view(np.bool_),
-            cv2.dilate(differs, _disc(1)).view(np.bool_),
-            unknown.view(np.bool_),
+            levels,
+            *limits_around(image, levels, even, left, top, self._thresholds(empty, known)),
+            expected_from_uv=(left, top),
             gain=empty.gain,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
         )
         return silhouette_of(frame, (columns.start, rows.start), delineation), empty
 
-    def locate(self, frame: Frame, known: CameraBackground) -> tuple[ViewStatus, EmptyView, Box | None]:
-        """Box of the body in coarse pixels, or why there is none, and the empty view in coarse pixels.
+    def locate(self, empty: EmptyView, known: CameraBackground) -> tuple[ViewStatus, Box | None]:
+        """Box of the body in coarse pixels, or why there is none.
 
         What lies on both sides of a dark dot is one body: the dot may hide the bridge.
         """
         p = self.parameters
-        seen = sampled(frame.image)  # noise is far below the least contrast
-        gain = flash_gain(seen, known.coarse)
-        light = uneven_light(seen, known, gain)
-        wall = known.coarse if light is None else known.coarse * light
-        empty = EmptyView(
-            expected=_grey(wall, gain),
-            allowed=_grey(wall, gain * p.min_contrast, 4),
-            dark=(known.coarse < p.dark_share * known.typical).view(np.uint8),
-            gain=gain,
-            light=light,
-        )
-        # beside a dark dot a pixel differs from the mean of its block however still it stands
-        dark = np.asarray(cv2.dilate(empty.dark, np.ones((3, 3), np.uint8)), np.uint8)
-        differs = empty.differs(seen) & ~dark
-        contours, _ = cv2.findContours(differs | dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        marks = marked(empty.seen, empty.levels, known.coarse_darkest, self._thresholds(empty, known))
+        contours, _ = cv2.findContours(marks, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         found = []
         for contour in contours:
             u, v, width, height = cv2.boundingRect(contour)
-            if not differs[v : v + height, u : u + width].any():
-                continue  # a dark dot
+            if width * height * COARSE**2 < p.min_body_px:
+                continue
             part = np.zeros((height, width), np.uint8)
-            cv2.drawContours(part, [contour], 0, 1, cv2.FILLED, offset=(-u, -v))
-            n_pixels = cv2.countNonZero(part & differs[v : v + height, u : u + width])
+            cv2.drawContours(part, [contour], 0, int(DIFFERS), cv2.FILLED, offset=(-u, -v))
+            n_pixels = cv2.countNonZero(part & marks[v : v + height, u : u + width])
             found.append((n_pixels * COARSE**2, (u, v, width, height)))
         found.sort(reverse=True)
         if not found or found[0][0] < p.min_body_px:
-            return ViewStatus.EMPTY, empty, None
+            return ViewStatus.EMPTY, None
         if len(found) > 1 and found[1][0] > max(p.min_body_px, p.second_body_share * found[0][0]):
-            return ViewStatus.MULTIPLE, empty, None
-        return ViewStatus.OK, empty, found[0][1]
+            return ViewStatus.MULTIPLE, None
+        return ViewStatus.OK, found[0][1]
+
+    def _thresholds(self, empty: EmptyView, known: CameraBackground) -> Thresholds:
+        return Thresholds(
+            gain=np.float32(empty.gain),
+            min_contrast=np.float32(self.parameters.min_contrast),
+            dark=np.uint8(np.ceil(self.parameters.dark_share * known.typical)),
+        )
 
 
-def sampled(image: Grey) -> Grey:
-    """A pixel (H/4, W/4) from the middle of each block."""
-    height, width = (size // COARSE for size in image.shape)
-    middle = image[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE]
-    return np.ascontiguousarray(middle[:height, :width])
+def empty_view(image: Grey, known: CameraBackground) -> EmptyView:
+    """What an image (H, W) would show without a body."""
+    seen = sampled(image)  # noise is far below the least contrast
+    gain = flash_gain(seen, known.coarse)
+    light = uneven_light(seen, known.plain_wall, gain)
+    levels = known.coarse_levels if light is None else _lit(known.coarse_levels, light)
+    return EmptyView(seen=seen, levels=levels, gain=gain, light=light)
 
 
 def warm_up() -> None:
-    """Compile what segmentation needs, by segmenting views made up for it: seconds that the first stone has not.
-
-    For regions within an image and as large as it: arrays with gaps between their rows and without.
-    """
+    """Compile what views of clean rigs need, by looking at one made up for it: seconds that the first stone has not."""
     camera = CameraId("warm-up")
-    for size_px in (3 * MARGIN_PX, 6 * MARGIN_PX):
-        image = np.full((size_px, size_px), 200, np.uint8)
-        body = slice(size_px // 2 - 20, size_px // 2 + 20)
-        image[body, body] = 60
-        empty = CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)
-        frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
-        silhouette = BackgroundSegmenter()(frame, {camera: empty})
-        silhouette.measure_distance()
-
-
-def _grey(levels: Array, factor: float, offset: float = 0.0) -> Grey:
-    return np.asarray(cv2.convertScaleAbs(levels, alpha=factor, beta=offset), np.uint8)
+    image = np.full((8 * MARGIN_PX,) * 2, 200, np.uint8)
+    image[3 * MARGIN_PX : 5 * MARGIN_PX, 3 * MARGIN_PX : 5 * MARGIN_PX] = 60
+    empty = CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)
+    frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
+    silhouette = BackgroundSegmenter()(frame, {camera: empty})
+    silhouette.measure_distance()
+    observe_optics(frame, {camera: empty}, silhouette)
 
 
 def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -189,13 +154,14 @@ def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
     )
 
 
-def _magnified(coarse: NDArray[Level], rows: slice, columns: slice, shape: tuple[int, ...]) -> NDArray[Level]:
-    """Values (H/4, W/4) of the blocks of an image in a region that begins with a block, brought to a shape (h, w)."""
-    height, width = shape
-    last_row, last_column = (-(-at.stop // COARSE) for at in (rows, columns))
-    blocks = coarse[rows.start // COARSE : last_row, columns.start // COARSE : last_column]
-    return np.asarray(cv2.resize(blocks, (width, height), interpolation=cv2.INTER_LINEAR), coarse.dtype)
+def _in_blocks(region: tuple[slice, slice]) -> tuple[slice, slice]:
+    """Rows and columns of the blocks of a region, which begins with one."""
+    rows, columns = (slice(at.start // COARSE, -(-at.stop // COARSE)) for at in region)
+    return rows, columns
 
 
-def _disc(radius_px: int) -> NDArray[np.uint8]:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1,) * 2), np.uint8)
+def _lit(levels: Grey, light: Array) -> Grey:
+    """Grey levels (h, w) in a light that is given for fewer places of the same region."""
+    height, width = levels.shape
+    fine = cv2.resize(light, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.multiply(levels, fine, dtype=cv2.CV_8U), np.uint8)

@@ -79,7 +79,7 @@ def body_from_mesh(name: str, mesh: trimesh.Trimesh) -> Body:
     MeshError
         The mesh is not a closed surface around a volume.
     """
-    solid = solid_of(mesh)
+    solid = solid_of(mesh.vertices, mesh.faces)
     faces = mesh.faces if mesh.volume > 0 else mesh.faces[:, ::-1]
     return Body(name=name, mesh=trimesh.Trimesh(mesh.vertices - solid.center_mm, faces, process=False))
 

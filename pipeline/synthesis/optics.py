@@ -60,9 +60,7 @@ def expose(radiance: FloatImage, parameters: ExposureParameters, rng: np.random.
     """The sensor's 8-bit image of a radiance (H, W) in grey levels: shot and read noise, rounding."""
     unit_noise: FloatImage = rng.standard_normal(radiance.shape, dtype=np.float32)
     return np.asarray(
-        _noisy(
-            radiance, unit_noise, np.float32(parameters.shot_noise), np.float32(parameters.read_noise**2)
-        )
+        _noisy(radiance, unit_noise, np.float32(parameters.shot_noise), np.float32(parameters.read_noise**2))
     )
 
 

@@ -44,9 +44,9 @@ class Scene:
         return render_bundle([placed], self.simulated, rng, sequence=1, label=label)
 
 
-def build_scene(seed: int) -> Scene:
-    """The design, built with the deviations of `as_built`; its background is learnt from images."""
-    simulated = simulate_rig(as_built(nominal_rig(), seed), stream(seed, HOUSING))
+def build_scene(seed: int, design: RigCalibration | None = None) -> Scene:
+    """The rig's design, or another, built with the deviations of `as_built`; its background is learnt from images."""
+    simulated = simulate_rig(as_built(design or nominal_rig(), seed), stream(seed, HOUSING))
     background: BackgroundModel = {}
     for number in range(N_EMPTY):
         empty = render_empty(simulated, stream(seed, EMPTY, number), sequence=number + 1)

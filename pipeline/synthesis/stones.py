@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from pipeline.synthesis.bodies import SPHERE_SUBDIVISIONS, Body, body_from_mesh
@@ -97,9 +96,16 @@ def stone(form_name: str, size_mm: float, rng: np.random.Generator) -> Body:
     radii *= 1 + _roughness(directions * axes, form.roughness, rng)
 
     points = radii[:, None] * directions * axes
-    points *= size_mm / pdist(points[ConvexHull(points).vertices]).max()
+    points *= size_mm / _greatest_distance(points)
     body = body_from_mesh(form_name, trimesh.Trimesh(points, sphere.faces, process=False))
     return replace(body, grey=rng.uniform(45, 80), contrast=rng.uniform(0.12, 0.25))
+
+
+def _greatest_distance(points: Array) -> float:
+    """Between any two of points (N, 3) around the origin."""
+    radii = np.linalg.norm(points, axis=1)
+    at_least = np.linalg.norm(points - points[np.argmax(radii)], axis=1).max()
+    return float(pdist(points[radii + radii.max() >= at_least]).max())
 
 
 def random_size_mm(rng: np.random.Generator) -> float:

@@ -100,7 +100,7 @@ def try_body(
     bundle = scene.photograph(placed, rng, body.name)
     silhouettes = segment_all(bundle.frames, scene.background, BackgroundSegmenter())
     truth = Surface(placed.world_mesh)
-    shape = measure_shape(truth.mesh)
+    shape = measure_shape(truth.mesh.vertices, truth.mesh.faces)
 
     def judged(rig: str, method: Method, measured: Measured | str) -> Trial:
         trial = Trial(body=body.name, number=number, rig=rig, method=method, failure=None)
@@ -152,7 +152,7 @@ def _measure(
 
 
 def _errors(measured: Measured, true: ShapeMeasurement) -> ShapeErrors:
-    shape = measure_shape(measured.mesh)
+    shape = measure_shape(measured.mesh.vertices, measured.mesh.faces)
     return ShapeErrors(
         mesh_volume_percent=100 * (shape.volume_mm3 / true.volume_mm3 - 1),
         volume_percent=100 * (measured.volume_mm3 / true.volume_mm3 - 1),

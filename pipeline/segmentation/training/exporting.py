@@ -8,8 +8,9 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from pipeline.segmentation.network import FORMAT
+from pipeline.segmentation.network import FORMAT, SIZE_PX
 from pipeline.segmentation.training.architecture import BodyNetwork
+from pipeline.segmentation.training.blocks import in_blocks
 from pipeline.segmentation.training.layers import VIEW_PX
 
 OPSET = 17
@@ -25,7 +26,7 @@ class _WithSigmoid(nn.Module):  # type: ignore[misc] # torch is not there when t
 
 
 def to_onnx(network: BodyNetwork, metadata: Mapping[str, str]) -> bytes:
-    """The network as an ONNX file: `view` 1x2x256x256 in, `body` 1x1x256x256 out, P(body) in 0..1.
+    """The network as an ONNX file: `view` 1x2xHxW in, `body` 1x1xHxW out, P(body) in 0..1.
 
     Batch normalization is folded into the convolutions. `metadata` is kept beside the format's name.
     """
@@ -43,7 +44,6 @@ def to_onnx(network: BodyNetwork, metadata: Mapping[str, str]) -> bytes:
             output_names=["body"],
             dynamo=False,
         )
-    model = onnx.load_from_string(file.getvalue())
-    onnx.helper.set_model_props(model, {"format": FORMAT, **metadata})
-    onnx.checker.check_model(model)
+    model = in_blocks(onnx.load_from_string(file.getvalue()))
+    onnx.helper.set_model_props(model, {"format": FORMAT, SIZE_PX: str(VIEW_PX), **metadata})
     return bytes(model.SerializeToString())

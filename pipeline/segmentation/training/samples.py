@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.segmentation.background import flash_gain
+from pipeline.segmentation.light import flash_gain
 from pipeline.segmentation.network import MAX_RELATIVE
 from pipeline.segmentation.training.layers import CANVAS_PX, VIEW_PX, BodyLayer, WallLayer
 from pipeline.synthesis.background import WALL_GREY

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.segmentation.background import coarsen, flash_gain
+from pipeline.segmentation.background import coarsen
+from pipeline.segmentation.light import flash_gain
 from pipeline.segmentation.network import MAX_RELATIVE
 from pipeline.segmentation.training.layers import VIEW_PX
 from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view

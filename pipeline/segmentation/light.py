@@ -1,0 +1,176 @@
+"""The light of one exposure, relative to the empty rig's, read off the frame itself.
+
+A flash differs by a factor, a panel that fails by a slope, dust on the window by patches. None of this is
+kept from one frame to the next: results depend neither on order nor on workers.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.compiled import compiled
+
+Grey = NDArray[np.uint8]
+Array = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+SPARSE = (slice(None, None, 4), slice(None, None, 8))
+"""Of the blocks, these are plenty for two quantiles."""
+LEAST_GREY = 16
+"""A darker wall tells nothing of the flash."""
+LIT = 4
+"""Edge of the blocks, in coarse ones, on which the light is judged."""
+UNLIKE = np.float32(0.1)
+"""What the fitted light misses by more than this share may be no wall: body, shadow, glint, or a dusty patch."""
+NEAR, STEP, MAX_STEPS = 1.5, np.float32(0.05), 16
+"""The light is followed into such a patch a few blocks at a time, no steeper than this, and so often."""
+FADING = np.float32(1e-3)
+"""Weight of the fitted light itself: it is all there is where no wall is near."""
+MAX_SAMPLES = 320
+MIN_SAMPLES = 24
+"""Blocks of plain wall that the light is fitted to."""
+RIDGE = 1e-4
+APPROACH = ((3, 0.4), (3, 0.2), (3, 0.12), (6, 0.1), (6, 0.06))
+"""Steps of the fit: terms of the polynomial, and the relative deviation up to which a block takes part."""
+LEAST_LIGHT = np.float32(0.02)
+EVEN, EVEN_SHARE = np.float32(0.015), 0.05
+"""The light is a factor and no more if so few blocks, those at the outline of a body, differ from it by more."""
+REACH = 3.0
+"""Standard deviation, in blocks of light, over which a local deviation of the light is carried on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainWall:
+    """What the light is read off: the wall without screws, vents and apertures, in blocks of 16 pixels."""
+
+    levels: Array  # (h, w) grey levels, the flash divided out
+    is_plain: Mask  # (h, w)
+
+    @cached_property
+    def terms(self) -> Array:
+        """(h * w, 6) of a quadratic in the place of each block, -1..1 from border to border."""
+        y, x = (
+            ((2 * at + 1) / size - 1).ravel()
+            for at, size in zip(np.indices(self.levels.shape), self.levels.shape, strict=True)
+        )
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1, dtype=np.float32)
+
+    @cached_property
+    def samples(self) -> NDArray[np.intp]:
+        """(N,) flat indices of some blocks of it, evenly spread."""
+        step = max(1, round((self.levels.size / MAX_SAMPLES) ** 0.5))
+        few = (slice(step // 2, None, step),) * 2
+        return np.arange(self.levels.size).reshape(self.levels.shape)[few][self.is_plain[few]]
+
+    @cached_property
+    def sampled_terms(self) -> Array:
+        """(N, 6) of these."""
+        return self.terms[self.samples]
+
+
+def flash_gain(coarse: NDArray[np.generic], coarse_background: Array) -> float:
+    """Strength of this flash relative to the background's, from the blocks (h, w) that still show it.
+
+    A dark body covers up to half of the image: the gain is the median of the ratios near their
+    upper mode, not of all of them.
+    """
+    wall = np.maximum(coarse_background[SPARSE], 1)
+    ratios: Array = np.divide(coarse[SPARSE], wall, dtype=np.float32)
+    ratios = np.sort(ratios[wall > LEAST_GREY])
+    if ratios.size == 0:
+        return 1.0
+    bright = ratios[-(ratios.size // 10) - 1]
+    first, last = np.searchsorted(ratios, (np.float32(0.9) * bright, np.float32(1.1) * bright))
+    gain = float(ratios[(first + last) // 2]) if first < last else float(bright)
+    return gain if gain > 0.05 else 1.0
+
+
+def uneven_light(coarse: Grey, wall: PlainWall, gain: float) -> Array | None:
+    """Strength of the light at each place, on top of the flash's; `None`: it is even.
+
+    A quadratic in both coordinates is fitted to the plain wall, and from the blocks that agree with it the light is
+    followed outwards, as long as it changes slowly. A body is not followed, for its outline is a step: beneath
+    it, and a little around it, the light is what its surroundings say.
+
+    Parameters
+    ----------
+    coarse
+        One pixel (H/4, W/4) of each block of the frame.
+    gain
+        Strength of the flash, see `flash_gain`.
+
+    Returns
+    -------
+    array
+        (H/4, W/4) factors, smooth over some `LIT` * `REACH` blocks.
+    """
+    if min(coarse.shape) < LIT:
+        return None
+    ratio, n_uneven = _relative(coarse, wall.levels, wall.is_plain, np.float32(gain))
+    if n_uneven < EVEN_SHARE * ratio.size:
+        return None
+    fitted = fitted_light(ratio, wall)
+    left = ratio / fitted
+    is_lit = wall.is_plain & (np.abs(left - 1) < UNLIKE)
+    for _ in range(MAX_STEPS):
+        near = _carried(left, is_lit, NEAR)
+        grown = wall.is_plain & (np.abs(left - near) < STEP * near)
+        if np.array_equal(grown, is_lit):
+            break
+        is_lit = grown
+    light = fitted * _carried(left, is_lit, REACH)
+    return np.asarray(cv2.resize(light, coarse.shape[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+@compiled
+def _relative(coarse: Grey, levels: Array, is_plain: Mask, gain: np.float32) -> tuple[Array, int]:
+    """Brightness of each block (h, w) relative to the expected, and how many of the wall's are slightly off."""
+    height, width = levels.shape
+    ratio = np.empty((height, width), np.float32)
+    sums = np.empty(LIT * width, np.uint16)
+    n_uneven = 0
+    for row in range(height):
+        a, b, c, d = coarse[LIT * row], coarse[LIT * row + 1], coarse[LIT * row + 2], coarse[LIT * row + 3]
+        for u in range(LIT * width):
+            sums[u] = a[u] + b[u] + c[u] + d[u]
+        for x in range(width):
+            total = sums[LIT * x] + sums[LIT * x + 1] + sums[LIT * x + 2] + sums[LIT * x + 3]
+            relative = np.float32(total) / (LIT**2 * max(gain * levels[row, x], np.float32(1)))
+            error = abs(relative - np.float32(1))
+            n_uneven += is_plain[row, x] & (error > EVEN) & (error < UNLIKE)
+            ratio[row, x] = relative
+    return ratio, n_uneven
+
+
+def _carried(values: Array, is_known: Mask, reach: float) -> Array:
+    """Values (h, w) carried on from where they are known, and all around known, fading to 1."""
+    known = cv2.erode(is_known.view(np.uint8), np.ones((3, 3), np.uint8)).astype(np.float32)
+    weight = cv2.GaussianBlur(known, (0, 0), reach)
+    above = cv2.GaussianBlur((values - 1) * known, (0, 0), reach)
+    return np.asarray(1 + above / (weight + FADING))
+
+
+def fitted_light(ratio: Array, wall: PlainWall) -> Array:
+    """Quadratic (h, w) through the ratios (h, w) of the plain wall.
+
+    A stone covers up to half of the view and is darker as a rule: the fit begins at the upper mode, with a
+    plane, and closes in on those blocks that agree.
+    """
+    values, terms = ratio.ravel()[wall.samples], wall.sampled_terms
+    if len(values) < MIN_SAMPLES:
+        return np.full_like(ratio, np.median(values) if len(values) else 1)
+    bright = np.sort(values)[-len(values) // 10]
+    fitted, fit = bright, np.zeros(terms.shape[1], np.float32)
+    for n_terms, below in APPROACH:
+        is_near = np.abs(values - fitted) < np.float32(below) * fitted
+        if np.count_nonzero(is_near) < MIN_SAMPLES:
+            return np.full_like(ratio, max(bright, LEAST_LIGHT))
+        weighted = terms[:, :n_terms] * is_near[:, None]
+        # the little on the diagonal only matters where a stone leaves no more than a column or two of blocks
+        matrix = weighted.T @ terms[:, :n_terms] + RIDGE * np.eye(n_terms)
+        fit[:n_terms] = np.linalg.solve(matrix, weighted.T @ values)
+        fitted = terms @ fit
+    return np.maximum(wall.terms @ fit, LEAST_LIGHT).reshape(ratio.shape)
