@@ -2,26 +2,25 @@
 
 What is read is what was written: the header carries a checksum of itself and one of every page's
 pixels. A page that does not match is a missing view with reason `damaged`; without a sound header
-nothing of the file is used.
+nothing of the file is used. Uncompressed pixels lie one behind the other, so that they can be mapped.
 """
 
-import json
 import logging
+import mmap
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, BinaryIO, Literal
 
+import numpy as np
 import tifffile
 
+from drivers.bundle_header import BundleHeader, FrameEntry, crc32, described, parsed
 from drivers.errors import RecordingError
 from drivers.files import replacing
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
+from pipeline.frames import CameraId, Frame, FrameBundle, Image
 
-FORMAT = "stonefall-bundle/1"
 Compression = Literal["none", "zstd"]
 
 DAMAGED = "damaged"
@@ -46,46 +45,6 @@ TIFF_DAMAGE = (
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # it also logs each damage, which is ours to tell
 
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameEntry:
-    """What the header says of one frame."""
-
-    page: int
-    frame_id: int
-    device_ns: int
-    received_ns: int
-    crc32: int  # of the pixels, row by row
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BundleHeader:
-    """All of a bundle but its pixels."""
-
-    path: Path
-    trigger: Trigger
-    image_size_px: tuple[int, int]  # W, H
-    frames: Mapping[CameraId, FrameEntry]  # in page order
-    missing: Mapping[CameraId, str]
-
-    @property
-    def sequence(self) -> int:
-        return self.trigger.sequence
-
-    @property
-    def kind(self) -> BundleKind:
-        return self.trigger.kind
-
-    @property
-    def name(self) -> str:
-        return self.trigger.name or f"{self.trigger.sequence:08d}"
-
-    @property
-    def cameras(self) -> tuple[CameraId, ...]:
-        return tuple(self.frames)
-
 
 def write_bundle(
     path: Path, bundle: FrameBundle, camera_ids: Sequence[CameraId], *, compression: Compression
@@ -97,6 +56,27 @@ def write_bundle(
     RecordingError
         The bundle has no frame, frames of different sizes, or a frame of a camera not in `camera_ids`.
     """
+    frames = _frames_in_order(path, bundle, camera_ids)
+    with replacing(path) as unfinished, unfinished.open("wb") as file:
+        _write_pages(file, bundle, frames, compression)
+
+
+def overwrite_bundle(path: Path, bundle: FrameBundle, camera_ids: Sequence[CameraId]) -> None:
+    """Write a bundle, uncompressed, into the file that is there, if there is one; of no use after a power cut.
+
+    On tmpfs new memory costs as much as filling it. Nobody may map the file while it is overwritten.
+
+    Raises
+    ------
+    RecordingError
+        As `write_bundle`.
+    """
+    frames = _frames_in_order(path, bundle, camera_ids)
+    with path.open("r+b" if path.exists() else "xb") as file:
+        _write_pages(file, bundle, frames, "none")
+
+
+def _frames_in_order(path: Path, bundle: FrameBundle, camera_ids: Sequence[CameraId]) -> list[Frame]:
     frames = [bundle.frames[camera] for camera in camera_ids if camera in bundle.frames]
     if foreign := sorted(set(bundle.frames) - set(camera_ids)):
         raise RecordingError(path, f"bundle {bundle.name} has frames of unknown cameras {', '.join(foreign)}")
@@ -104,25 +84,32 @@ def write_bundle(
         raise RecordingError(path, f"bundle {bundle.name} has no frame, so there is nothing to write")
     if len(sizes := {frame.image.shape for frame in frames}) > 1:
         raise RecordingError(path, f"bundle {bundle.name} has images of different sizes {sorted(sizes)}")
-    description = json.dumps(_document(bundle, frames))
+    return frames
+
+
+def _write_pages(
+    file: BinaryIO, bundle: FrameBundle, frames: Sequence[Frame], compression: Compression
+) -> None:
+    images = [np.ascontiguousarray(frame.image) for frame in frames]
     # horizontal predictor and zstd-1 halve the images at a fifth of PNG's cost
     packing: dict[str, Any] = (
         {"compression": "zstd", "compressionargs": {"level": 1}, "predictor": True}
         if compression == "zstd"
         else {}
     )
-    with replacing(path) as unfinished, tifffile.TiffWriter(unfinished) as tiff:
-        for page, frame in enumerate(frames):
-            tiff.write(
-                frame.image,
-                photometric="minisblack",
-                description=description if page == 0 else None,
-                metadata=None,
-                software=False,
-                contiguous=False,
-                rowsperstrip=frame.image.shape[0],
-                **packing,
-            )
+    with tifffile.TiffWriter(file) as tiff:
+        tiff.write(
+            iter(images),
+            shape=(len(images), *images[0].shape),
+            dtype=np.uint8,
+            photometric="minisblack",
+            description=described(bundle, frames, images),
+            metadata=None,
+            software=False,
+            rowsperstrip=images[0].shape[0],
+            maxworkers=1,
+            **packing,
+        )
 
 
 def read_header(path: Path) -> BundleHeader:
@@ -137,8 +124,11 @@ def read_header(path: Path) -> BundleHeader:
         return _header(path, tiff)
 
 
-def read_bundle(path: Path, camera_ids: Sequence[CameraId]) -> FrameBundle:
+def read_bundle(path: Path, camera_ids: Sequence[CameraId], *, mapped: bool = False) -> FrameBundle:
     """The bundle with its images; a damaged page is a missing view.
+
+    `mapped`: images that are not compressed are views of the file, without a copy. If it is cut or its disk
+    fails while they are in use, that kills the process.
 
     Raises
     ------
@@ -149,11 +139,17 @@ def read_bundle(path: Path, camera_ids: Sequence[CameraId]) -> FrameBundle:
     with _open(path) as tiff:
         header = _header(path, tiff)
         require_cameras_of(header, camera_ids)
+        tiff.pages.useframes = True  # all pages are alike: only where each one lies is read
+        mapping = (
+            mmap.mmap(tiff.filehandle.fileno(), 0, access=mmap.ACCESS_READ)
+            if mapped and tiff.pages.first.compression == tifffile.COMPRESSION.NONE
+            else None
+        )
         missing = {camera: ABSENT for camera in camera_ids if camera not in header.frames} | dict(
             header.missing
         )
         for camera, entry in header.frames.items():
-            image = _image(tiff, entry, header.image_size_px)
+            image = _image(tiff, mapping, entry, header.image_size_px)
             if image is None:
                 missing[camera] = DAMAGED
                 continue
@@ -184,58 +180,24 @@ def _open(path: Path) -> tifffile.TiffFile:
         raise RecordingError(path, f"is not a readable TIFF: {err}") from err
 
 
-def _image(tiff: tifffile.TiffFile, entry: FrameEntry, size_px: tuple[int, int]) -> Image | None:
+def _image(
+    tiff: tifffile.TiffFile, mapping: mmap.mmap | None, entry: FrameEntry, size_px: tuple[int, int]
+) -> Image | None:
     """Image (H, W) of a page, or nothing when it is not what was written."""
+    width_px, height_px = size_px
     try:
         page = tiff.pages[entry.page]
-        if page.shape != size_px[::-1] or page.dtype != "uint8":
+        if page.shape != (height_px, width_px) or page.dtype != "uint8":
             return None
-        image = page.asarray()
+        image: Image
+        if mapping is None:
+            image = page.asarray()
+        else:
+            image = np.frombuffer(mapping, np.uint8, width_px * height_px, page.dataoffsets[0])
+            image = image.reshape(height_px, width_px)
     except TIFF_DAMAGE:
         return None
-    return image if image.shape == size_px[::-1] and zlib.crc32(image.tobytes()) == entry.crc32 else None
-
-
-# --- the header (format "stonefall-bundle/1") ---
-
-
-def _document(bundle: FrameBundle, frames: Sequence[Frame]) -> dict[str, Any]:
-    trigger = bundle.trigger
-    height_px, width_px = frames[0].image.shape
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "name": trigger.name,
-        "sequence": trigger.sequence,
-        "kind": trigger.kind.value,
-        "trigger": {
-            "utc": trigger.utc,
-            "received_ns": trigger.received_ns,
-            "device_ns": trigger.device_ns,
-            "pulse_width_ns": trigger.pulse_width_ns,
-        },
-        "image_size_px": [width_px, height_px],
-        "checksum_algorithm": "crc32",
-        "frames": [
-            {
-                "camera": frame.camera,
-                "page": page,
-                "frame_id": frame.frame_id,
-                "device_ns": frame.device_ns,
-                "received_ns": frame.received_ns,
-                "checksum": f"{zlib.crc32(frame.image.tobytes()):08x}",
-            }
-            for page, frame in enumerate(frames)
-        ],
-        "missing": dict(bundle.missing),
-    }
-    document["checksum"] = _checksum(document)
-    return document
-
-
-def _checksum(document: Mapping[str, Any]) -> str:
-    """crc32 (hex) of the canonical JSON without the member `checksum`."""
-    bare = {key: value for key, value in document.items() if key != "checksum"}
-    return f"{zlib.crc32(json.dumps(bare, sort_keys=True, separators=(',', ':')).encode()):08x}"
+    return image if image.shape == (height_px, width_px) and crc32(image.data) == entry.crc32 else None
 
 
 def _header(path: Path, tiff: tifffile.TiffFile) -> BundleHeader:
@@ -243,62 +205,4 @@ def _header(path: Path, tiff: tifffile.TiffFile) -> BundleHeader:
         description = tiff.pages.first.description
     except TIFF_DAMAGE as err:
         raise RecordingError(path, f"has no readable first page: {err}") from err
-    try:
-        document = json.loads(description)
-    except (ValueError, RecursionError) as err:
-        raise RecordingError(path, "is no bundle of ours: its first page has no JSON description") from err
-    if not isinstance(document, dict) or "format" not in document:
-        raise RecordingError(path, "is no bundle of ours: its description names no format")
-    if document["format"] != FORMAT:
-        raise RecordingError(path, f'has format {document["format"]!r}, not "{FORMAT}"')
-    if document.get("checksum") != _checksum(document):
-        raise RecordingError(path, "header is damaged: it does not match its checksum")
-    try:
-        return _parse(path, document)
-    except (KeyError, TypeError, ValueError) as err:
-        raise RecordingError(path, f"header is wrong: {type(err).__name__} {err}") from err
-
-
-def _parse(path: Path, document: Mapping[str, Any]) -> BundleHeader:
-    times = _typed(document["trigger"], dict)
-    width_px, height_px = document["image_size_px"]
-    pulse_width_ns, name = times["pulse_width_ns"], document["name"]
-    return BundleHeader(
-        path=path,
-        trigger=Trigger(
-            sequence=_typed(document["sequence"], int),
-            received_ns=_typed(times["received_ns"], int),
-            device_ns=_typed(times["device_ns"], int),
-            utc=_instant(times["utc"]),
-            pulse_width_ns=None if pulse_width_ns is None else _typed(pulse_width_ns, int),
-            kind=BundleKind(document["kind"]),
-            name=None if name is None else _typed(name, str),
-        ),
-        image_size_px=(_typed(width_px, int), _typed(height_px, int)),
-        frames={
-            CameraId(_typed(entry["camera"], str)): FrameEntry(
-                page=_typed(entry["page"], int),
-                frame_id=_typed(entry["frame_id"], int),
-                device_ns=_typed(entry["device_ns"], int),
-                received_ns=_typed(entry["received_ns"], int),
-                crc32=int(entry["checksum"], 16),
-            )
-            for entry in _typed(document["frames"], list)
-        },
-        missing={
-            CameraId(camera): _typed(reason, str)
-            for camera, reason in _typed(document["missing"], dict).items()
-        },
-    )
-
-
-def _instant(value: Any) -> str:
-    if datetime.fromisoformat(_typed(value, str)).tzinfo is None:
-        raise ValueError(f"time {value!r} has no offset from UTC")
-    return str(value)
-
-
-def _typed(value: Any, kind: type[T]) -> T:
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise TypeError(f"expected {kind.__name__}, found {value!r}")
-    return value
+    return parsed(path, description)

@@ -11,14 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.bundle_file import (
-    BundleHeader,
-    Compression,
-    read_bundle,
-    read_header,
-    require_cameras_of,
-    write_bundle,
-)
+from drivers.bundle_file import Compression, read_bundle, read_header, require_cameras_of, write_bundle
+from drivers.bundle_header import BundleHeader
 from drivers.errors import RecordingError
 from drivers.files import new_folder, read_json, write_json
 from drivers.rig_file import read_rig, write_rig

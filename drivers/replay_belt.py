@@ -240,7 +240,7 @@ class ReplayBelt:
 
     def _read(self, header: BundleHeader) -> _Playable:
         try:
-            bundle = read_bundle(header.path, self.recording.camera_ids)
+            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True)
         except RecordingError as err:
             return self._without_frames(header.trigger, err)
         return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)

@@ -28,13 +28,16 @@ from service.kept_background import KeptBackground
 from service.loop_watch import LoopWatch
 from service.optical_watch import OpticalWatch
 from service.parts import Daemon
+from service.process_memory import keep_freed_memory, spare_collections
 from service.processing import Processing, ProcessingContext
+from service.raw_archive import RawArchive
 from service.record import ALGORITHM_VERSION
 from service.recording_live import recording_source
 from service.recordings import open_recordings
 from service.rest_server import RestServer, listen
 from service.rig_watch import RigWatch, WatchedResults
 from service.segmentation_settings import plan_segmenter
+from service.segmentation_watch import SegmentationWatch
 from service.settings import Settings
 from service.spool import Spool
 from service.stopping import StopRequests, finish
@@ -51,6 +54,8 @@ DRAIN_S = 30.0
 """How long bundles already seen may take after SIGTERM before they are given up."""
 DISARM_S = 15.0
 """How long the rig may take to disarm, the last stone's frames included, before it is left alone."""
+ARCHIVE_S = 5.0
+"""How long frames that wait to be archived may take then; results do not need them."""
 ACQUISITION_LIMIT_S = 20.0
 """An armed rig moves twenty times a second; to open or close cameras of which some are dead takes longer."""
 COMMIT_LIMIT_S = 30.0
@@ -100,9 +105,13 @@ async def build(settings: Settings, store: Store) -> Daemon:
         {"acquisition": ACQUISITION_LIMIT_S, "processing": 2 * settings.workers.deadline_s + COMMIT_LIMIT_S}
     )
     spool = Spool(folder, max_bundles=settings.spool.max_bundles, camera_ids=camera_ids)
+    enough = 2 * settings.workers.slots  # bundles to keep the workers busy
+    archive = RawArchive(store, camera_ids, spool.reuse, max_waiting=enough)
+    if settings.store.keep_raw > 0:
+        spool.keep = archive.take
     if devices.belt is not None:
-        # in fast pace a new bundle comes for each that is through: enough to keep the workers busy
-        devices.belt.permit(min(2 * settings.workers.slots + 1, settings.spool.max_bundles))
+        # in fast pace a new bundle comes for each that is through; the archive can take all of them
+        devices.belt.permit(min(enough + 1, settings.spool.max_bundles))
         spool.on_release = devices.belt.permit
     recordings = await asyncio.to_thread(
         open_recordings,
@@ -116,6 +125,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     rig_watch = RigWatch(calibrations.calibration, speed_mm_s(fall_height_mm, source.speed_at_gate_mm_s))
 
     optical_watch = OpticalWatch(configured, settings.optics)
+    segmentation_watch = SegmentationWatch(segmentation)
 
     async def on_activated(calibration: RigCalibration) -> None:
         rig_watch.restart(calibration)
@@ -144,13 +154,12 @@ async def build(settings: Settings, store: Store) -> Daemon:
             session=session,
             camera_ids=camera_ids,
             is_simulated=is_simulated,
-            archive_raw=settings.store.keep_raw > 0,
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, rig_watch, optical_watch),
+        results=WatchedResults(store, rig_watch, optical_watch, segmentation_watch),
         calibration=calibrations,
         kept=None
         if devices.belt
@@ -168,12 +177,14 @@ async def build(settings: Settings, store: Store) -> Daemon:
         pool=pool,
         spool=spool,
         recordings=recordings,
+        archive=archive,
         rig=rig,
         processing=processing,
         heartbeats=heartbeats,
         loop_watch=LoopWatch(),
         rig_watch=rig_watch,
         optical_watch=optical_watch,
+        segmentation_watch=segmentation_watch,
     )
 
 
@@ -192,6 +203,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
     ExceptionGroup
         A part failed beyond what it handles itself.
     """
+    keep_freed_memory()
     requests = StopRequests()
     requests.listen()
     async with AsyncExitStack() as ending:
@@ -205,11 +217,13 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         server = RestServer(server_config(create_app(store, daemon, settings.api), settings.api))
         manager.notify("STATUS=warming up the workers")
         await daemon.pool.start()
+        spare_collections()
         async with asyncio.TaskGroup() as tasks:
             serving = tasks.create_task(server.serve([listener]))
             tasks.create_task(daemon.spool.write())
             watching_loop = tasks.create_task(daemon.loop_watch.run())
             processing = tasks.create_task(daemon.processing.run())
+            archiving = tasks.create_task(daemon.archive.run())
             calibrating = tasks.create_task(daemon.calibrations.run())
             acquiring = tasks.create_task(daemon.rig.run())
             watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
@@ -238,6 +252,9 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             daemon.processing.abandon()
             await processing
             daemon.pool.close()
+            daemon.archive.finish()
+            await finish(archiving, requests, ARCHIVE_S)
+            archiving.cancel()
             log.info("stopped %s", await store.accounting(daemon.session))
             watching.cancel()
             watching_loop.cancel()

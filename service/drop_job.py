@@ -27,7 +27,8 @@ from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
 from service.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
-from service.worker_job import RigFile, this_worker, worker_boundary
+from service.worker_job import RigFile, this_worker
+from service.workers import worker_boundary
 
 Method = Literal["bundle", "paper", "stones"]
 
@@ -82,7 +83,7 @@ def observe(job: ObserveJob) -> ObservedDrop:
         Anything else, with the traceback as text.
     """
     worker = this_worker()
-    bundle = read_bundle(job.bundle_path, job.camera_ids)
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         rig = worker.rig_in(job.rig)
         background = worker.background_at(job.background_path)

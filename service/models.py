@@ -98,7 +98,7 @@ def load_model(model: str = "", models_dir: Path | None = None, providers: Seque
     try:
         network = load_network(content, providers)
         # the shapes may be right and the file of no use all the same: better known now than in every worker
-        network.probability(np.ones((network.size_px,) * 2, np.float32), None)
+        network.probability(np.ones((2, network.size_px, network.size_px), np.float32))
     except ModelError as err:
         raise ModelError(f"{place}: {err}") from err
     return network

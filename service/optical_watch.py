@@ -182,8 +182,7 @@ class OpticalWatch:
             name: light for name in self._cameras if (light := _light(self._cameras[name].optics)) is not None
         }
         if self._are_most(changed):
-            change = median(lights[name].brightness for name in changed) - 1
-            detail = f"the light has changed by {change:+.0%}: look at the strobes' supply"
+            detail = f"the light {self._change(lights, changed)}: look at the strobes' supply"
             return [OpticalFinding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
         found = []
         for place in dark_places(self._rig, lights):
@@ -193,10 +192,19 @@ class OpticalWatch:
                     OpticalFinding(cameras=place.cameras, severity=max(alarmed), detail=_place(place))
                 )
         for name, severity in changed.items():
-            change = lights[name].brightness - 1
-            detail = f"its light has changed by {change:+.0%}: look at its gain and flash"
+            detail = f"its light {self._change(lights, [name])}: look at its gain and flash"
             found.append(OpticalFinding(cameras=(name,), severity=severity, detail=detail))
         return found
+
+    def _change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:
+        """Which of the limits of light these cameras have passed, and by how much on average."""
+        words = []
+        if any(self._cameras[name].severity(LIGHT_CHANGE) for name in cameras):
+            words.append(f"has changed by {median(lights[name].brightness for name in cameras) - 1:+.0%}")
+        if any(self._cameras[name].severity(GRADIENT) for name in cameras):
+            slope = median(hypot(*lights[name].gradient_uv) for name in cameras)
+            words.append(f"differs by {slope:.0%} from border to border")
+        return " and ".join(words)
 
     def _are_most(self, cameras: Collection[CameraId]) -> bool:
         return 2 * len(cameras) > len(self._cameras)

@@ -14,8 +14,10 @@ from service.health import Facts, assess
 from service.loop_watch import LoopWatch
 from service.optical_watch import OpticalWatch
 from service.processing import Processing
+from service.raw_archive import RawArchive
 from service.recordings import Recordings
 from service.rig_watch import CameraScore, RigWatch
+from service.segmentation_watch import SegmentationWatch
 from service.segmenters import SegmenterPlan
 from service.settings import Settings
 from service.spool import Spool
@@ -39,12 +41,14 @@ class Daemon:
     pool: WorkerPool
     spool: Spool
     recordings: Recordings
+    archive: RawArchive
     rig: Acquisition
     processing: Processing
     heartbeats: Heartbeats
     loop_watch: LoopWatch
     rig_watch: RigWatch
     optical_watch: OpticalWatch
+    segmentation_watch: SegmentationWatch
 
     def acquisition(self) -> AcquisitionStatus:
         return self.rig.status()
@@ -82,11 +86,12 @@ class Daemon:
                 late=self.late(),
                 has_background=self.processing.has_background,
                 has_network=self.segmentation.model is not None,
-                segmentation_warning=self.segmentation.warning,
+                segmentation_warning=self.segmentation_watch.warning,
                 calibration=self.calibrations.facts(),
                 last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
                 recording_trouble=self.recordings.trouble,
+                archive_trouble=self.archive.trouble,
                 suspicions=self.rig_watch.suspicions(),
                 optics=self.optical_watch.findings(),
             )

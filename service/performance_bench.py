@@ -1,6 +1,7 @@
-"""What one stone costs on this machine, stage by stage, from the bundle's file to the durable result.
+"""What one stone costs on this machine, stage by stage and from the bundle's file to the durable result.
 
-The stages are the daemon's own: `worker_job.measure` in a process of its own, then the store.
+In a worker process of its own, one thread. Stages count processor time, which other work on the machine does not
+lengthen; the whole way, `worker_job.measure` and the store, is told by the clock too.
 """
 
 import asyncio
@@ -9,18 +10,21 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import numpy as np
 
 from drivers.recording import write_bundle
 from drivers.rig_file import write_rig
+from pipeline.carving import carve
 from pipeline.frames import FrameBundle
-from pipeline.particle import PipelineParameters
+from pipeline.measuring.solid import solid_of
+from pipeline.meshing import mesh_hull
+from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.segmentation import SilhouetteSet
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.scene import BODY, Scene, build_scene
@@ -29,59 +33,84 @@ from service.background_file import write_background
 from service.errors import UsageError
 from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.store import open_store
-from service.worker_job import MeasureJob, RigFile, WorkerContext, initialize, measure
+from service.worker_job import MESH, MeasureJob, RigFile, WorkerContext, initialize, measure, this_worker
 
 SIZES_MM = (5.0, 15.0, 25.0, 40.0)
 """Greatest diameters; the last ones fill the image."""
 FORM = "angular"
-STORE = "store"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StageTimes:
-    """Of stones of one size; medians, in ms."""
+class StoneTimes:
+    """Of one stone, in ms."""
+
+    stages_ms: Mapping[str, float]  # processor time, frames to all measures
+    hull_ms: float  # the same in sum, with the hull as the body
+    mesh_ms: float  # silhouettes to the hull's mesh with its integrals
+    way_ms: float  # bundle file to durable result, by the clock
+    way_cpu_ms: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizeTimes:
+    """Of stones of one size, in ms; medians, and 95 of 100 are below `..._p95_ms`."""
 
     size_mm: float
     n: int
-    stages_ms: Mapping[str, float]  # wall clock
-    total_ms: float
-    p95_ms: float  # of the total
-    cpu_ms: float  # of all threads; more than the total when a stage uses several cores
+    stages_ms: Mapping[str, float]
+    cpu_ms: float  # frames to all measures
+    cpu_p95_ms: float
+    hull_ms: float
+    mesh_ms: float
+    way_ms: float
+    way_p95_ms: float
+    way_cpu_ms: float
 
 
 def run_performance_bench(
     repeat: int, seed: int, on_progress: Callable[[int, int], None] = lambda done, total: None
-) -> list[StageTimes]:
+) -> list[SizeTimes]:
     """Time `repeat` stones of each of `SIZES_MM` in one worker, after one that warms it up."""
-    context = multiprocessing.get_context("spawn")
-    worker = WorkerContext(
-        parameters=PipelineParameters(),
-        is_simulated=True,
-        segmentation=plan_segmenter(SegmentationSettings()),
-    )
     jobs = [(row, number) for row in range(len(SIZES_MM)) for number in range(repeat)]
-    timed: dict[int, list[dict[str, float]]] = {row: [] for row in range(len(SIZES_MM))}
+    timed: dict[int, list[StoneTimes]] = {row: [] for row in range(len(SIZES_MM))}
     with (
         tempfile.TemporaryDirectory() as folder,
-        ProcessPoolExecutor(1, mp_context=context, initializer=initialize, initargs=(worker,)) as pool,
+        ProcessPoolExecutor(
+            1,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=initialize,
+            initargs=(worker_context(),),
+        ) as pool,
     ):
         pool.submit(_time_one, Path(folder), seed, 0, repeat).result()
         for done, (row, number) in enumerate(jobs):
             on_progress(done, len(jobs))
             timed[row].append(pool.submit(_time_one, Path(folder), seed, row, number).result())
-    return [_times(SIZES_MM[row], runs) for row, runs in timed.items()]
+    return [_summary(SIZES_MM[row], stones) for row, stones in timed.items()]
 
 
-def _times(size_mm: float, runs: list[dict[str, float]]) -> StageTimes:
-    stages = [stage for stage in runs[0] if stage != "cpu"]
-    totals_ms = [sum(run[stage] for stage in stages) for run in runs]
-    return StageTimes(
+def worker_context() -> WorkerContext:
+    """What the daemon's workers share when nothing is configured."""
+    return WorkerContext(
+        parameters=PipelineParameters(),
+        is_simulated=True,
+        segmentation=plan_segmenter(SegmentationSettings()),
+    )
+
+
+def _summary(size_mm: float, stones: list[StoneTimes]) -> SizeTimes:
+    totals_ms = [sum(each.stages_ms.values()) for each in stones]
+    return SizeTimes(
         size_mm=size_mm,
-        n=len(runs),
-        stages_ms={stage: median(run[stage] for run in runs) for stage in stages},
-        total_ms=median(totals_ms),
-        p95_ms=float(np.quantile(totals_ms, 0.95)),
-        cpu_ms=median(run["cpu"] for run in runs),
+        n=len(stones),
+        stages_ms={stage: median(each.stages_ms[stage] for each in stones) for stage in stones[0].stages_ms},
+        cpu_ms=median(totals_ms),
+        cpu_p95_ms=float(np.quantile(totals_ms, 0.95)),
+        hull_ms=median(each.hull_ms for each in stones),
+        mesh_ms=median(each.mesh_ms for each in stones),
+        way_ms=median(each.way_ms for each in stones),
+        way_p95_ms=float(np.quantile([each.way_ms for each in stones], 0.95)),
+        way_cpu_ms=median(each.way_cpu_ms for each in stones),
     )
 
 
@@ -97,12 +126,56 @@ def _scene(folder: Path, seed: int) -> Scene:
     return scene
 
 
-def _time_one(folder: Path, seed: int, row: int, number: int) -> dict[str, float]:
-    """Milliseconds of each stage, and of CPU in all of them (`cpu`), for the n-th stone of a size."""
+def _time_one(folder: Path, seed: int, row: int, number: int) -> StoneTimes:
+    """The n-th stone of a size."""
     scene = _scene(folder, seed)
     rng = stream(seed, BODY, row, number)
     bundle = scene.photograph(tumble(stone(FORM, SIZES_MM[row], rng), scene.true_rig, rng), rng, FORM)
-    name = f"{row}-{number}"
+    stages_ms, result = measured(bundle, scene, "estimate")
+    if result.measurement is None:
+        raise UsageError(
+            f"a stone of {SIZES_MM[row]:g} mm cannot be timed: {result.rejection}; try another --seed"
+        )
+    hull_ms, _ = measured(bundle, scene, "hull")
+    way_ms, way_cpu_ms = _whole_way(folder, f"{row}-{number}", bundle, scene)
+    return StoneTimes(
+        stages_ms=stages_ms,
+        hull_ms=sum(hull_ms.values()),
+        mesh_ms=mesh_ms(result.silhouettes, scene),
+        way_ms=way_ms,
+        way_cpu_ms=way_cpu_ms,
+    )
+
+
+def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[str, float], ParticleResult]:
+    """Processor time of each stage in this worker, ms, and what came of it."""
+    worker = this_worker()
+    stages_ms: dict[str, float] = {}
+    last_s = time.process_time()
+
+    def on_stage(stage: str) -> None:
+        nonlocal last_s
+        now_s = time.process_time()
+        stages_ms[stage] = 1000 * (now_s - last_s)
+        last_s = now_s
+
+    parameters = replace(worker.context.parameters, body=BodyParameters(body))
+    result = measure_bundle(bundle, scene.true_rig, scene.background, worker.segmenter, parameters, on_stage)
+    return stages_ms, result
+
+
+def mesh_ms(silhouettes: SilhouetteSet, scene: Scene) -> float:
+    """Processor time from the silhouettes, their distances still unknown, to the hull's mesh and its integrals."""
+    fresh = {camera: replace(silhouette) for camera, silhouette in silhouettes.items()}
+    start_s = time.process_time()
+    hull = mesh_hull(carve(fresh, scene.true_rig, this_worker().context.parameters.carving))
+    if hull is not None:
+        solid_of(hull.vertices_mm, hull.faces)
+    return 1000 * (time.process_time() - start_s)
+
+
+def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tuple[float, float]:
+    """From the bundle's file to the durable result, in ms by the clock and of the processor."""
     job = MeasureJob(
         bundle_path=folder / f"{name}.tiff",
         camera_ids=scene.true_rig.camera_ids,
@@ -111,21 +184,16 @@ def _time_one(folder: Path, seed: int, row: int, number: int) -> dict[str, float
         out_dir=folder / name,
     )
     write_bundle(job.bundle_path, bundle, job.camera_ids, compression="none")
-    cpu_start = time.process_time()
-    record = measure(job)
-    if record["outcome"] != "measured":
-        raise UsageError(
-            f"a stone of {SIZES_MM[row]:g} mm cannot be timed: {record['detail']}; try another --seed"
-        )
-    store_start = time.perf_counter()
-    asyncio.run(_store(folder / f"state-{name}", bundle, record, job.out_dir))
-    times_ms = {stage: ms for stage, ms in record["timings_ms"].items() if stage != "total"}
-    times_ms[STORE] = 1000 * (time.perf_counter() - store_start)
-    return times_ms | {"cpu": 1000 * (time.process_time() - cpu_start)}
+    times_ms = asyncio.run(_measured_and_stored(folder / "state", job, bundle))
+    job.bundle_path.unlink()
+    return times_ms
 
 
-async def _store(folder: Path, bundle: FrameBundle, record: Mapping[str, Any], files: Path) -> None:
-    with open_store(folder) as store:
+async def _measured_and_stored(state: Path, job: MeasureJob, bundle: FrameBundle) -> tuple[float, float]:
+    with open_store(state) as store:
         session = await store.begin_session({})
         await store.record_trigger(session, bundle.trigger, bundle.name)
-        await store.finish(session, bundle.name, record, {"mesh.ply": files / "mesh.ply"})
+        start_s, start_cpu_s = time.perf_counter(), time.process_time()
+        record = measure(job)
+        await store.finish(session, bundle.name, record, {MESH: job.out_dir / MESH})
+        return 1000 * (time.perf_counter() - start_s), 1000 * (time.process_time() - start_cpu_s)

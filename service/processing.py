@@ -21,7 +21,7 @@ from service.drop_job import ObserveJob, observe
 from service.kept_background import KeptBackground
 from service.record import lost_record
 from service.spool import Loss, SpooledBundle
-from service.worker_job import LearnJob, MeasureJob, RigFile, learn_background, measure
+from service.worker_job import MESH, SILHOUETTES, LearnJob, MeasureJob, RigFile, learn_background, measure
 from service.workers import JobLostError, WorkerPool
 
 log = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ class BundleSource(Protocol):
 
     async def take(self) -> SpooledBundle | None: ...
 
-    async def release(self, bundle: SpooledBundle) -> None: ...
+    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +80,6 @@ class ProcessingContext:
     session: int
     camera_ids: tuple[CameraId, ...]
     is_simulated: bool
-    archive_raw: bool
     save_silhouettes: bool
     folder: Path  # exists; for the workers' files until the store has them
 
@@ -94,7 +93,7 @@ class _Measured:
 
 OUTLINES = "outlines.npz"
 """In a worker's folder, of a drop that somebody collects."""
-KEPT = ("mesh.ply", "silhouettes", "bundle.tiff")
+KEPT = (MESH, SILHOUETTES)
 """What the store wants of a worker's folder; a worker that crashed may have left more."""
 
 
@@ -189,11 +188,12 @@ class Processing:
     async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]") -> None:
         while (turn := await turns.get()) is not None:
             await asyncio.wait([turn.job])
-            await self._commit(turn)
-            await self._spool.release(turn.bundle)
+            seq = await self._commit(turn)
+            await self._spool.release(turn.bundle, seq)
             self._on_progress()
 
-    async def _commit(self, turn: _Turn) -> None:
+    async def _commit(self, turn: _Turn) -> int | None:
+        """Make the outcome durable; returns the number of a result that was measured or rejected."""
         bundle = turn.bundle
         match outcome := turn.outcome:
             case _Learnt(path, optics, retired):
@@ -228,6 +228,8 @@ class Processing:
                     await turn.collector.add(drop, record, outlines)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
+                return seq
+        return None
 
     async def _process(
         self, bundle: SpooledBundle, rig: RigFile, collector: DropCollector | None
@@ -266,8 +268,8 @@ class Processing:
             rig=rig,
             background_path=background_path,
             out_dir=folder,
-            archive=self._context.archive_raw,
             save_silhouettes=self._context.save_silhouettes,
+            threads=self._pool.share,
         )
         record = await self._pool.run(measure, job)
         if collector is None:

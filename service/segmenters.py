@@ -66,9 +66,9 @@ def warm_up(segmenter: ChoosingSegmenter) -> None:
     subtraction.warm_up()
     if segmenter.network is None:
         return
-    wall = np.full((256, 320), 200, np.uint8)
-    image = wall.copy()
+    wall = np.full((256, 320), 200, np.float32)
+    image = (wall * np.linspace(0.8, 1.2, 320)).astype(np.uint8)  # what light makes of it is compiled as well
     image[100:150, 140:190] = 60
     frame = Frame(camera=CameraId("warm-up"), image=image, frame_id=0, device_ns=0, received_ns=0)
-    background = {frame.camera: CameraBackground(mean=wall.astype(np.float32), n_frames=1)}
+    background = {frame.camera: CameraBackground(mean=wall, n_frames=1)}
     _ = segmenter.network(frame, background).distance_px

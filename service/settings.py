@@ -97,7 +97,7 @@ class Settings(BaseModel):
             **{
                 part.name: getattr(self, part.name)
                 for part in fields(PipelineParameters)
-                if part.name not in ("segmentation", "measuring")
+                if part.name not in ("segmentation", "mesher", "measuring")
             },
             segmentation=self.segmentation.parameters,
             measuring=self.measuring.parameters,

@@ -1,5 +1,7 @@
 """The bounded queue of bundles between the cameras and the workers: one TIFF file each, on tmpfs.
 
+A worker maps the file, so that a frame is copied once on its way; the next bundles are written over it.
+
 Bundles leave it strictly in the order they came. When it is full the whole new bundle is lost: the one
 place where stones are dropped for lack of speed, never half a bundle and never by blocking a camera.
 A lost bundle keeps its place in the order, without a file.
@@ -11,12 +13,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.recording import write_bundle
+from drivers.bundle_file import overwrite_bundle
 from drivers.replay_belt import UNREADABLE
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.bundle_windows import DISARMED
 
 log = logging.getLogger(__name__)
+
+SPARE_FILES = 4
+"""So many files of bundles that are through are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +67,11 @@ class Spool:
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
         self.on_release: Callable[[], None] = lambda: None
-        """Called on the loop for every bundle that is through, lost ones included."""
-        self._written = 0
+        """Called on the loop for every bundle that is through, file and all, lost ones included."""
+        self.keep: Callable[[Path, int], bool] = lambda path, seq: False
+        """Asked whether somebody takes over the file of the result `seq`, until `reuse`."""
+        self._n_files = 0
+        self._spare: list[Path] = []
 
     def offer(self, bundle: FrameBundle) -> None:
         """Take a bundle over; never blocks."""
@@ -90,27 +98,44 @@ class Spool:
         """Return the next bundle in order, None when there will be none."""
         return await self._ready.get()
 
-    async def release(self, bundle: SpooledBundle) -> None:
-        """Forget a taken bundle that has its outcome."""
+    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
+        """Forget a taken bundle that has its outcome; `seq` is the number of its result, if it was looked at."""
         if isinstance(bundle.content, Path):
-            await asyncio.to_thread(bundle.content.unlink)
             self.held -= 1
+            if seq is None or not self.keep(bundle.content, seq):
+                await self.reuse(bundle.content)
+            return
+        self.on_release()
+
+    async def reuse(self, path: Path) -> None:
+        """Take back a file that nobody reads any more."""
+        if len(self._spare) < SPARE_FILES:
+            self._spare.append(path)
+        else:
+            await asyncio.to_thread(path.unlink)
         self.on_release()
 
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
         self._offered.put_nowait(SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss))
 
     async def _spooled(self, bundle: FrameBundle) -> SpooledBundle:
-        self._written += 1  # sequences may repeat when the gate restarts, file names must not
-        path = self._folder / f"{self._written:08d}.tiff"
+        path = self._file()
         try:
-            await asyncio.to_thread(write_bundle, path, bundle, self._camera_ids, compression="none")
+            await asyncio.to_thread(overwrite_bundle, path, bundle, self._camera_ids)
         except OSError as err:  # a full tmpfs is a full queue
+            await asyncio.to_thread(path.unlink, missing_ok=True)
             log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)
             self.held -= 1
             loss = Loss(reason="queue_full", detail=f"spool: {err.strerror}")
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)
+
+    def _file(self) -> Path:
+        """One that nobody reads any more, else a new one."""
+        if self._spare:
+            return self._spare.pop()
+        self._n_files += 1
+        return self._folder / f"{self._n_files:08d}.tiff"
 
 
 def _without_frames(bundle: FrameBundle) -> Loss:

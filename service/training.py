@@ -100,11 +100,7 @@ def train_network(plan: TrainingPlan, out: Path, say: Callable[[str], None]) -> 
 
 def examine(model: bytes) -> dict[str, dict[str, float]]:
     """Scores of a network, by hard case; `no-background` is all cases without one."""
-    network = load_network(model)
-
-    def probability(view: np.ndarray) -> np.ndarray:
-        return network.probability(view[0], view[1])
-
+    probability = load_network(model).probability
     known = score((exam(case, seed) for case in HardCase for seed in EXAM_SEEDS), probability)
     unknown = score(
         (

@@ -6,22 +6,25 @@ whatever the number of workers.
 
 import os
 import time
-import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
-import trimesh
+from numba.core import event
 from threadpoolctl import threadpool_limits
 
-from drivers.recording import read_bundle, write_bundle
+from drivers.mesh_file import write_mesh
+from drivers.recording import read_bundle
 from drivers.rig_file import read_rig
-from pipeline import estimate
+from drivers.silhouette_file import write_silhouettes
+from pipeline import carving, consistency, estimate, measuring, meshing
+from pipeline.each import Each
 from pipeline.frames import CameraId
-from pipeline.measuring import measure_shape
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel
@@ -32,6 +35,10 @@ from service.background_file import read_background, write_background
 from service.errors import WorkerFailure
 from service.record import optics_record, result_record
 from service.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
+from service.workers import worker_boundary
+
+MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
+"""Files of a result."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,8 +68,8 @@ class MeasureJob:
     rig: RigFile
     background_path: Path | None
     out_dir: Path
-    archive: bool = False  # keep the frames as `bundle.tiff`
     save_silhouettes: bool = False
+    threads: int = 1  # views that are worked on at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,26 +116,36 @@ class Worker:
 _worker: Worker | None = None
 
 
-def initialize(context: WorkerContext) -> None:
-    """Prepare this process.
+def initialize(context: WorkerContext, number: int = 0) -> bool:
+    """Prepare this process, and have everything compiled that a stone needs; whether that took a compiler.
 
-    Ends with a first measurement, which also builds the tables that all later ones share.
+    Every other process begins at the other end: two that start with nothing compiled share the work.
     """
     global _worker
     step_back()
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
-    warm_up(segmenter)
     _worker = Worker(context=context, segmenter=segmenter)
-    estimate.warm_up()
-    measure_shape(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
+    steps: list[Callable[[], object]] = [
+        partial(warm_up, segmenter),
+        consistency.warm_up,
+        partial(carving.warm_up, context.parameters.carving),
+        meshing.warm_up,
+        estimate.warm_up,
+        measuring.warm_up,
+    ]
+    with event.install_recorder("numba:compile") as compilations:
+        for step in steps if number % 2 == 0 else reversed(steps):
+            step()
+    return bool(compilations.buffer)
 
 
-def step_back(context: None = None) -> None:
+def step_back(context: None = None, number: int = 0) -> bool:
     """Frames come first: this process yields the processor to the daemon, and uses one core."""
     os.nice(10)
     # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
     threadpool_limits(1)
+    return False
 
 
 def this_worker() -> Worker:
@@ -138,17 +155,8 @@ def this_worker() -> Worker:
     return _worker
 
 
-@contextmanager
-def worker_boundary() -> Iterator[None]:
-    """Turn whatever goes wrong within into a `WorkerFailure` with the traceback as text: it travels home as it is."""
-    try:
-        yield
-    except Exception as err:  # noqa: BLE001 - the one place where everything is caught
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
-
-
 def measure(job: MeasureJob) -> dict[str, Any]:
-    """The result record of one bundle; writes `mesh.ply`, `silhouettes/<camera>.png` and `bundle.tiff`.
+    """The result record of one bundle; writes `mesh.ply` and `silhouettes.tiff`.
 
     Raises
     ------
@@ -160,7 +168,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
     worker = this_worker()
     timings_ms: dict[str, float] = {}
     stage_start = time.perf_counter()
-    bundle = read_bundle(job.bundle_path, job.camera_ids)
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
 
     def on_stage(stage: str) -> None:
         nonlocal stage_start
@@ -172,12 +180,11 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         background = worker.background_at(job.background_path)
         rig = worker.rig_in(job.rig)
         on_stage("load")
-        result = measure_bundle(
-            bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage
-        )
+        with several(job.threads) as each:
+            result = measure_bundle(
+                bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage, each
+            )
         _write_files(job, result)
-        if job.archive:
-            write_bundle(job.out_dir / "bundle.tiff", bundle, job.camera_ids, compression="zstd")
         on_stage("write")
     timings_ms["total"] = round(sum(timings_ms.values()), 2)
     record = result_record(
@@ -189,21 +196,29 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         speed_at_gate_mm_s=worker.context.speed_at_gate_mm_s,
         timings_ms=timings_ms,
     )
-    record["mesh"] = None if result.mesh is None else "mesh.ply"
+    record["mesh"] = None if result.mesh is None else MESH
     return record
+
+
+@contextmanager
+def several(n: int) -> Iterator[Each]:
+    """How to work on `n` views at a time."""
+    if n == 1:
+        yield map
+        return
+    with ThreadPoolExecutor(n, thread_name_prefix="views") as threads:
+        yield threads.map
 
 
 def _write_files(job: MeasureJob, result: ParticleResult) -> None:
     job.out_dir.mkdir(parents=True, exist_ok=True)
     if result.mesh is not None:
-        mesh = trimesh.Trimesh(result.mesh.vertices_mm, result.mesh.faces, process=False)
-        mesh.export(job.out_dir / "mesh.ply")
+        write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces)
     if job.save_silhouettes:
-        folder = job.out_dir / "silhouettes"
-        folder.mkdir(exist_ok=True)
-        for camera, silhouette in result.silhouettes.items():
-            # no parameters: with any of them OpenCV takes four times as long
-            cv2.imwrite(str(folder / f"{camera}.png"), silhouette.label_image())
+        seen = result.silhouettes
+        size_px = next(iter(seen.values())).image_size_px
+        labels = (silhouette.label_image() for silhouette in seen.values())
+        write_silhouettes(job.out_dir / SILHOUETTES, list(seen), labels, size_px)
 
 
 def learn_background(job: LearnJob) -> dict[str, Any]:
@@ -218,7 +233,7 @@ def learn_background(job: LearnJob) -> dict[str, Any]:
     WorkerFailure
         Anything else, with the traceback as text.
     """
-    bundle = read_bundle(job.bundle_path, job.camera_ids)
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         previous = {} if job.previous_path is None else read_background(job.previous_path)
         write_background(job.out_path, learn(previous, bundle.frames))

@@ -12,23 +12,31 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any, TypeVar
 
 from service.errors import ServiceError, WorkerFailure
+from service.process_memory import spare_collections
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+Initialize = Callable[[Any, int], bool]
 
 log = logging.getLogger(__name__)
 
-START_DEADLINE_S = 120.0
+START_DEADLINE_S = 300.0
+"""Compiling takes 20 s, on a machine that does nothing else."""
 START_ATTEMPTS = 3
 CLOSE_DEADLINE_S = 2.0
+WORKER_NAME = "stonefall-work"
+"""What `ps` and `top` call a process that measures."""
 
 
 class WorkerStartError(ServiceError):
@@ -44,16 +52,33 @@ class JobLostError(ServiceError):
         self.detail = detail
 
 
+@contextmanager
+def worker_boundary() -> Iterator[None]:
+    """Turn whatever goes wrong within into a `WorkerFailure` with the traceback as text: it travels home as it is."""
+    try:
+        yield
+    except Exception as err:  # noqa: BLE001 - the one place where everything is caught
+        raise WorkerFailure("".join(traceback.format_exception(err))) from None
+
+
 class WorkerPool:
     """Life cycle: `start`, any number of concurrent `run`, `close`; all on the event loop.
 
-    `initialize(context)` runs once in each new process; both must be picklable, like jobs and results.
+    `initialize(context, number)` runs once in each new process, the `number`th; it and the context must be
+    picklable, like jobs and results. If it returns True, the process is replaced by another: it had to compile,
+    and the compiler's memory stays. The processes are called `name` (15 bytes).
     """
 
     def __init__(
-        self, *, slots: int, deadline_s: float, initialize: Callable[[Any], None], context: object
+        self,
+        *,
+        slots: int,
+        deadline_s: float,
+        initialize: Initialize,
+        context: object,
+        name: str = WORKER_NAME,
     ) -> None:
-        self._slots = [_Slot(initialize, context) for _ in range(slots)]
+        self._slots = [_Slot(name, initialize, (context, number)) for number in range(slots)]
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
         self.restarts = 0
@@ -61,6 +86,12 @@ class WorkerPool:
     @property
     def size(self) -> int:
         return len(self._slots)
+
+    @property
+    def share(self) -> int:
+        """How many processors there are for the next job, beside those that are busy."""
+        n_busy = self.size - self._idle.qsize()
+        return max(1, len(os.sched_getaffinity(0)) // (n_busy + 1))
 
     @property
     def pids(self) -> list[int]:
@@ -117,7 +148,7 @@ class WorkerPool:
 
 
 async def run_apart(
-    function: Callable[[Job], Result], job: Job, *, deadline_s: float, initialize: Callable[[Any], None]
+    function: Callable[[Job], Result], job: Job, *, deadline_s: float, initialize: Initialize
 ) -> Result:
     """Return `function(job)`, computed in a process made for it: bundles do not wait for what takes long.
 
@@ -137,8 +168,10 @@ async def run_apart(
 
 
 class _Slot:
-    def __init__(self, initialize: Callable[[Any], None], context: object) -> None:
-        self._initargs = (initialize, context)
+    def __init__(self, name: str, initialize: Initialize, arguments: tuple[object, int]) -> None:
+        self._name = name
+        self._initialize = initialize
+        self._arguments = arguments
         self._executor: ProcessPoolExecutor | None = None
         self.process: BaseProcess | None = None
 
@@ -147,24 +180,32 @@ class _Slot:
         return None if self.process is None else self.process.pid
 
     async def start(self) -> None:
+        """Spawn a process and initialize it."""
+        is_second = False
         for attempt in range(1, START_ATTEMPTS + 1):
-            self._executor = ProcessPoolExecutor(
+            executor = self._executor = ProcessPoolExecutor(
                 max_workers=1,
                 mp_context=multiprocessing.get_context("spawn"),
-                initializer=_initialize_worker,
-                initargs=self._initargs,
+                initializer=_begin,
+                initargs=(self._name, self._initialize),
             )
             others = set(multiprocessing.active_children())
-            first_job = self._executor.submit(os.getpid)  # starts the process
+            begun = executor.submit(os.getpid)  # starts the process
             (self.process,) = set(multiprocessing.active_children()) - others
             try:
                 async with asyncio.timeout(START_DEADLINE_S):
-                    await asyncio.wrap_future(first_job)
-            except (BrokenProcessPool, TimeoutError) as err:
+                    await asyncio.wrap_future(begun)
+                    is_spent = await asyncio.wrap_future(
+                        executor.submit(_warm_up, self._initialize, self._arguments)
+                    )
+            except (BrokenProcessPool, TimeoutError, WorkerFailure) as err:
                 self.kill()
                 log.error("worker did not start: %s attempt=%d", str(err) or "deadline", attempt)
             else:
-                return
+                if not is_spent or is_second:
+                    return
+                is_second = True
+                self.kill()
         raise WorkerStartError(f"a worker process failed to start {START_ATTEMPTS} times in a row")
 
     async def run(self, function: Callable[[Job], Result], job: Job, deadline_s: float) -> Result:
@@ -194,12 +235,19 @@ def _last_line(traceback: str) -> str:
     return re.sub(r"(?<![\w.])/\S*/", "", traceback.strip().rpartition("\n")[2])
 
 
-def _initialize_worker(initialize: Callable[[Any], None], context: object) -> None:
-    """First thing in a new worker process."""
+def _begin(name: str, initialize: Initialize) -> None:
+    """First thing in a new worker process, which has by now imported what `initialize` needs."""
+    Path("/proc/self/comm").write_text(name)
     for number in (signal.SIGINT, signal.SIGTERM):  # a terminal sends them to the whole process group
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="end-with-parent", daemon=True).start()
-    initialize(context)
+
+
+def _warm_up(initialize: Initialize, arguments: tuple[object, int]) -> bool:
+    with worker_boundary():
+        is_spent = initialize(*arguments)
+    spare_collections()
+    return is_spent
 
 
 def _end_with_parent() -> None:

@@ -14,6 +14,7 @@ from service.api import pictures
 from service.api.cameras import CameraName
 from service.api.context import ApiContext, Context
 from service.api.negotiation import FOREVER, best_match, names_etag
+from service.api.pages import page_of
 from service.api.pictures import MeshFormat, NotKeptError
 from service.api.problems import Problem, documented, found
 from service.api.results import MAX_SEQ
@@ -62,7 +63,7 @@ async def particles(
         str | None, Query(pattern=r"^[0-9]{1,15}$", description="`next_cursor` of a page")
     ] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-) -> JSONResponse:
+) -> Response:
     """Results that fit all filters, newest first. To follow production use the feed, `/results`."""
     wanted = ParticleFilter(
         outcome=outcome,
@@ -74,10 +75,8 @@ async def particles(
         until=until,
     )
     records = await context.store.particles(wanted, MAX_SEQ if cursor is None else int(cursor), limit + 1)
-    items = [result_document(record) for record in records[:limit]]
-    return JSONResponse(
-        {"items": items, "next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}
-    )
+    items = records[:limit]
+    return await page_of({"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}, items)
 
 
 @router.get("/{particle_id}", response_model=Result, responses=documented(404))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from drivers.errors import RecordingError
 from drivers.files import replacing
 from drivers.recording import read_bundle, read_header
+from drivers.silhouette_file import read_silhouettes
 from pipeline.frames import CameraId
 from pipeline.preview import render_preview
 
@@ -74,7 +75,14 @@ def view_png(folder: Path, camera: str) -> bytes:
 
 def silhouette_png(folder: Path, camera: str) -> bytes:
     """Read one camera's silhouette (0 outside, 128 unknown, 255 inside); raise `NotKeptError` without it."""
-    return _stored(folder / "silhouettes" / f"{camera}.png").read_bytes()
+    try:
+        silhouettes = read_silhouettes(_stored(folder / "silhouettes.tiff"))
+    except RecordingError as err:
+        raise NotKeptError(err.problem) from err
+    labels = silhouettes.get(CameraId(camera))
+    if labels is None:
+        raise NotKeptError("the view is missing")
+    return encode_png(labels)
 
 
 def encode_png(image: NDArray[np.uint8]) -> bytes:

@@ -4,11 +4,12 @@ import asyncio
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from fastapi.responses import JSONResponse
+from fastapi.responses import Response
 
 from service.api.context import Context
+from service.api.pages import page_of
 from service.api.problems import Problem, documented
-from service.api.schemas import ResultsPage, result_document
+from service.api.schemas import ResultsPage
 
 MAX_SEQ = 10**15
 """Beyond any feed, within what a JSON number and SQLite hold exactly."""
@@ -24,7 +25,7 @@ async def results(
     wait_s: Annotated[
         float, Query(ge=0, le=30, description="How long to wait when there is nothing new")
     ] = 0,
-) -> JSONResponse:
+) -> Response:
     """Results after `after`, in order, without gaps, at least once.
 
     410 `cursor-expired` when results after `after` are gone already (`first_seq` says where the feed begins);
@@ -44,11 +45,9 @@ async def results(
         raise Problem(409, "cursor-ahead", f"the newest result is {page.last_seq}, not {after}", **ends)
     if after < page.first_seq - 1:
         raise Problem(410, "cursor-expired", f"the oldest result kept is {page.first_seq}", **ends)
-    return JSONResponse(
-        {
-            "instance_id": context.store.instance_id,
-            **ends,
-            "next_after": page.items[-1]["seq"] if page.items else after,
-            "items": [result_document(record) for record in page.items],
-        }
-    )
+    head = {
+        "instance_id": context.store.instance_id,
+        **ends,
+        "next_after": page.items[-1]["seq"] if page.items else after,
+    }
+    return await page_of(head, page.items)

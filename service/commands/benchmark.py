@@ -1,7 +1,6 @@
 """`stonefall benchmark`: how fast the processing is on this machine, or how accurate the whole chain is."""
 
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -30,9 +29,11 @@ from service.accuracy_bench import (
     run_accuracy_bench,
     summarize,
 )
+from service.commands.performance_tables import scaling_tables, stage_table
 from service.commands.shape import read_mesh
 from service.errors import UsageError
-from service.performance_bench import StageTimes, run_performance_bench
+from service.performance_bench import run_performance_bench
+from service.scaling_bench import run_scaling_bench
 
 STONES, IRREGULAR = "stones", "irregular-bodies"
 PUBLISHED_MM = {
@@ -45,6 +46,8 @@ PUBLISHED_MM = {
 MAX_RADIUS_MM = 24.0
 WIDTH = 150
 """Of a table that is written into a file."""
+SCALED_MM = 25.0
+"""Of the stone whose time is told for several grids, views and workers."""
 
 Outcome = TypeVar("Outcome")
 
@@ -52,6 +55,10 @@ Outcome = TypeVar("Outcome")
 def command(
     accuracy: Annotated[
         bool, typer.Option("--accuracy", help="Distances to true surfaces instead of times.")
+    ] = False,
+    scaling: Annotated[
+        bool,
+        typer.Option("--scaling", help="How the time grows with voxels and views, and with workers shrinks."),
     ] = False,
     bodies: Annotated[
         str,
@@ -62,7 +69,11 @@ def command(
     ] = f"{','.join(STANDARDS)},{STONES},{IRREGULAR}",
     poses: Annotated[
         int,
-        typer.Option(min=1, max=1000, help="Random poses of a body; stones of a size, without --accuracy."),
+        typer.Option(
+            min=1,
+            max=1000,
+            help="Random poses of a body; without --accuracy stones of a size, with --scaling repetitions.",
+        ),
     ] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Of rig, images, bodies and poses.")] = 1,
     rigs: Annotated[
@@ -76,11 +87,7 @@ def command(
 ) -> None:
     """How fast the processing is here; with --accuracy, the paper's Tables 2 and 3 re-made on rendered images."""
     if not accuracy:
-        times = _with_progress("timing", lambda tell: run_performance_bench(poses, seed, tell))
-        if as_json:
-            typer.echo(json.dumps([asdict(row) for row in times], indent=2))
-        else:
-            _print_times(times, poses, seed)
+        _time_stones(poses, seed, scaling=scaling, as_json=as_json)
         return
     names, own_bodies = _bodies(bodies)
     if pictures is not None:
@@ -100,6 +107,23 @@ def command(
     for line in _rig_lines(plan, result):
         console.print(line, highlight=False)
     console.print(accuracy_table(plan, result))
+
+
+def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None:
+    if scaling:
+        found = run_scaling_bench(SCALED_MM, poses, seed)
+        document: Any = asdict(found) | {"exponents": found.exponents()}
+        tables = scaling_tables(found, seed)
+    else:
+        times = _with_progress("timing", lambda tell: run_performance_bench(poses, seed, tell))
+        document = [asdict(row) for row in times]
+        tables = [stage_table(times, seed)]
+    if as_json:
+        typer.echo(json.dumps(document, indent=2))
+        return
+    console = Console(width=None if sys.stdout.isatty() else WIDTH)
+    for table in tables:
+        console.print(table)
 
 
 def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
@@ -260,21 +284,6 @@ def _rigs(text: str) -> tuple[RigName, ...]:
     if wrong:
         raise typer.BadParameter(f"{wrong[0]!r} is none of {', '.join(RIGS)}", param_hint="--rigs")
     return tuple(rig for rig in RIGS if rig in names)
-
-
-def _print_times(times: Sequence[StageTimes], repeat: int, seed: int) -> None:
-    stages = list(dict.fromkeys(stage for row in times for stage in row.stages_ms))
-    table = Table(
-        "stone mm", *stages, "total", "p95", "CPU",
-        title=f"ms a stone in one worker, medians of {repeat} stones a size, seed {seed};"
-        f" {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}",
-    )  # fmt: skip
-    for row in times:
-        cells = [f"{row.stages_ms.get(stage, 0):.0f}" for stage in stages]
-        table.add_row(
-            f"{row.size_mm:g}", *cells, f"{row.total_ms:.0f}", f"{row.p95_ms:.0f}", f"{row.cpu_ms:.0f}"
-        )
-    Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
 
 
 def _with_progress(label: str, run: Callable[[Callable[[int, int], None]], Outcome]) -> Outcome:

@@ -22,8 +22,10 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from drivers.png_file import write_png
 from drivers.recording import Recording, open_recording, playback_order, require_rig_of, unreadable_triggers
 from drivers.rig_file import read_rig
+from drivers.silhouette_file import read_silhouettes
 from pipeline.frames import BundleKind
 from pipeline.gradation import gradation
 from pipeline.particle import BodyParameters, PipelineParameters
@@ -33,7 +35,7 @@ from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.segmenters import SegmenterPlan
 from service.settings import load_settings
 from service.spool import Loss, SpooledBundle
-from service.worker_job import RigFile, WorkerContext, initialize
+from service.worker_job import MESH, SILHOUETTES, RigFile, WorkerContext, initialize
 from service.workers import WorkerPool
 
 DEADLINE_S = 600.0
@@ -55,6 +57,13 @@ class BodyName(StrEnum):
 
     ESTIMATE = "estimate"
     HULL = "hull"
+
+
+class MesherName(StrEnum):
+    """What makes the mesh of the hull."""
+
+    LEAVES = "leaves"
+    SKIMAGE = "skimage"
 
 
 class Field(StrEnum):
@@ -81,6 +90,9 @@ def command(
     body: Annotated[
         BodyName | None, typer.Option(help="What mesh and shape describe; as configured, else the estimate.")
     ] = None,
+    mesher: Annotated[
+        MesherName, typer.Option(help="skimage is scikit-image's marching cubes, the reference.")
+    ] = MesherName.LEAVES,
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
     save_silhouettes: Annotated[bool, typer.Option("--save-silhouettes")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -95,6 +107,7 @@ def command(
     settings = load_settings(config) if config else None
     parameters = settings.pipeline if settings else PipelineParameters()
     segmentation = settings.segmentation if settings else SegmentationSettings()
+    parameters = replace(parameters, mesher=mesher.value)
     if body is not None:
         parameters = replace(parameters, body=BodyParameters(body.value))
     if field is not None:
@@ -149,7 +162,7 @@ class _Playback:
         await self._room.acquire()
         return self._bundles.pop(0) if self._bundles else None
 
-    async def release(self, bundle: SpooledBundle) -> None:
+    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
         self._room.release()
 
 
@@ -166,14 +179,15 @@ class _Folder:
     ) -> int:
         """Keep a record, and its files where the command promises them."""
         kept = dict(record)
-        if mesh := (files or {}).get("mesh.ply"):
+        if mesh := (files or {}).get(MESH):
             kept["mesh"] = f"meshes/{bundle}.ply"
             mesh.replace(self._out / kept["mesh"])
-        if silhouettes := (files or {}).get("silhouettes"):
+        if silhouettes := (files or {}).get(SILHOUETTES):
             folder = self._out / "silhouettes" / bundle
-            folder.parent.mkdir(exist_ok=True)
             shutil.rmtree(folder, ignore_errors=True)
-            silhouettes.rename(folder)
+            folder.mkdir(parents=True)
+            for camera, labels in read_silhouettes(silhouettes).items():
+                write_png(folder / f"{camera}.png", labels)
         self._lines.write(json.dumps(kept) + "\n")
         self.records.append(kept)
         return len(self.records)
@@ -200,7 +214,6 @@ def _measure_all(
                 session=0,
                 camera_ids=source.camera_ids,
                 is_simulated=source.is_simulated,
-                archive_raw=False,
                 save_silhouettes=save_silhouettes,
                 folder=Path(work),
             )

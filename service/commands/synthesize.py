@@ -177,11 +177,11 @@ def _turn(name: str, size_mm: float | None) -> Turn:
 
         def next_stone(time: int, rng: np.random.Generator) -> tuple[Body, ShapeMeasurement]:
             body = stone(forms[time % len(forms)], size_mm or random_size_mm(rng), rng)
-            return body, measure_shape(body.mesh)
+            return body, measure_shape(body.mesh.vertices, body.mesh.faces)
 
         return next_stone
     body = _single_body(name)
-    shape = measure_shape(body.mesh)
+    shape = measure_shape(body.mesh.vertices, body.mesh.faces)
     return lambda time, rng: (body, shape)
 
 

@@ -7,6 +7,7 @@ next removes it. Raw frames are large, so only those of the newest results stay.
 import os
 import shutil
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from drivers.files import sync
@@ -33,7 +34,7 @@ def drop_raw_before(particles_dir: Path, instance_id: str, seq: int) -> None:
 
 
 def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
-    """Bring `files` (a name in `folder` each; a file, or a folder of files) there, durably.
+    """Bring `files` (a name in `folder` each) there, durably.
 
     The sources stay until `drop_sources`, so that a transaction that fails afterwards can be repeated.
     """
@@ -42,25 +43,17 @@ def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
         return
     folder.mkdir()
     for name, source in files.items():
-        target = folder / name
-        if source.is_dir():
-            target.mkdir()
-            for entry in sorted(source.iterdir()):
-                _bring(entry, target / entry.name)
-            sync(target)
-        else:
-            _bring(source, target)
-    sync(folder)
-    sync(folder.parent)
+        _bring(source, folder / name)
+    # at once: the device flushes for all of them what it would flush for each
+    written = [*(folder / name for name in files), folder, folder.parent]
+    with ThreadPoolExecutor(len(written), thread_name_prefix="sync") as each:
+        list(each.map(sync, written))
 
 
 def drop_sources(files: Mapping[str, Path]) -> None:
     """Remove what `keep_files` has brought to safety."""
     for source in files.values():
-        if source.is_dir():
-            shutil.rmtree(source)
-        else:
-            source.unlink()
+        source.unlink()
 
 
 def _bring(source: Path, target: Path) -> None:
@@ -68,4 +61,3 @@ def _bring(source: Path, target: Path) -> None:
         os.link(source, target)
     except OSError:  # another file system (the spool is on tmpfs), or one without links
         shutil.copyfile(source, target)
-    sync(target)

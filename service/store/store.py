@@ -141,6 +141,15 @@ class Store:
         """
         return await self._write(writes.finish, self.particles_dir, session, bundle, record, files or {})
 
+    def raw_path(self, seq: int) -> Path:
+        """Where the frames of a result belong; whoever puts them there calls `drop_old_raw`."""
+        return raw_frames(self.particles_dir, self._instance_id, seq)
+
+    async def drop_old_raw(self, seq: int) -> None:
+        """Remove the frames of a result that is not one of the newest `keep_raw` any more."""
+        if seq <= self._last_seq - self._keep_raw:
+            await asyncio.to_thread(self.raw_path(seq).unlink, missing_ok=True)
+
     async def lose_open(self, reason: str, detail: str) -> int:
         """End as `lost` every trigger that an earlier session left open, all at once; how many they were."""
         return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail)

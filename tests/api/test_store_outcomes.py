@@ -62,7 +62,7 @@ async def test_a_failed_write_changes_nothing_and_can_be_repeated(
     assert (await store.accounting()).in_progress == 1
     assert await store.finish(session, "00000001", measured(), files) == 1
     (folder,) = (state_dir / "particles").iterdir()
-    assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes"]
+    assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes.tiff"]
 
 
 async def add_raw(store: Store, session: int, sequence: int, folder: Path) -> int:

@@ -10,7 +10,7 @@ import trimesh
 from typer.testing import CliRunner, Result
 
 from pipeline.synthesis.trials import METHODS
-from service import performance_bench
+from service import performance_bench, scaling_bench
 from service.cli import build_app
 
 RUNNER = CliRunner()
@@ -94,12 +94,32 @@ def test_two_files_of_one_name(wedge: Path, tmp_path: Path) -> None:
 
 
 def test_times_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(performance_bench, "SIZES_MM", performance_bench.SIZES_MM[:2])
+    monkeypatch.setattr(performance_bench, "SIZES_MM", performance_bench.SIZES_MM[:1])
     result = RUNNER.invoke(build_app(["benchmark"]), ["benchmark", "--poses", "1", "--json"])
     assert result.exit_code == 0, result.output
-    rows = json.loads(result.stdout)
-    assert [row["size_mm"] for row in rows] == [5.0, 15.0]
-    for row in rows:
-        assert {"load", "segment", "carve", "mesh", "measure", "store"} <= set(row["stages_ms"])
-        assert row["total_ms"] == pytest.approx(sum(row["stages_ms"].values()))
-        assert row["cpu_ms"] > 0
+    (row,) = json.loads(result.stdout)
+    assert row["size_mm"] == 5.0
+    assert set(row["stages_ms"]) == {"segment", "optics", "check", "carve", "mesh", "estimate", "measure"}
+    assert row["cpu_ms"] == pytest.approx(sum(row["stages_ms"].values()))
+    assert 0 < row["mesh_ms"] < row["hull_ms"]
+    assert row["stages_ms"]["segment"] < row["way_cpu_ms"]
+
+
+def test_the_cost_of_a_surface_grows_with_the_square() -> None:
+    grids = [
+        scaling_bench.GridTimes(n=n, n_faces=6 * n * n, stages_ms={"mesh": 0.1 * n**2, "carve": 7.0 * n**3})
+        for n in scaling_bench.GRIDS
+    ]
+    found = scaling_bench.Scaling(size_mm=25, grids=grids, views=[], workers=[])
+    assert found.exponents() == pytest.approx({"mesh": 2, "carve": 3})
+
+
+@pytest.mark.parametrize("n_views", scaling_bench.VIEWS)
+def test_fewer_cameras_are_spread_over_all_layers(n_views: int) -> None:
+    rig = scaling_bench.crowded_rig()
+    cameras = rig.subset(scaling_bench.spread(rig, n_views)).cameras
+    heights_mm = np.round([camera.center_mm[2] for camera in cameras], 6)
+    directions = np.round([camera.center_mm / 300 for camera in cameras], 6)
+    assert len(np.unique(directions, axis=0)) == n_views
+    assert set(np.unique(heights_mm, return_counts=True)[1]) == {n_views // 4}
+    assert {camera.id for camera in cameras} <= set(rig.camera_ids)

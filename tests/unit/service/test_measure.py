@@ -83,7 +83,7 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
 
 
 def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> None:
-    run(recording, "--out", tmp_path, "--workers", 1, "--body", "hull")
+    run(recording, "--out", tmp_path, "--workers", 1, "--body", "hull", "--mesher", "skimage")
     for record in records(tmp_path):
         assert record["body"] == "hull"
         mesh = trimesh.load(tmp_path / record["mesh"], process=False)

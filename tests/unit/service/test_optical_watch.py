@@ -136,6 +136,14 @@ def test_what_most_cameras_show_is_one_finding() -> None:
     assert len(the_finding(after(*flickering)).cameras) == 16
 
 
+def test_a_slope_of_the_light_is_no_change_of_its_strength() -> None:
+    sloping = {"gradient_uv": [0.36, 0.48]}
+    finding = the_finding(after(*[exposure(sloping)] * MIN_EXPOSURES))
+    assert finding.detail == "the light differs by 60% from border to border: look at the strobes' supply"
+    finding = the_finding(after(*[exposure(sloping | {"brightness": 1.2})] * MIN_EXPOSURES))
+    assert finding.detail.startswith("the light has changed by +20% and differs by 60% from border to border")
+
+
 @pytest.mark.parametrize("brightness", [0.65, 1.4])
 def test_what_one_camera_shows_is_in_front_of_it(brightness: float) -> None:
     finding = the_finding(after(*[exposure(c05={"brightness": brightness})] * MIN_EXPOSURES))

@@ -33,12 +33,14 @@ class QueueSpool:
         self.on_take(self.bundles[0].name)
         return self.bundles.pop(0)
 
-    async def release(self, bundle: SpooledBundle) -> None:
+    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
         self.released.append(bundle)
 
 
 class ScriptedPool:
     """Answers at once, or when the test says so."""
+
+    share = 1
 
     def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
         self.failures = failures or {}
@@ -122,7 +124,6 @@ class Bench:
             session=1,
             camera_ids=(CameraId("c01"),),
             is_simulated=True,
-            archive_raw=False,
             save_silhouettes=False,
             folder=folder,
         )

@@ -23,7 +23,8 @@ REJECTED = ParticleResult(silhouettes={}, rejection=RejectedError(RejectReason.E
 
 @cache
 def box() -> ShapeMeasurement:
-    return measure_shape(trimesh.creation.box((10.0, 20.0, 30.0)))
+    box = trimesh.creation.box((10.0, 20.0, 30.0))
+    return measure_shape(box.vertices, box.faces)
 
 
 def measured() -> ParticleResult:

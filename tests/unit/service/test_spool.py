@@ -8,7 +8,7 @@ import pytest
 
 from drivers.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.spool import Loss, Spool, SpooledBundle
+from service.spool import SPARE_FILES, Loss, Spool, SpooledBundle
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))
 
@@ -75,7 +75,22 @@ async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
     for bundle in rest:
         await spool.release(bundle)
     assert spool.held == 0
-    assert file_names(tmp_path) == []
+
+
+async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=20, camera_ids=CAMERAS)
+    async with writing(spool):
+        for first in (1, 11):
+            for sequence in range(first, first + 10):
+                spool.offer(bundle_of(sequence))
+            taken = [await spool.take() for _ in range(10)]
+            for sequence, bundle in enumerate(taken, start=first):
+                assert bundle is not None
+                assert isinstance(bundle.content, Path)
+                read = await asyncio.to_thread(read_bundle, bundle.content, CAMERAS, mapped=True)
+                assert (read.frames[CAMERAS[0]].image == sequence).all()
+                await spool.release(bundle)
+            assert len(file_names(tmp_path)) == SPARE_FILES
 
 
 async def test_a_bundle_without_any_frame_is_lost_and_takes_no_room(tmp_path: Path):

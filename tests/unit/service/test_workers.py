@@ -10,7 +10,15 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from support.worker_jobs import TRACEBACK, Stumble, greeting_and_pid, initialize, stay, stumble
+from support.worker_jobs import (
+    TRACEBACK,
+    Stumble,
+    compile_once,
+    greeting_and_pid,
+    initialize,
+    stay,
+    stumble,
+)
 
 from service.worker_job import step_back
 from service.workers import JobLostError, WorkerPool, WorkerStartError, run_apart
@@ -79,6 +87,16 @@ async def test_a_worker_killed_while_idle_is_replaced():
         text, other = await pool.run(greeting_and_pid, "still here")
         assert text == "hello still here"
         assert other != pid
+
+
+async def test_a_process_that_had_to_compile_is_replaced(tmp_path: Path):
+    pool = WorkerPool(slots=2, deadline_s=10.0, initialize=compile_once, context=tmp_path)
+    await pool.start()
+    pids = noted_pids(tmp_path)
+    assert len(pids) == 4
+    assert set(pool.pids) < set(pids)
+    assert len(pool.pids) == 2
+    pool.close()
 
 
 async def test_a_worker_that_cannot_start_is_fatal():

@@ -1,0 +1,135 @@
+"""Frames of the newest stones, compressed beside their results: afterwards, and with what time is left over.
+
+A process of its own does it, which yields to all others, so that neither latency nor measuring pays. What waits
+for it is bounded: while stones come faster than it compresses, the frames of some are not kept, and it says so.
+"""
+
+import asyncio
+import logging
+import os
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from drivers.bundle_file import read_bundle, write_bundle
+from drivers.errors import RecordingError
+from drivers.files import sync
+from pipeline.frames import CameraId
+from service.workers import JobLostError, WorkerPool, worker_boundary
+
+log = logging.getLogger(__name__)
+
+DEADLINE_S = 60.0
+"""0.1 s of an idle core, but this process is the last to get one."""
+RECENT_S = 60.0
+"""So long health warns of frames that were not kept."""
+NAME = "stonefall-keep"
+"""What `ps` and `top` call the process."""
+
+
+class RawFolder(Protocol):
+    """The part of the store that says where frames belong."""
+
+    def raw_path(self, seq: int) -> Path: ...
+
+    async def drop_old_raw(self, seq: int) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class CompressJob:
+    """A bundle's file, and where it goes."""
+
+    bundle_path: Path
+    camera_ids: tuple[CameraId, ...]
+    out_path: Path
+
+
+def yield_to_all(context: None, number: int) -> bool:
+    """Run when nobody else wants to."""
+    os.nice(19)
+    return False
+
+
+def compress(job: CompressJob) -> None:
+    """Write the bundle compressed, durably.
+
+    Raises
+    ------
+    RecordingError
+        Nothing of the bundle can be read.
+    WorkerFailure
+        It cannot be written.
+    """
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+    with worker_boundary():
+        if not job.out_path.parent.exists():  # of a result without files of its own
+            job.out_path.parent.mkdir()
+            sync(job.out_path.parent.parent)
+        write_bundle(job.out_path, bundle, job.camera_ids, compression="zstd")
+
+
+class RawArchive:
+    """`run` is its task; `take` says whether it takes a file, `on_done` is called with each one taken."""
+
+    def __init__(
+        self,
+        folder: RawFolder,
+        camera_ids: tuple[CameraId, ...],
+        on_done: Callable[[Path], Awaitable[None]],
+        *,
+        max_waiting: int,
+    ) -> None:
+        """`max_waiting`: bundles on tmpfs, 21 MB each, beside those of the spool."""
+        self._folder = folder
+        self._camera_ids = camera_ids
+        self._on_done = on_done
+        self._max_waiting = max_waiting
+        self._waiting: asyncio.Queue[tuple[Path, int] | None] = asyncio.Queue()
+        self.left_out = 0
+        """Results whose frames were not kept."""
+        self._last_left_out_s = -RECENT_S
+
+    @property
+    def trouble(self) -> str | None:
+        """That frames were not kept within the last minute."""
+        if time.monotonic() - self._last_left_out_s > RECENT_S:
+            return None
+        return f"frames of {self.left_out} stones were not kept so far: they come faster than frames are compressed"
+
+    def take(self, path: Path, seq: int) -> bool:
+        """Take over the file of the bundle of a result, unless too many are waiting."""
+        if self._waiting.qsize() < self._max_waiting:
+            self._waiting.put_nowait((path, seq))
+            return True
+        self._leave_out(seq, "too many are waiting")
+        return False
+
+    def finish(self) -> None:
+        """Take no more: `run` returns after the last one."""
+        self._waiting.put_nowait(None)
+
+    async def run(self) -> None:
+        """Compress what is taken, one after the other."""
+        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, initialize=yield_to_all, context=None, name=NAME)
+        try:
+            while (item := await self._waiting.get()) is not None:
+                path, seq = item
+                if pool.pids == []:
+                    await pool.start()
+                try:
+                    job = CompressJob(path, self._camera_ids, self._folder.raw_path(seq))
+                    await pool.run(compress, job)
+                    await self._folder.drop_old_raw(seq)
+                except (JobLostError, RecordingError) as err:
+                    self._leave_out(seq, str(err))
+                await self._on_done(path)
+        finally:
+            pool.close()
+
+    def _leave_out(self, seq: int, reason: str) -> None:
+        level = logging.DEBUG if self.trouble else logging.WARNING
+        self.left_out += 1
+        self._last_left_out_s = time.monotonic()
+        log.log(level, "frames not kept: %s seq=%d", reason, seq)

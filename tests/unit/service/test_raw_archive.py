@@ -1,0 +1,59 @@
+import asyncio
+from pathlib import Path
+
+import pytest
+from support.recordings import CAMERAS, assert_same_bundle, make_bundle
+
+from drivers.bundle_file import overwrite_bundle, read_bundle
+from service.raw_archive import RawArchive
+
+
+class Folder:
+    """Where frames belong, in the place of the store."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.dropped: list[int] = []
+
+    def raw_path(self, seq: int) -> Path:
+        return self.path / f"{seq}" / "bundle.tiff"
+
+    async def drop_old_raw(self, seq: int) -> None:
+        self.dropped.append(seq)
+
+
+async def test_frames_are_compressed_beside_their_results_and_the_files_given_back(tmp_path: Path):
+    folder = Folder(tmp_path)
+    done: list[Path] = []
+    files = [tmp_path / f"spool-{seq}.tiff" for seq in (1, 2, 3)]
+
+    async def on_done(path: Path) -> None:
+        done.append(path)
+
+    archive = RawArchive(folder, CAMERAS, on_done, max_waiting=3)
+    for seq, path in enumerate(files, start=1):
+        await asyncio.to_thread(overwrite_bundle, path, make_bundle(seq), CAMERAS)
+    files[1].write_bytes(b"torn")
+    assert [archive.take(path, seq) for seq, path in enumerate(files, start=1)] == [True, True, True]
+    archive.finish()
+    await archive.run()
+    assert done == files
+    assert folder.dropped == [1, 3]
+    for seq in (1, 3):
+        kept = await asyncio.to_thread(read_bundle, folder.raw_path(seq), CAMERAS)
+        assert_same_bundle(kept, make_bundle(seq))
+    assert archive.left_out == 1
+
+
+def test_what_comes_too_fast_is_left_out_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    async def on_done(path: Path) -> None:
+        raise AssertionError(path)
+
+    archive = RawArchive(Folder(tmp_path), CAMERAS, on_done, max_waiting=4)
+    assert all(archive.take(tmp_path / f"{seq}", seq) for seq in range(4))
+    assert archive.trouble is None
+    assert not archive.take(tmp_path / "9", 9)
+    assert not archive.take(tmp_path / "10", 10)
+    assert archive.trouble is not None
+    assert archive.trouble.startswith("frames of 2 stones were not kept")
+    assert caplog.text.count("frames not kept: too many are waiting seq=9") == 1
