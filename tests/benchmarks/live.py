@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from contextlib import closing
+from datetime import datetime
 from pathlib import Path
 from typing import Any, get_args
 
@@ -24,10 +25,11 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support import rendered
 from support.daemon_process import STONEFALL, DaemonProcess, children_of
+from support.usage import cpu_s, percentiles, rss_mb
 
 from drivers.recording import RecordingWriter
 from pipeline.segmentation.choice import Wanted
-from pipeline.synthesis.bundles import render_bundle, render_empty, stream
+from pipeline.synthesis.bundles import TRIGGER_DELAY_NS, render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 
@@ -167,6 +169,7 @@ def report(
     span_s = last["at_s"] - first["at_s"]
     growth_mb = last["rss_mb"] - first["rss_mb"]
     views = [len(result["views"]) for result in results]
+    late_ms = [since_exposure_ms(result) for result in results]
     flagged = Counter(why for result in results for why in result["segmentation_flags"].values())
     differing = [
         camera
@@ -211,6 +214,7 @@ def report(
             f"{sum(c['latency_ms'] for c in cameras.values()) / 16:.1f},"
             f" {max(c['latency_max_ms'] for c in cameras.values()):.1f}"
         ),
+        "exposure to durable result, ms: p50, p95, p99, max": percentiles(late_ms),
         "daemon memory, MB (after the warm-up, at the end)": f"{first['rss_mb']:.0f}, {last['rss_mb']:.0f}",
         "cores used by daemon, workers, simulator": ", ".join(
             f"{(last[name] - first[name]) / span_s:.2f}"
@@ -233,6 +237,12 @@ def report(
     return int(any(problems.values()))
 
 
+def since_exposure_ms(result: dict[str, Any]) -> float:
+    """When the result was written, less when the cameras exposed; both by the clock of this machine."""
+    triggered, written = (datetime.fromisoformat(result[name]) for name in ("captured_at", "recorded_at"))
+    return (written - triggered).total_seconds() * 1000 - TRIGGER_DELAY_NS / 1e6
+
+
 def control(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     with closing(socket.socket(socket.AF_UNIX)) as line:
         line.connect(str(folder / "control"))
@@ -240,19 +250,6 @@ def control(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
         answer = dict(json.loads(line.makefile().readline()))
     assert answer["ok"], answer
     return answer
-
-
-def rss_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def cpu_s(pids: list[int]) -> float:
-    total = 0
-    for pid in pids:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        total += int(fields[11]) + int(fields[12])
-    return total / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":

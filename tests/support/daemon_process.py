@@ -17,6 +17,8 @@ from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
+from service.workers import WORKER_NAME
+
 STONEFALL = Path(sys.executable).with_name("stonefall")
 
 PATIENCE_S = 100.0
@@ -26,7 +28,7 @@ CONFIG = """
 {rig}
 [spool]
 dir = "{spool}"
-max_bundles = 100
+max_bundles = {max_bundles}
 [store]
 dir = "state"
 {store}
@@ -58,6 +60,7 @@ class DaemonProcess:
         voxels: int = 64,
         slots: int = 2,
         port: int = 0,
+        max_bundles: int = 100,
     ) -> None:
         """`rig`: what follows `recording` in the section of that name, or all of it with its name."""
         if not rig.startswith("[rig]"):
@@ -74,6 +77,7 @@ class DaemonProcess:
                 voxels=voxels,
                 slots=slots,
                 port=port,
+                max_bundles=max_bundles,
             )
         )
         self.heard: list[str] = []
@@ -156,8 +160,8 @@ class DaemonProcess:
         return list(self.get("/results?after=0&limit=1000")["items"])
 
     def worker_pids(self) -> list[int]:
-        """Processes of the pool; the resource tracker of multiprocessing is none."""
-        return [pid for pid in children_of(self.process.pid) if b"spawn_main" in command_line(pid)]
+        """Processes of the pool that measures."""
+        return [pid for pid in children_of(self.process.pid) if process_name(pid) == WORKER_NAME]
 
     def signal_workers(self, number: signal.Signals) -> None:
         for pid in self.worker_pids():
@@ -177,11 +181,11 @@ def children_of(pid: int) -> list[int]:
         return []
 
 
-def command_line(pid: int) -> bytes:
+def process_name(pid: int) -> str:
     try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
+        return Path(f"/proc/{pid}/comm").read_text().strip()
     except (FileNotFoundError, ProcessLookupError):
-        return b""
+        return ""
 
 
 def is_running(pid: int) -> bool:

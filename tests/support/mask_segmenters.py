@@ -23,7 +23,7 @@ class MaskSegmenter:
     network: Network
 
     def __call__(self, frame: Frame, background: BackgroundModel) -> Silhouette:
-        probability = self.network.probability(frame.image.astype(np.float32), None)
+        probability = self.network.probability(frame.image[None].astype(np.float32))
         mask = (probability > 0.5).astype(np.uint8)
         return silhouette_of_mask(frame, mask, probability, found_by=self.network.kind)
 

@@ -20,11 +20,12 @@ COVERAGE_STEEPNESS = 8.0
 
 @cache
 def difference_network(
-    size_px: int = 256, *, threshold: float = 0.12, nearby_px: int = 7, **metadata: str
+    edge_px: int | str = 256, *, threshold: float = 0.12, nearby_px: int = 7, **metadata: str
 ) -> bytes:
     """P(body) where the image differs from what is behind, by more than half of the difference nearby.
 
-    Behind is the plain wall where nothing is known of it. With a `nearby_px` of 1 every difference is body.
+    Behind is the plain wall where nothing is known of it. With a `nearby_px` of 1 every difference is body. An edge
+    that is no number is open.
     """
     pad = nearby_px // 2
     nodes = [
@@ -54,8 +55,9 @@ def difference_network(
         "steepness": STEEPNESS,
         "coverage_steepness": COVERAGE_STEEPNESS,
     }
-    view = helper.make_tensor_value_info("view", TensorProto.FLOAT, [1, 2, size_px, size_px])
-    body = helper.make_tensor_value_info("body", TensorProto.FLOAT, [1, 1, size_px, size_px])
+    edges = [edge_px] * 2 if isinstance(edge_px, int) else ["height", "width"]
+    view = helper.make_tensor_value_info("view", TensorProto.FLOAT, [1, 2, *edges])
+    body = helper.make_tensor_value_info("body", TensorProto.FLOAT, [1, 1, *edges])
     return _content(nodes, view, body, constants, {"format": FORMAT, "parameters": "5"} | metadata)
 
 

@@ -11,6 +11,7 @@ import trimesh
 from fastapi import FastAPI
 
 from drivers.recording import write_bundle
+from drivers.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.calibrations import Calibrations
 from service.control import (
@@ -113,10 +114,9 @@ async def add(
 
 def particle_files(folder: Path) -> dict[str, Path]:
     """What a worker leaves behind: the mesh of a box, two silhouettes, the frames of two cameras."""
-    silhouettes = folder / "silhouettes"
-    silhouettes.mkdir(parents=True)
-    for camera in GREY:
-        (silhouettes / f"{camera}.png").write_bytes(PNG + camera.encode())
+    folder.mkdir(parents=True, exist_ok=True)
+    labels = (np.full((6, 8), grey // 2, np.uint8) for grey in GREY.values())
+    write_silhouettes(folder / "silhouettes.tiff", list(GREY), labels, (8, 6))
     trimesh.creation.box(BOX_MM).export(folder / "mesh.ply")
     frames = {
         camera: Frame(
@@ -130,7 +130,7 @@ def particle_files(folder: Path) -> dict[str, Path]:
     }
     bundle = FrameBundle(trigger=trigger(1), frames=frames, missing={CAMERAS[2]: "lost"})
     write_bundle(folder / "bundle.tiff", bundle, CAMERAS, compression="zstd")
-    return {name: folder / name for name in ("mesh.ply", "silhouettes", "bundle.tiff")}
+    return {name: folder / name for name in ("mesh.ply", "silhouettes.tiff", "bundle.tiff")}
 
 
 def client_of(app: FastAPI, address: str = "127.0.0.1", host: str = "127.0.0.1:8080") -> httpx.AsyncClient:

@@ -1,0 +1,367 @@
+"""The daemon on a recording at several rates, measuring and keeping raw frames: what is lost, how late results are.
+
+Run: .venv/bin/python tests/benchmarks/sustained.py [--rates 4,10,20] [--seconds 60] [--burst 20] [--burst-seconds 10]
+     [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--slots 2] [--queue 100] [--recording DIR] [--json]
+
+`--recording` is where the stones are kept that are rendered for it; `--record` records that many more bundles live.
+They fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before each round.
+A trigger's time is when the store knew of it, or earlier if the recording's own pace says so; a result is there when
+the store shows it. Exits with 1 if a stone is lost at up to ten a second or in the burst, or results come too late.
+"""
+
+import argparse
+import json
+import os
+import sqlite3
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support import rendered
+from support.daemon_process import DaemonProcess
+from support.usage import cpu_s, own_mb, percentiles, rss_mb
+
+from drivers.recording import Recording, RecordingWriter, open_recording, read_bundle
+from pipeline.frames import FrameBundle
+from pipeline.synthesis.bundles import (
+    FIRST_NS,
+    LAST_FRAME_ID,
+    TRIGGER_DELAY_NS,
+    render_bundle,
+    render_empty,
+    stream,
+)
+from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.stones import stone
+
+SEED = 12
+REQUIRED_HZ = 10.0
+"""What two cores must keep up with for any time."""
+REQUIRED_MS = 500.0
+"""99 of 100 results are there so long after their exposure."""
+ROUND_STONES = 60
+"""Between two exposures of the empty rig, which every round begins with."""
+ROUND_GAP_S = 0.25
+"""From the last trigger of a recording to the first when it is played again."""
+RIG = """pace = "recorded"
+loop = true
+[bundling]
+window_ms = {window_ms:.0f}
+dead_time_ms = {dead_time_ms:.0f}
+"""
+"""Triggers closer than 220 ms need cameras that are not busy while they wait for a stone."""
+LOOK_S = 0.005
+"""How often the store is asked for news."""
+SAMPLE_S = 1.0
+DRAIN_S = 600.0
+"""Longest wait for what is in the queue."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """What a daemon did at one rate."""
+
+    name: str
+    rate_hz: float
+    is_required: bool  # to lose nothing and to be in time
+    counts: dict[str, Any]
+    sustained_hz: float  # results between the first and the last
+    latency_ms: list[float]  # from the exposure to the durable result, in the order of the triggers
+    worker_ms: list[float]  # of each bundle, in its worker
+    waiting: int  # triggers without a result, at most
+    loop_ms: float  # longest hold-up of the event loop
+    cores: dict[str, float]  # of daemon and workers
+    memory_mb: dict[str, list[float]]
+    recorded: str
+
+    @property
+    def problems(self) -> list[str]:
+        if not self.is_required:
+            return []
+        return [
+            problem
+            for problem, is_so in {
+                "the accounts do not add up": not self.counts["is_balanced"] or self.counts["in_progress"],
+                f"{self.counts['lost']} stones were lost": self.counts["lost"],
+                "results come too late": np.quantile(self.latency_ms or [0.0], 0.99) > REQUIRED_MS
+                and self.rate_hz <= REQUIRED_HZ,
+            }.items()
+            if is_so
+        ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rates", default="4,10,20", help="stones a second, each for --seconds")
+    parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--burst", type=float, default=20, help="stones a second; 0: no burst")
+    parser.add_argument("--burst-seconds", type=float, default=10)
+    parser.add_argument("--size-mm", type=float, default=25)
+    parser.add_argument("--stones", type=int, default=20, help="different ones")
+    parser.add_argument("--keep-raw", type=int, default=200, help="frames of so many stones are archived")
+    parser.add_argument("--record", type=int, default=0, help="bundles")
+    parser.add_argument("--slots", type=int, default=2)
+    parser.add_argument("--queue", type=int, default=100, help="bundles")
+    parser.add_argument("--recording", type=Path)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    plan = [
+        (f"{float(rate):g}/s", float(rate), arguments.seconds) for rate in arguments.rates.split(",") if rate
+    ]
+    if arguments.burst:
+        plan.append((f"burst of {arguments.burst:g}/s", arguments.burst, arguments.burst_seconds))
+    with tempfile.TemporaryDirectory() as name:
+        path = arguments.recording or Path(name) / "stones"
+        if not path.exists():
+            render(path, arguments.size_mm, arguments.stones)
+        recording = open_recording(path)
+        runs = [played(recording, run_name, rate_hz, s, arguments) for run_name, rate_hz, s in plan]
+    if arguments.json:
+        sys.stdout.write(json.dumps([asdict(run) for run in runs], indent=2) + "\n")
+    else:
+        Console(width=None if sys.stdout.isatty() else 150).print(table_of(runs, recording, arguments))
+    for run in runs:
+        for problem in run.problems:
+            Console(stderr=True).print(f"FAILED: {run.name}: {problem}")
+    return int(any(run.problems for run in runs))
+
+
+def render(path: Path, size_mm: float, n_stones: int) -> None:
+    """One exposure of the empty rig, then stones; about a second each."""
+    rig, simulated = rendered.rig(), rendered.simulated()
+    with RecordingWriter(
+        path,
+        camera_ids=rig.camera_ids,
+        image_size_px=rig.cameras[0].image_size_px,
+        rig=rig,
+        is_simulated=True,
+        made_by={"benchmark": "sustained", "size_mm": size_mm},
+        compression="none",
+    ) as writer:
+        writer.add(render_empty(simulated, stream(SEED, 0), sequence=1))
+        numbers = range(2, n_stones + 2)
+        for number in track(numbers, "rendering", console=Console(stderr=True), transient=True):
+            rng = stream(SEED, 1, number)
+            placed = tumble(stone("angular", size_mm, rng), rig, rng)
+            writer.add(render_bundle([placed], simulated, rng, sequence=number, label="angular"))
+
+
+def write_paced(path: Path, recording: Recording, rate_hz: float) -> NDArray[np.float64]:
+    """The recording so that, played again and again, it has so many stones a second.
+
+    Returns when each trigger of a round is due, in s, and at its end when the next round begins.
+    """
+    period_s = (ROUND_STONES / rate_hz - ROUND_GAP_S) / ROUND_STONES
+    empty, *stones = recording.headers
+    with RecordingWriter(
+        path,
+        camera_ids=recording.camera_ids,
+        image_size_px=recording.image_size_px,
+        rig=recording.rig,
+        is_simulated=True,
+        made_by={"benchmark": "sustained", "rate_hz": rate_hz},
+        compression="none",
+    ) as writer:
+        for position in range(ROUND_STONES + 1):
+            header = stones[(position - 1) % len(stones)] if position else empty
+            bundle = read_bundle(header.path, recording.camera_ids)
+            writer.add(moved(bundle, position + 1, FIRST_NS + round(position * period_s * 1e9)))
+    return np.append(np.arange(ROUND_STONES + 1) * period_s, ROUND_STONES * period_s + ROUND_GAP_S)
+
+
+def moved(bundle: FrameBundle, sequence: int, received_ns: int) -> FrameBundle:
+    """The same exposure at another place of a recording, as all counters and clocks would have told it."""
+    by = sequence - bundle.trigger.sequence
+    by_ns = received_ns - bundle.trigger.received_ns
+    trigger = replace(
+        bundle.trigger,
+        sequence=sequence,
+        received_ns=received_ns,
+        device_ns=bundle.trigger.device_ns + by_ns,
+        name=f"{sequence:06d}",
+    )
+    frames = {
+        camera: replace(
+            frame,
+            frame_id=(frame.frame_id - 1 + by) % LAST_FRAME_ID + 1,
+            received_ns=frame.received_ns + by_ns,
+            device_ns=frame.device_ns + by_ns,
+        )
+        for camera, frame in bundle.frames.items()
+    }
+    return FrameBundle(trigger=trigger, frames=frames)
+
+
+@dataclass(slots=True)
+class Watched:
+    """When triggers and results appeared in the store, by their numbers."""
+
+    triggers_s: dict[int, float] = field(default_factory=dict)
+    results_s: dict[int, float] = field(default_factory=dict)
+
+    def look(self, store: Path, is_over: threading.Event) -> None:
+        with closing(sqlite3.connect(f"file:{store}?mode=ro", uri=True)) as connection:
+            while not is_over.wait(LOOK_S):
+                last_trigger, last_seq = connection.execute(
+                    "SELECT (SELECT coalesce(max(trigger), 0) FROM triggers), last_seq FROM store"
+                ).fetchone()
+                now_s = time.monotonic()
+                for known, last in ((self.triggers_s, last_trigger), (self.results_s, last_seq)):
+                    known.update(dict.fromkeys(range(len(known) + 1, last + 1), now_s))
+
+
+def played(recording: Recording, name: str, rate_hz: float, seconds: float, arguments: Any) -> Run:
+    """A daemon from its start to the last result."""
+    with tempfile.TemporaryDirectory() as folder_name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
+        folder = Path(folder_name)
+        due_s = write_paced(folder / "recording", recording, rate_hz)
+        apart_ms = 1000 * min(due_s[1], ROUND_GAP_S)
+        with DaemonProcess(
+            folder,
+            folder / "recording",
+            rig=RIG.format(window_ms=0.4 * apart_ms, dead_time_ms=0.9 * apart_ms),
+            voxels=256,
+            spool=spool,
+            store=f"keep_raw = {arguments.keep_raw}",
+            slots=arguments.slots,
+            max_bundles=arguments.queue,
+        ) as daemon:
+            daemon.hear("READY=1")
+            watched, is_over = Watched(), threading.Event()
+            store = folder / "state/results.sqlite"
+            watching = threading.Thread(target=watched.look, args=(store, is_over))
+            watching.start()
+            try:
+                samples = watch(daemon, seconds, arguments.record)
+                daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=DRAIN_S)
+            finally:
+                time.sleep(10 * LOOK_S)
+                is_over.set()
+                watching.join()
+            return run_of(daemon, name, rate_hz, watched, samples, due_s, arguments)
+
+
+def watch(daemon: DaemonProcess, seconds: float, n_recorded: int) -> list[dict[str, Any]]:
+    """Let the belt run for so long; a sample a second until everything is through."""
+    if n_recorded:
+        daemon.post("/recordings", {"name": "benchmark", "count": n_recorded})
+    samples = [sample(daemon)]
+    begin_s = time.monotonic()
+    while time.monotonic() - begin_s < seconds:
+        time.sleep(min(SAMPLE_S, max(0.0, seconds - (time.monotonic() - begin_s))))
+        samples.append(sample(daemon))
+    daemon.put("/acquisition", {"state": "disarmed"})
+    return samples
+
+
+def sample(daemon: DaemonProcess) -> dict[str, Any]:
+    pid, workers = daemon.process.pid, daemon.worker_pids()
+    return {
+        "at_s": time.monotonic(),
+        "loop_ms": daemon.get("/health")["checks"]["loop"]["observed_value"],
+        "cpu_s": {"daemon": cpu_s([pid]), "workers": cpu_s(workers)},
+        "rss_mb": {"daemon": [rss_mb(pid)], "workers": [rss_mb(worker) for worker in workers]},
+        "own_mb": {"workers": [own_mb(worker) for worker in workers]},
+    }
+
+
+def run_of(
+    daemon: DaemonProcess,
+    name: str,
+    rate_hz: float,
+    watched: Watched,
+    samples: Sequence[dict[str, Any]],
+    due_s: NDArray[np.float64],
+    arguments: Any,
+) -> Run:
+    with closing(sqlite3.connect(daemon.folder / "state/results.sqlite")) as connection:
+        rows = connection.execute("SELECT seq, trigger, record FROM results ORDER BY seq").fetchall()
+    seen_s = np.array(list(watched.triggers_s.values()))
+    round_of, position = np.divmod(np.arange(len(seen_s)), len(due_s) - 1)
+    schedule_s = round_of * due_s[-1] + due_s[position]
+    # it was there no later than the next ones, less the time between: a loop that is held up hides no delay
+    triggered_s = np.minimum.accumulate((seen_s - schedule_s)[::-1])[::-1] + schedule_s
+    ended_s = np.array([watched.results_s[seq] for seq, _, _ in rows])
+    begun_s = np.array([triggered_s[trigger - 1] for _, trigger, _ in rows])
+    records = [json.loads(record) for _, _, record in rows]
+    first, last = samples[0], samples[-1]
+    span_s = last["at_s"] - first["at_s"]
+    recording = daemon.get("/recordings")["items"] if arguments.record else []
+    return Run(
+        name=name,
+        rate_hz=rate_hz,
+        is_required=rate_hz <= REQUIRED_HZ or name.startswith("burst"),
+        counts=daemon.get("/accounting"),
+        sustained_hz=float((len(rows) - 1) / np.ptp(ended_s)) if len(rows) > 1 else 0.0,
+        latency_ms=list(1000 * (ended_s - begun_s) - TRIGGER_DELAY_NS / 1e6),
+        worker_ms=[record["timings_ms"]["total"] for record in records if record["timings_ms"]],
+        waiting=int(max(((begun_s <= end_s) & (ended_s >= end_s)).sum() for end_s in ended_s))
+        if len(rows)
+        else 0,
+        loop_ms=max(each["loop_ms"] for each in samples),
+        cores={part: (last["cpu_s"][part] - first["cpu_s"][part]) / span_s for part in ("daemon", "workers")},
+        memory_mb={
+            "daemon": last["rss_mb"]["daemon"],
+            "workers": last["rss_mb"]["workers"],
+            "workers, their own": last["own_mb"]["workers"],
+        },
+        recorded=", ".join(f"{each['state']} {each['bundles']}" for each in recording) or "-",
+    )
+
+
+def table_of(runs: Sequence[Run], recording: Recording, arguments: Any) -> Table:
+    bundle_s = [seconds_to_read(recording) for _ in range(5)]
+    table = Table(
+        "",
+        *(run.name for run in runs),
+        title=f"{arguments.seconds:g} s each, burst {arguments.burst_seconds:g} s; {len(recording.headers) - 1} stones"
+        f" of {arguments.size_mm:g} mm again and again, {arguments.slots} workers, frames of {arguments.keep_raw} kept;"
+        f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+        caption=f"The daemon also reads the recording, at {1000 * np.median(bundle_s):.0f} ms a bundle.",
+    )
+    for label, cells in {
+        "triggers = measured + rejected + lost": [
+            "{triggers} = {measured} + {rejected} + {lost}".format(**run.counts) for run in runs
+        ],
+        "by reason": [str(run.counts["by_reason"] or "") for run in runs],
+        "results/s": [f"{run.sustained_hz:.2f}" for run in runs],
+        "exposure to durable result, ms: p50, p95, p99, max": [percentiles(run.latency_ms) for run in runs],
+        "in the worker, ms: p50, p95, p99, max": [percentiles(run.worker_ms) for run in runs],
+        "triggers without a result, at most": [str(run.waiting) for run in runs],
+        "longest hold-up of the loop, ms": [f"{run.loop_ms:.0f}" for run in runs],
+        "cores used by daemon, workers": [
+            f"{run.cores['daemon']:.2f}, {run.cores['workers']:.2f}" for run in runs
+        ],
+        **{
+            f"memory of {part}, MB": [", ".join(f"{mb:.0f}" for mb in run.memory_mb[part]) for run in runs]
+            for part in runs[0].memory_mb
+        },
+        "recorded": [run.recorded for run in runs],
+    }.items():
+        table.add_row(label, *cells)
+    return table
+
+
+def seconds_to_read(recording: Recording) -> float:
+    start_s = time.process_time()
+    read_bundle(recording.headers[-1].path, recording.camera_ids)
+    return time.process_time() - start_s
+
+
+if __name__ == "__main__":
+    sys.exit(main())

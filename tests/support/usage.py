@@ -1,0 +1,36 @@
+"""What processes take of the machine, from /proc, and how late results are."""
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+
+def rss_mb(pid: int) -> float:
+    """Resident memory, with what is shared."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def own_mb(pid: int) -> float:
+    """Memory that would be free again without this process: what is its alone (USS)."""
+    fields = re.findall(r"^Private_\w+:\s+(\d+) kB", Path(f"/proc/{pid}/smaps_rollup").read_text(), re.M)
+    return sum(map(int, fields)) * 1024 / 1e6
+
+
+def cpu_s(pids: Iterable[int], *, with_ended_children: bool = False) -> float:
+    """Processor time so far, of all their threads."""
+    total = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        total += sum(map(int, fields[11 : 15 if with_ended_children else 13]))
+    return total / os.sysconf("SC_CLK_TCK")
+
+
+def percentiles(values: Sequence[float]) -> str:
+    """Half, 95 %, 99 % and all are at most that."""
+    if not len(values):
+        return "-"
+    return ", ".join(f"{value:.0f}" for value in np.quantile(values, [0.5, 0.95, 0.99, 1]))
