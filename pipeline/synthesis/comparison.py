@@ -64,7 +64,7 @@ class Surface:
         triangles, normals = np.asarray(mesh.triangles), np.asarray(mesh.face_normals)
         done: list[tuple[Array, Array]] = []
         while len(triangles):
-            sides_mm = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+            sides_mm = _lengths(np.roll(triangles, -1, axis=1) - triangles)
             long = sides_mm.max(axis=1) > longest_mm
             done.append((triangles[~long], normals[~long]))
             # halve the longest side: a to b, with c opposite
@@ -76,25 +76,25 @@ class Surface:
         self._triangles = np.concatenate([part[0] for part in done])
         self._normals = np.concatenate([part[1] for part in done])
         centers_mm = self._triangles.mean(axis=1)
-        self._reach_mm = np.linalg.norm(self._triangles - centers_mm[:, None], axis=2).max(axis=1)
-        self._tree = cKDTree(centers_mm)
+        self._reach_mm = _lengths(self._triangles - centers_mm[:, None]).max(axis=1)
+        self._tree = cKDTree(centers_mm, compact_nodes=False, balanced_tree=False)
 
     def signed_distances_mm(self, points_mm: Array) -> Array:
         """Exact distances (N,) of points (N, 3) to the surface, positive outside."""
         _, first = self._tree.query(points_mm)
         nearest_mm = trimesh.triangles.closest_point(self._triangles[first], points_mm)
-        bound_mm = np.linalg.norm(points_mm - nearest_mm, axis=1) + 1e-9
+        bound_mm = _lengths(points_mm - nearest_mm) + 1e-9
         # no triangle whose centre is further away can be nearer, whatever its form
         lists = self._tree.query_ball_point(points_mm, bound_mm + self._reach_mm.max())
         triangle = np.concatenate(lists).astype(int)
         point = np.repeat(np.arange(len(points_mm)), [len(entry) for entry in lists])
-        apart_mm = np.linalg.norm(points_mm[point] - self._tree.data[triangle], axis=1)
+        apart_mm = _lengths(points_mm[point] - self._tree.data[triangle])
         possible = apart_mm <= bound_mm[point] + self._reach_mm[triangle]
         triangle, point = triangle[possible], point[possible]
 
         nearest_mm = trimesh.triangles.closest_point(self._triangles[triangle], points_mm[point])
         gaps_mm = points_mm[point] - nearest_mm
-        distance_mm = np.linalg.norm(gaps_mm, axis=1)
+        distance_mm = _lengths(gaps_mm)
         height_mm = np.einsum("ij,ij->i", gaps_mm, self._normals[triangle])
         # on a shared edge or corner the face that looks most at the point knows its side
         best = np.lexsort((-np.abs(height_mm), np.round(distance_mm, 9), point))
@@ -103,7 +103,17 @@ class Surface:
 
     def greatest_distance_mm(self, points_mm: Array) -> float:
         """The greatest distance of any of the points (N, 3) to the surface, exactly."""
-        apart_mm, _ = self._tree.query(points_mm)
+        apart_mm, first = self._tree.query(points_mm)
         # the distance is at most that to a centre, and less than it by the triangle's reach at most
         may_be_greatest = apart_mm >= apart_mm.max() - self._reach_mm.max()
-        return float(np.abs(self.signed_distances_mm(points_mm[may_be_greatest])).max())
+        points_mm, first = points_mm[may_be_greatest], first[may_be_greatest]
+        nearest_mm = trimesh.triangles.closest_point(self._triangles[first], points_mm)
+        at_most_mm = _lengths(points_mm - nearest_mm)
+        reached_mm = np.abs(self.signed_distances_mm(points_mm[[at_most_mm.argmax()]]))[0]
+        points_mm = points_mm[at_most_mm >= reached_mm]
+        return float(np.abs(self.signed_distances_mm(points_mm)).max(initial=reached_mm))
+
+
+def _lengths(vectors: Array) -> Array:
+    """Of vectors along the last axis; several times as fast as numpy's general norm."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))

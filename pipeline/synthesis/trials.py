@@ -13,6 +13,7 @@ from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError
 from pipeline.frames import FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
+from pipeline.measuring.solid import solid_of
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.particle import PipelineParameters, measure_bundle
 from pipeline.rig import RigCalibration
@@ -118,7 +119,7 @@ def try_body(
     trials = []
     if (center_mm := star_center_mm(truth.mesh)) is not None:
         floor = exact_hull_mesh(truth.mesh, center_mm, scene.true_rig)
-        trials.append(judged("true", "exact hull", Measured(mesh=floor, volume_mm3=float(floor.volume))))
+        trials.append(judged("true", "exact hull", _as_it_is(floor)))
     for name, (rig, methods) in rigs.items():
         motion = rig_error(rig, scene.true_rig)
         for method in methods:
@@ -147,8 +148,11 @@ def _measure(
     hull = mesh_hull(carve(silhouettes, rig, parameters))
     if hull is None:
         return "the silhouettes have no common body"
-    mesh = _trimesh(hull)
-    return Measured(mesh=mesh, volume_mm3=float(mesh.volume))
+    return _as_it_is(_trimesh(hull))
+
+
+def _as_it_is(mesh: trimesh.Trimesh) -> Measured:
+    return Measured(mesh=mesh, volume_mm3=solid_of(mesh.vertices, mesh.faces).volume_mm3)
 
 
 def _errors(measured: Measured, true: ShapeMeasurement) -> ShapeErrors:
