@@ -17,6 +17,7 @@ N_SAMPLES = 2_000
 """Points a surface; a mean of distances about 0.1 mm is then known within 1 um, as they are spread evenly."""
 MAX_EDGE_SHARE = 0.05
 """Longest edge of the triangles that are searched, relative to the extent of the surface."""
+ROUNDING_MM = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +84,7 @@ class Surface:
         """Exact distances (N,) of points (N, 3) to the surface, positive outside."""
         _, first = self._tree.query(points_mm)
         nearest_mm = trimesh.triangles.closest_point(self._triangles[first], points_mm)
-        bound_mm = _lengths(points_mm - nearest_mm) + 1e-9
+        bound_mm = _lengths(points_mm - nearest_mm) + ROUNDING_MM
         # no triangle whose centre is further away can be nearer, whatever its form
         lists = self._tree.query_ball_point(points_mm, bound_mm + self._reach_mm.max())
         triangle = np.concatenate(lists).astype(int)
@@ -110,8 +111,8 @@ class Surface:
         nearest_mm = trimesh.triangles.closest_point(self._triangles[first], points_mm)
         at_most_mm = _lengths(points_mm - nearest_mm)
         reached_mm = np.abs(self.signed_distances_mm(points_mm[[at_most_mm.argmax()]]))[0]
-        points_mm = points_mm[at_most_mm >= reached_mm]
-        return float(np.abs(self.signed_distances_mm(points_mm)).max(initial=reached_mm))
+        points_mm = points_mm[at_most_mm >= reached_mm - ROUNDING_MM]
+        return float(np.abs(self.signed_distances_mm(points_mm)).max())
 
 
 def _lengths(vectors: Array) -> Array:
