@@ -64,8 +64,9 @@ def _corners(points: Array, order: NDArray[np.int64]) -> NDArray[np.int64]:
 def _goes_on(points: Array, which: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
     """Whether an outline (N, 2) has no gap among the `reach` steps before and after some of its points (H,)."""
     n = len(points)
-    goes_on = np.ones(len(which), np.bool_)
+    goes_on = np.empty(len(which), np.bool_)
     for i in range(len(which)):
+        goes_on[i] = True
         for step in range(-reach, reach):
             start, end = (which[i] + step) % n, (which[i] + step + 1) % n
             u, v = points[end, 0] - points[start, 0], points[end, 1] - points[start, 1]

@@ -51,6 +51,7 @@ def inner_surface(views: Sequence[View], center_mm: Array, from_center_mm: Array
         np.column_stack([inner.normals, inner.offsets_mm]),
         np.column_stack([tangents.normals, tangents.offsets_mm])[inner.rays],
         shares,
+        np.zeros((2, 2, 2), np.int64),
     )
     return InnerSurface(radii_mm=radii_mm, half_heights_mm=half_heights_mm, local_share=share)
 
@@ -70,17 +71,17 @@ def _along(
     face_planes: Array,
     tangent_planes: Array,
     shares: Array,
+    last: NDArray[np.int64],
 ) -> tuple[Array, Array, Array]:
     """The three arrays (N,) of `InnerSurface` for the rays from the origin through points (N, 3).
 
     A face that the ray misses is left for its neighbour on the ray's side: seen from within, the faces of a
     convex body tile a sphere as a regular triangulation, where such a walk always arrives. It starts where
-    the last one in the same octant ended: a mesh's vertices come in rows that cross the body, so that this is
-    less than one step away.
+    the `last` one in the same octant (2, 2, 2) ended, at first anywhere: a mesh's vertices come in rows that
+    cross the body, so that this is less than one step away.
     """
     n = len(points_mm)
     radii_mm, half_heights_mm, local_share = np.empty(n), np.empty(n), np.empty(n)
-    last = np.zeros((2, 2, 2), np.int64)
     for i in range(n):
         x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
         length_mm = np.sqrt(x * x + y * y + z * z)

@@ -100,7 +100,9 @@ def observe_optics(
     is_wall = known.shows_wall & ~_near_body(silhouette, known.shows_wall.shape)
     if np.count_nonzero(is_wall) < MIN_BLOCKS:
         return None
-    means, saturated_share = _block_means(frame.image, *is_wall.shape)
+    height, width = is_wall.shape
+    columns = np.zeros((2, width * BLOCK_PX), np.uint16)
+    means, saturated_share = _block_means(frame.image, height, width, columns)
     ratio: Array = np.divide(means, np.maximum(known.flat_field, 1), dtype=np.float32)
     brightness, slope_u, slope_v = _plane(ratio, is_wall)
     level = _levels(ratio, is_wall, brightness, slope_u, slope_v)
@@ -119,11 +121,14 @@ def observe_optics(
 
 
 @compiled
-def _block_means(image: Image, height: int, width: int) -> tuple[Array, float]:
-    """Means (h, w) of blocks of an image (H, W), from two rows of each, and the share of pixels that is saturated."""
+def _block_means(image: Image, height: int, width: int, columns: NDArray[np.uint16]) -> tuple[Array, float]:
+    """Means (h, w) of blocks of an image (H, W), from two rows of each, and the share of pixels that is saturated.
+
+    `columns` (2, W), of zeros, are room for sums.
+    """
     means = np.empty((height, width), np.float32)
     n_columns = min(width * BLOCK_PX, image.shape[1])
-    sums, saturated = np.zeros(width * BLOCK_PX, np.uint16), np.zeros(width * BLOCK_PX, np.uint16)
+    sums, saturated = columns[0], columns[1]
     n_saturated = 0
     for row in range(height):
         upper = image[min(row * BLOCK_PX + ROWS[0], len(image) - 1)]
@@ -152,17 +157,19 @@ def _near_body(silhouette: Silhouette | None, shape: tuple[int, ...]) -> Mask:
 
 def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
     """Least squares plane through some of the values (h, w): in the middle, and its slopes along u and v."""
-    products = _products(values, is_wall)
+    products = np.zeros((4, 4))
+    _add_products(values, is_wall, np.ones(4), products)
     # the little on the diagonal only matters where all lie on one line
     middle, slope_u, slope_v = np.linalg.solve(products[:3, :3] + RIDGE * np.eye(3), products[:3, 3])
     return max(float(middle), 0.01), float(slope_u), float(slope_v)
 
 
 @compiled
-def _products(values: Array, is_wall: Mask) -> NDArray[np.float64]:
-    """Sums of the products (4, 4) of 1, u, v and the value, over some places (h, w), -1..1 from border to border."""
+def _add_products(
+    values: Array, is_wall: Mask, terms: NDArray[np.float64], sums: NDArray[np.float64]
+) -> None:
+    """Add the products (4, 4) of the terms 1, u, v and value of some places (h, w), -1..1 from border to border."""
     height, width = values.shape
-    sums, terms = np.zeros((4, 4)), np.ones(4)
     for row in range(height):
         for column in range(width):
             if is_wall[row, column]:
@@ -171,7 +178,6 @@ def _products(values: Array, is_wall: Mask) -> NDArray[np.float64]:
                 for i in range(4):
                     for j in range(4):
                         sums[i, j] += terms[i] * terms[j]
-    return sums
 
 
 @compiled

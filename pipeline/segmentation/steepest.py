@@ -131,7 +131,7 @@ def _slopes(view: GreyLevels, points_uv: NDArray[np.float64], inwards: Array, se
     half, expected_width = np.float32(0.5) * view.gain, view.expected.shape[1]
     slopes = np.zeros((len(points_uv), LANES), np.float32)
     profile, at, behind_at = (
-        np.zeros(N_STEPS, np.float32),
+        np.empty(N_STEPS, np.float32),
         np.empty(N_STEPS, np.int64),
         np.empty(N_STEPS, np.int64),
     )

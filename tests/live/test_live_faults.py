@@ -263,7 +263,7 @@ def test_d8_garbage_and_half_lines_are_survived(live: LiveRig):
     live.fall(1)
     live.rig.gate.faults.clear()
     live.fall(1)
-    assert all_measured(live.wait_for_results(before, 2))
+    assert all_measured(stones(live.wait_for_results(before, 2)))
 
 
 def test_d8_while_the_serial_line_is_unplugged_stones_are_measured_as_orphans(live: LiveRig):

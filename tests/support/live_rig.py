@@ -133,16 +133,15 @@ class LiveRig:
     def accounting(self) -> dict[str, Any]:
         return self.daemon.get("/accounting")
 
-    def measure_until_whole(self, n_stones: int = 8) -> None:
-        """Let stones fall until one is measured by all views; at most so many.
+    def measure_until_whole(self, most: int = 8) -> None:
+        """Let two stones fall, and more until one is measured by all views; at most so many.
 
         The first image of a camera whose clock was set is not believed, and a busy machine may lose another.
         """
-        for _ in range(n_stones):
-            (result,) = self.measure(1)
-            if result["outcome"] == "measured" and not result["dropped_views"]:
-                return
-        raise AssertionError(f"not whole after {n_stones} stones: {result}")
+        results = self.measure(2)
+        while results[-1]["outcome"] != "measured" or results[-1]["dropped_views"]:
+            assert len(results) < most, f"not whole: {results}"
+            results += self.measure(1)
 
     def wait_until_whole(self, timeout_s: float = 30) -> None:
         """Return once every camera and the gate are at work."""
