@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.eventually import eventually
-from support.gige import NET, design, picture, powered, settings_for
+from support.gige import NET, design, picture, powered, serial, settings_for
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
@@ -116,7 +116,7 @@ def test_another_device_in_the_place_is_told_by_its_serial_number(
     simulated.power_cycle(0.1, serial="OTHER")
     eventually(lambda: f"another camera, serial OTHER, has the address {NET}.2" in trouble(camera))
     camera.close()
-    with pytest.raises(CameraUnavailableError, match=r"serial SIM02 does not answer; found .*OTHER"):
+    with pytest.raises(CameraUnavailableError, match=rf"serial {serial(2)} does not answer; found .*OTHER"):
         camera.open()
 
 

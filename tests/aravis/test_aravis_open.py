@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from support.gige import NET, SIZE_PX, design, powered, settings_for
+from support.gige import NET, SIZE_PX, design, place, powered, serial, settings_for
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
@@ -57,10 +57,10 @@ def with_features(*features: Feature) -> GigeCameraSettings:
 @pytest.mark.parametrize(
     "names",
     [
-        {"serial": "SIM02"},
-        {"user_name": "place 2"},
+        {"serial": serial(2)},
+        {"user_name": place(2)},
         {"address": f"{NET}.2"},
-        {"serial": "SIM02", "user_name": "place 2", "address": f"{NET}.2"},
+        {"serial": serial(2), "user_name": place(2), "address": f"{NET}.2"},
     ],
     ids=lambda names: "+".join(names),
 )
@@ -69,34 +69,36 @@ def test_found_by_any_name(names: dict[str, str]) -> None:
     camera.open()
     vitals = camera.examine()
     camera.close()
-    assert (vitals.serial, vitals.address, vitals.model) == ("SIM02", f"{NET}.2", "SF-1280")
+    assert (vitals.serial, vitals.address, vitals.model) == (serial(2), f"{NET}.2", "SF-1280")
 
 
 @pytest.mark.usefixtures("simulated")
 def test_another_camera_in_the_place_is_refused_by_name() -> None:
     with powered(design(3)):
-        problem = refusal(settings_for(design(), serial="SIM03"))
-        assert problem.startswith(f"c02: should be serial SIM03, address {NET}.2, but the camera there is")
-        assert "serial SIM02 (place 2)" in problem
-        problem = refusal(settings_for(design(), user_name="place 3"))
-        assert "should be user name place 3" in problem
+        problem = refusal(settings_for(design(), serial=serial(3)))
+        assert problem.startswith(
+            f"c02: should be serial {serial(3)}, address {NET}.2, but the camera there is"
+        )
+        assert f"serial {serial(2)} ({place(2)})" in problem
+        problem = refusal(settings_for(design(), user_name=place(3)))
+        assert f"should be user name {place(3)}" in problem
 
 
 @pytest.mark.usefixtures("simulated")
 def test_a_camera_that_is_not_there_is_told_from_those_that_are() -> None:
     assert f"does not answer at {NET}.7" in refusal(settings_for(design(), address=f"{NET}.7"))
-    problem = refusal(settings_for(design(), address=None, serial="SIM99"))
-    assert "serial SIM99 does not answer; found" in problem
-    assert f"serial SIM02 (place 2) at {NET}.2" in problem
+    problem = refusal(settings_for(design(), address=None, serial=serial(99)))
+    assert f"serial {serial(99)} does not answer; found" in problem
+    assert f"serial {serial(2)} ({place(2)}) at {NET}.2" in problem
 
 
 @pytest.mark.usefixtures("simulated")
 def test_a_name_two_cameras_have_is_refused() -> None:
-    with powered(design(3, user_name="place 2")):
-        problem = refusal(settings_for(design(), address=None, user_name="place 2"))
+    with powered(design(3, user_name=place(2))):
+        problem = refusal(settings_for(design(), address=None, user_name=place(2)))
     assert "ambiguous" in problem
-    assert "SIM02" in problem
-    assert "SIM03" in problem
+    assert serial(2) in problem
+    assert serial(3) in problem
 
 
 def test_a_second_application_is_refused_and_told_when_to_try_again(simulated: SimulatedCamera) -> None:
@@ -115,7 +117,7 @@ def test_a_second_application_is_refused_and_told_when_to_try_again(simulated: S
 
 
 def test_an_address_this_machine_has_no_longer_is_a_camera_that_is_not_there() -> None:
-    settings = settings_for(design(), address=None, serial="SIM02", interfaces=("198.51.100.7",))
+    settings = settings_for(design(), address=None, serial=serial(2), interfaces=("198.51.100.7",))
     assert "c02: no camera can be looked for out of 198.51.100.7" in refusal(settings)
 
 

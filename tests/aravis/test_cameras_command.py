@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 import typer
-from support.gige import INTERFACE, NET, design, powered, settings_for
+from support.gige import INTERFACE, NET, design, place, powered, serial, settings_for
 from typer.testing import CliRunner, Result
 
 from drivers.cameras.aravis import AravisCamera
@@ -31,7 +31,7 @@ def cameras(*arguments: str) -> Result:
 def test_a_table_for_people() -> None:
     result = cameras("--interface", INTERFACE)
     assert result.exit_code == 0
-    for text in (f"{NET}.2", f"{NET}.3", "SIM02", "SIM03", "place 2", "SF-1280"):
+    for text in (f"{NET}.2", f"{NET}.3", serial(2), serial(3), place(2), "SF-1280"):
         assert text in result.stdout
 
 

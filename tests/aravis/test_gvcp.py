@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from support.gige import INTERFACE, NET, design, powered
+from support.gige import INTERFACE, NET, design, place, powered, serial
 
 from drivers.gige_simulator.camera import SimulatedCamera
 from drivers.gvcp import GVCP_PORT, Device, action_command, discover, local_addresses, probe
@@ -29,7 +29,7 @@ def ours(devices: list[Device]) -> list[Device]:
 def test_a_camera_says_who_it_is(camera: SimulatedCamera) -> None:
     device = probe(f"{NET}.2")
     assert device is not None
-    assert (device.address, device.serial, device.user_name) == (f"{NET}.2", "SIM02", "place 2")
+    assert (device.address, device.serial, device.user_name) == (f"{NET}.2", serial(2), place(2))
     assert len(device.mac.split(":")) == 6
     assert ours(discover([INTERFACE])) == [device]
 
@@ -37,7 +37,7 @@ def test_a_camera_says_who_it_is(camera: SimulatedCamera) -> None:
 @pytest.mark.usefixtures("camera")
 def test_everybody_answers_a_broadcast_in_order_of_addresses() -> None:
     with powered(design(10)), powered(design(3)):
-        assert [device.serial for device in ours(discover())] == ["SIM02", "SIM03", "SIM10"]
+        assert [device.serial for device in ours(discover())] == [serial(2), serial(3), serial(10)]
 
 
 def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
@@ -60,7 +60,7 @@ def test_a_process_with_many_files_open_may_ask() -> None:
     descriptors = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
     try:
         assert probe(f"{NET}.2") is not None
-        assert [device.serial for device in ours(discover([INTERFACE]))] == ["SIM02"]
+        assert [device.serial for device in ours(discover([INTERFACE]))] == [serial(2)]
     finally:
         for descriptor in descriptors:
             os.close(descriptor)

@@ -17,7 +17,8 @@ from drivers.cameras.genicam import GigeCameraSettings, exposure_features, trigg
 from drivers.gige_simulator.camera import CameraDesign, Exposure, ImageSource, SimulatedCamera
 from pipeline.frames import CameraId
 
-NET = f"127.33.{os.getpid() % 256}"
+PROCESS = os.getpid() % 256
+NET = f"127.33.{PROCESS}"
 """Of this test process alone: the port of the control protocol is the same for all simulators of a machine."""
 INTERFACE = f"{NET}.1"
 SIZE_PX = (320, 240)
@@ -35,13 +36,23 @@ def numbered(exposure: Exposure) -> NDArray[np.uint8]:
     return picture(exposure.n)
 
 
+def serial(number: int) -> str:
+    """Of camera `number` of this process: another's answer to a broadcast, too."""
+    return f"SIM{PROCESS}-{number:02}"
+
+
+def place(number: int) -> str:
+    """The user's name of it."""
+    return f"place {PROCESS}-{number}"
+
+
 def design(number: int = 2, **changes: Any) -> CameraDesign:
-    """Camera `number` of the net; by default `c02` with serial SIM02."""
+    """Camera `number` of the net; by default `c02`."""
     camera = CameraDesign(
         id=CameraId(f"c{number:02}"),
         address=f"{NET}.{number}",
-        serial=f"SIM{number:02}",
-        user_name=f"place {number}",
+        serial=serial(number),
+        user_name=place(number),
         image_size_px=SIZE_PX,
         link_bytes_s=20_000_000,  # a frame takes longer than the readout: once it is here, the next may be exposed
         seed=number,
