@@ -19,7 +19,6 @@ from pipeline.carving import View
 from pipeline.carving.views import pixel_of
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
-from pipeline.outline_hull import viewing_rays
 from pipeline.segmentation.silhouette import MARGIN_PX
 
 Array = NDArray[np.float64]
@@ -82,9 +81,7 @@ def clearances_px(
     chosen_uv = [_spread(silhouette.outline_uv) for _, silhouette in views]
     owners = np.repeat(np.arange(len(views)), [len(chosen) for chosen in chosen_uv])
     eyes_mm = np.array([camera.center_mm for camera, _ in views])[owners]
-    directions = np.concatenate(
-        [viewing_rays(camera, uv) for (camera, _), uv in zip(views, chosen_uv, strict=True)]
-    )
+    directions = np.concatenate([camera.rays(uv) for (camera, _), uv in zip(views, chosen_uv, strict=True)])
     enough_mm = np.array([0.0 if camera.id in settled_above_zero else np.inf for camera, _ in views])[owners]
     closest_mm = ((center_mm - eyes_mm) * directions).sum(axis=1)
     peak_mm, highest_mm = closest_mm.copy(), np.full(len(owners), -np.inf)

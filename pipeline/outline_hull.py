@@ -7,15 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
-from pipeline.rig import CameraCalibration
 from pipeline.segmentation.silhouette import MAX_STEP_PX
 
 Array = NDArray[np.float64]
 
 TILT = 1e-3
 """Points are sorted along a line that much off the rows: many share a column, none the place on that line."""
-ITERATIONS = 20
-CONVERGED = 1e-14
 
 
 def hull_corners(outline_uv: Array, reach: int = 1) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -25,18 +22,6 @@ def hull_corners(outline_uv: Array, reach: int = 1) -> tuple[NDArray[np.int64], 
     """
     corners = _corners(outline_uv, np.argsort(outline_uv[:, 0] + TILT * outline_uv[:, 1]))
     return corners, _goes_on(outline_uv, corners, reach)
-
-
-def flat_rays(camera: CameraCalibration, pixels_uv: Array) -> Array:
-    """Where the viewing rays through pixels (N, 2) meet the plane at depth 1 of the camera's own frame, (N, 2)."""
-    return _undistorted(pixels_uv, camera.K, camera.distortion)
-
-
-def viewing_rays(camera: CameraCalibration, pixels_uv: Array) -> Array:
-    """Unit directions (N, 3) in the world frame, as `CameraCalibration.rays`, in a fifth of its time."""
-    rays = np.ones((len(pixels_uv), 3))
-    rays[:, :2] = flat_rays(camera, pixels_uv)
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True) @ camera.R)
 
 
 @compiled
@@ -72,24 +57,3 @@ def _goes_on(points: Array, which: NDArray[np.int64], reach: int) -> NDArray[np.
             u, v = points[end, 0] - points[start, 0], points[end, 1] - points[start, 1]
             goes_on[i] &= u * u + v * v <= MAX_STEP_PX * MAX_STEP_PX
     return goes_on
-
-
-@compiled
-def _undistorted(pixels_uv: Array, K: Array, distortion: Array) -> Array:
-    """Fixed-point iterations of the inverse of `pipeline.rig.distort`."""
-    flat = np.empty(pixels_uv.shape)
-    k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
-    for i in range(len(pixels_uv)):
-        seen_y = (pixels_uv[i, 1] - K[1, 2]) / K[1, 1]
-        seen_x = (pixels_uv[i, 0] - K[0, 2] - K[0, 1] * seen_y) / K[0, 0]
-        x, y = seen_x, seen_y
-        for _ in range(ITERATIONS):
-            r2 = x * x + y * y
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            last_x, last_y = x, y
-            x = (seen_x - 2 * p1 * last_x * last_y - p2 * (r2 + 2 * last_x * last_x)) / radial
-            y = (seen_y - p1 * (r2 + 2 * last_y * last_y) - 2 * p2 * last_x * last_y) / radial
-            if abs(x - last_x) + abs(y - last_y) < CONVERGED:
-                break
-        flat[i, 0], flat[i, 1] = x, y
-    return flat

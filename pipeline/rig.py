@@ -12,13 +12,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import cv2
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.errors import RigError
 from pipeline.frames import CAMERA_ID, CameraId
+from pipeline.lens import distort, undistorted
 
 FORMAT = "stonefall-rig/1"
 Method = Literal["nominal", "paper", "bundle", "imported"]
@@ -71,19 +71,16 @@ class CameraCalibration:
         distorted = distort(normalized, self.distortion)
         return distorted @ self.K[:2, :2].T + self.K[:2, 2], depths_mm
 
+    def flat_rays(self, pixels_uv: ArrayLike) -> Array:
+        """Where the viewing rays through pixels (N, 2) meet the plane at depth 1 of the camera's own frame, (N, 2)."""
+        pixels = np.asarray(pixels_uv, dtype=np.float64).reshape(-1, 2)
+        return undistorted(np.ascontiguousarray(pixels), self.K, self.distortion)
+
     def rays(self, pixels_uv: ArrayLike) -> Array:
         """Unit directions (N, 3) in the world frame of the viewing rays through pixels (N, 2)."""
-        pixels = np.asarray(pixels_uv, dtype=np.float64).reshape(-1, 1, 2)
-        if len(pixels) == 0:
-            return np.empty((0, 3))
-        # fixed-point iterations of the inverse distortion; ours are small, so ten reach 1e-9 px
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-12)
-        normalized = cv2.undistortPoints(pixels, self.K, self.distortion, criteria=criteria).reshape(-1, 2)
-        if self.K[0, 1] != 0.0:  # OpenCV ignores skew
-            normalized = normalized.copy()
-            normalized[:, 0] -= self.K[0, 1] / self.K[0, 0] * normalized[:, 1]
-        directions = np.column_stack([normalized, np.ones(len(normalized))]) @ self.R
-        return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+        flat = self.flat_rays(pixels_uv)
+        rays = np.column_stack([flat, np.ones(len(flat))])
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True) @ self.R)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,22 +113,6 @@ class RigCalibration:
             cameras=kept,
             ball_diameter_mm=self.ball_diameter_mm,
         )
-
-
-def distort(normalized: Array, distortion: Array) -> Array:
-    """Normalized image coordinates (N, 2) after OpenCV's radial and tangential distortion."""
-    if not distortion.any():
-        return normalized
-    k1, k2, p1, p2, k3 = distortion
-    x, y = normalized[:, 0], normalized[:, 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.column_stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ]
-    )
 
 
 # --- the rig document (format "stonefall-rig/1") ---

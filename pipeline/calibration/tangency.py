@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
-from pipeline.outline_hull import flat_rays, hull_corners
+from pipeline.outline_hull import hull_corners
 from pipeline.rig import RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
 
@@ -79,7 +79,7 @@ def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
     for camera in views:
         outline_uv = outlines[camera.id]
         on_hull, goes_on = hull_corners(outline_uv)
-        corners.append(flat_rays(camera, outline_uv[on_hull]))
+        corners.append(camera.flat_rays(outline_uv[on_hull]))
         trusted.append(goes_on)
     longest = max((len(points) for points in corners), default=1)
     rays = np.ones((len(views), longest, 3))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.outline_hull import flat_rays, hull_corners
+from pipeline.outline_hull import hull_corners
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def _touching_view(view: View) -> tuple[Array, Array]:
     # distortion bends the plane so little that each tangent's point is among these
     candidates = (outwards @ outline_uv[corners].T).argmax(axis=1)
     rays = np.ones((len(candidates), 3))
-    rays[:, :2] = flat_rays(camera, outline_uv[corners[candidates]])
+    rays[:, :2] = camera.flat_rays(outline_uv[corners[candidates]])
     heights = rays[:, :2] @ outwards.T
     best = heights.argmax(axis=0)
     normals = np.column_stack([outwards, -heights.max(axis=0)])

@@ -184,11 +184,7 @@ def _locate(points: Array, growth: _Growth, waiting: Indices, walls: Array) -> b
         while True:
             height = planes[facet, 0] * x + planes[facet, 1] * y + planes[facet, 2] * z + planes[facet, 3]
             if height > TOLERANCE:
-                if growth.above[facet] < 0 or height > growth.top[facet]:
-                    growth.top[facet] = height
-                    growth.highest[facet] = point
-                growth.following[point] = growth.above[facet]
-                growth.above[facet] = point
+                _put_above(growth, facet, point, height)
                 break
             side = 0
             while side < 3 and (
@@ -205,6 +201,15 @@ def _locate(points: Array, growth: _Growth, waiting: Indices, walls: Array) -> b
 
 
 @compiled
+def _put_above(growth: _Growth, facet: int, point: int, height: float) -> None:
+    if growth.above[facet] < 0 or height > growth.top[facet]:
+        growth.top[facet] = height
+        growth.highest[facet] = point
+    growth.following[point] = growth.above[facet]
+    growth.above[facet] = point
+
+
+@compiled
 def _hand_out(points: Array, growth: _Growth, n_lists: int, n_new: int) -> None:
     """Give each of the listed points to the first of the new facets that it is above."""
     planes, new = growth.planes, growth.new
@@ -217,11 +222,7 @@ def _hand_out(points: Array, growth: _Growth, n_lists: int, n_new: int) -> None:
                 facet = new[i]
                 height = planes[facet, 0] * x + planes[facet, 1] * y + planes[facet, 2] * z + planes[facet, 3]
                 if height > TOLERANCE:
-                    if growth.above[facet] < 0 or height > growth.top[facet]:
-                        growth.top[facet] = height
-                        growth.highest[facet] = point
-                    growth.following[point] = growth.above[facet]
-                    growth.above[facet] = point
+                    _put_above(growth, facet, point, height)
                     break
             point = following
 

@@ -1,16 +1,12 @@
-"""The corners of an outline's hull, and the rays through pixels, against what defines them."""
-
-from dataclasses import replace
+"""The corners of an outline's hull against what defines them."""
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.outline_hull import flat_rays, hull_corners, viewing_rays
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.outline_hull import hull_corners
 from pipeline.segmentation.silhouette import is_beside_gap
 
-RIG = as_built(nominal_rig(), seed=3)
 ANGLES = np.linspace(0, 2 * np.pi, 500)
 OUTWARDS = np.stack([np.cos(ANGLES), np.sin(ANGLES)])
 
@@ -34,16 +30,6 @@ def test_the_corners_reach_as_far_as_all_points_and_turn_one_way(seed: int, n: i
     ahead, behind = np.roll(hull, -1, axis=0) - hull, hull - np.roll(hull, 1, axis=0)
     assert (behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0] > 0).all()
     assert np.array_equal(goes_on, ~is_beside_gap(points)[corners])
-
-
-def test_the_ray_through_a_pixel_is_seen_there() -> None:
-    pixels_uv = np.random.default_rng(1).uniform(0, 1000, size=(50, 2))
-    lens = np.array([-0.08, 0.1, 1e-3, -2e-3, 0.01])
-    for camera in (RIG.cameras[0], replace(RIG.cameras[5], distortion=lens)):
-        flat = np.column_stack([flat_rays(camera, pixels_uv), np.ones(50)])
-        seen_uv, _ = camera.project(camera.center_mm + 300 * flat @ camera.R)
-        np.testing.assert_allclose(seen_uv, pixels_uv, atol=1e-8)
-        np.testing.assert_allclose(viewing_rays(camera, pixels_uv), camera.rays(pixels_uv), atol=1e-10)
 
 
 def test_near_a_gap_no_corner_is_trusted() -> None:

@@ -3,6 +3,7 @@
 import copy
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -46,6 +47,19 @@ def test_rays_invert_the_projection(index: int, x: float, y: float, z: float) ->
     ray = camera.rays(pixels)[0]
     assert np.linalg.norm(np.cross(point_mm - camera.center_mm, ray)) < 1e-6
     assert depths_mm[0] > 0
+
+
+def test_the_ray_through_a_pixel_is_seen_there() -> None:
+    pixels_uv = np.random.default_rng(1).uniform(0, 1000, size=(50, 2))
+    bent = replace(BUILT.cameras[5], distortion=np.array([-0.08, 0.1, 1e-3, -2e-3, 0.01]))
+    skewed = replace(bent, K=bent.K + np.array([[0, 5, 0], [0, 0, 0], [0, 0, 0]]))
+    for camera in (BUILT.cameras[0], bent, skewed):
+        seen_uv, _ = camera.project(camera.center_mm + 300 * camera.rays(pixels_uv))
+        np.testing.assert_allclose(seen_uv, pixels_uv, atol=1e-8)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-12)
+    expected = cv2.undistortPoints(pixels_uv[:, None], bent.K, bent.distortion, criteria=criteria)[:, 0]
+    np.testing.assert_allclose(bent.flat_rays(pixels_uv), expected, atol=1e-10)
+    assert bent.rays(np.empty((0, 2))).shape == (0, 3)
 
 
 def test_document_round_trip_keeps_the_identity() -> None:
