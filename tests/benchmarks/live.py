@@ -23,15 +23,12 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support import rendered
 from support.daemon_process import STONEFALL, DaemonProcess, children_of
+from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
 
-from drivers.recording import RecordingWriter
 from pipeline.segmentation.choice import Wanted
-from pipeline.synthesis.bundles import TRIGGER_DELAY_NS, render_bundle, render_empty, stream
-from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.stones import stone
+from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 
 N_STONES = 20
 N_EMPTY = 2
@@ -55,7 +52,14 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
-        write_recording(folder / "recording", arguments.size_mm)
+        write_stones(
+            folder / "recording",
+            "round",
+            size_mm=arguments.size_mm,
+            n_stones=N_STONES,
+            n_empty=N_EMPTY,
+            seed=11,
+        )
         command = [
             STONEFALL, "simulate", folder / "recording", "--json", "--loop", "--start", "manual",
             "--rate", str(arguments.rate), "--address", ADDRESS,
@@ -68,24 +72,6 @@ def main() -> int:
                 return soak(folder, spool, rig, simulator, arguments)
             finally:
                 simulator.terminate()
-
-
-def write_recording(path: Path, size_mm: float) -> None:
-    rig, simulated = rendered.rig(), rendered.simulated()
-    with RecordingWriter(
-        path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
-        made_by={"benchmark": "live"},
-    ) as writer:
-        for number in range(1, N_EMPTY + 1):
-            writer.add(render_empty(simulated, stream(11, 0, number), sequence=number))
-        for number in range(N_EMPTY + 1, N_EMPTY + N_STONES + 1):
-            rng = stream(11, 1, number)
-            placed = tumble(stone("round", size_mm, rng), rig, rng)
-            writer.add(render_bundle([placed], simulated, rng, sequence=number, label="round"))
 
 
 def soak(

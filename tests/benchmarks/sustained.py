@@ -19,43 +19,30 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support import rendered
 from support.daemon_process import DaemonProcess
+from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.usage import cpu_s, own_mb, percentiles, rss_mb
 
-from drivers.recording import Recording, RecordingWriter, open_recording, read_bundle
-from pipeline.frames import FrameBundle
+from drivers.recording import Recording, open_recording, read_bundle
 from pipeline.synthesis.bundles import (
-    FIRST_NS,
-    LAST_FRAME_ID,
     TRIGGER_DELAY_NS,
-    render_bundle,
-    render_empty,
-    stream,
 )
-from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.stones import stone
 
 SEED = 12
 REQUIRED_HZ = 10.0
 """What two cores must keep up with for any time."""
 REQUIRED_MS = 500.0
 """99 of 100 results are there so long after their exposure."""
-ROUND_STONES = 60
-"""Between two exposures of the empty rig, which every round begins with."""
-ROUND_GAP_S = 0.25
-"""From the last trigger of a recording to the first when it is played again."""
 RIG = """pace = "recorded"
 loop = true
 [bundling]
@@ -128,83 +115,20 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         path = arguments.recording or Path(name) / "stones"
         if not path.exists():
-            render(path, arguments.size_mm, arguments.stones)
+            write_stones(
+                path, "angular", size_mm=arguments.size_mm, n_stones=arguments.stones, n_empty=1, seed=SEED
+            )
         recording = open_recording(path)
         runs = [played(recording, run_name, rate_hz, s, arguments) for run_name, rate_hz, s in plan]
+        read_ms = 1000 * float(np.median([seconds_to_read(recording) for _ in range(5)]))
     if arguments.json:
         sys.stdout.write(json.dumps([asdict(run) for run in runs], indent=2) + "\n")
     else:
-        Console(width=None if sys.stdout.isatty() else 150).print(table_of(runs, recording, arguments))
+        Console(width=None if sys.stdout.isatty() else 150).print(table_of(runs, read_ms, arguments))
     for run in runs:
         for problem in run.problems:
             Console(stderr=True).print(f"FAILED: {run.name}: {problem}")
     return int(any(run.problems for run in runs))
-
-
-def render(path: Path, size_mm: float, n_stones: int) -> None:
-    """One exposure of the empty rig, then stones; about a second each."""
-    rig, simulated = rendered.rig(), rendered.simulated()
-    with RecordingWriter(
-        path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
-        made_by={"benchmark": "sustained", "size_mm": size_mm},
-        compression="none",
-    ) as writer:
-        writer.add(render_empty(simulated, stream(SEED, 0), sequence=1))
-        numbers = range(2, n_stones + 2)
-        for number in track(numbers, "rendering", console=Console(stderr=True), transient=True):
-            rng = stream(SEED, 1, number)
-            placed = tumble(stone("angular", size_mm, rng), rig, rng)
-            writer.add(render_bundle([placed], simulated, rng, sequence=number, label="angular"))
-
-
-def write_paced(path: Path, recording: Recording, rate_hz: float) -> NDArray[np.float64]:
-    """The recording so that, played again and again, it has so many stones a second.
-
-    Returns when each trigger of a round is due, in s, and at its end when the next round begins.
-    """
-    period_s = (ROUND_STONES / rate_hz - ROUND_GAP_S) / ROUND_STONES
-    empty, *stones = recording.headers
-    with RecordingWriter(
-        path,
-        camera_ids=recording.camera_ids,
-        image_size_px=recording.image_size_px,
-        rig=recording.rig,
-        is_simulated=True,
-        made_by={"benchmark": "sustained", "rate_hz": rate_hz},
-        compression="none",
-    ) as writer:
-        for position in range(ROUND_STONES + 1):
-            header = stones[(position - 1) % len(stones)] if position else empty
-            bundle = read_bundle(header.path, recording.camera_ids)
-            writer.add(moved(bundle, position + 1, FIRST_NS + round(position * period_s * 1e9)))
-    return np.append(np.arange(ROUND_STONES + 1) * period_s, ROUND_STONES * period_s + ROUND_GAP_S)
-
-
-def moved(bundle: FrameBundle, sequence: int, received_ns: int) -> FrameBundle:
-    """The same exposure at another place of a recording, as all counters and clocks would have told it."""
-    by = sequence - bundle.trigger.sequence
-    by_ns = received_ns - bundle.trigger.received_ns
-    trigger = replace(
-        bundle.trigger,
-        sequence=sequence,
-        received_ns=received_ns,
-        device_ns=bundle.trigger.device_ns + by_ns,
-        name=f"{sequence:06d}",
-    )
-    frames = {
-        camera: replace(
-            frame,
-            frame_id=(frame.frame_id - 1 + by) % LAST_FRAME_ID + 1,
-            received_ns=frame.received_ns + by_ns,
-            device_ns=frame.device_ns + by_ns,
-        )
-        for camera, frame in bundle.frames.items()
-    }
-    return FrameBundle(trigger=trigger, frames=frames)
 
 
 @dataclass(slots=True)
@@ -324,15 +248,14 @@ def run_of(
     )
 
 
-def table_of(runs: Sequence[Run], recording: Recording, arguments: Any) -> Table:
-    bundle_s = [seconds_to_read(recording) for _ in range(5)]
+def table_of(runs: Sequence[Run], read_ms: float, arguments: Any) -> Table:
     table = Table(
         "",
         *(run.name for run in runs),
-        title=f"{arguments.seconds:g} s each, burst {arguments.burst_seconds:g} s; {len(recording.headers) - 1} stones"
+        title=f"{arguments.seconds:g} s each, burst {arguments.burst_seconds:g} s; {arguments.stones} stones"
         f" of {arguments.size_mm:g} mm again and again, {arguments.slots} workers, frames of {arguments.keep_raw} kept;"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
-        caption=f"The daemon also reads the recording, at {1000 * np.median(bundle_s):.0f} ms a bundle.",
+        caption=f"The daemon also reads the recording, at {read_ms:.0f} ms a bundle.",
     )
     for label, cells in {
         "triggers = measured + rejected + lost": [
