@@ -57,7 +57,7 @@ BodyKind = Literal["estimate", "hull"]
 
 @dataclass(frozen=True, slots=True)
 class BodyParameters:
-    """Which body the mesh and the figures of the shape describe."""
+    """Which body the mesh and the figures of the shape describe; with `hull` no other is looked for."""
 
     kind: BodyKind = "estimate"
 
@@ -111,8 +111,9 @@ class ParticleMeasurement:
     """The corrected volume; mass and equivalent diameter follow from it."""
     volume_model: str
     """Id of the correction."""
-    volume_estimate_mm3: float
-    """Of the estimated body's mesh; how far it is from the hull's is what the correction goes by."""
+    volume_estimate_mm3: float | None
+    """Of the estimated body's mesh, if one was asked for; how far it is from the hull's is what the correction
+    goes by."""
     angularity: float | None
     """AIMS-type gradient angularity, mean over the views."""
     mass_g: float | None
@@ -189,10 +190,10 @@ def measure_bundle(
         on_stage("mesh")
         if hull_mesh is None:
             raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
-        estimate = estimate_body(hull_mesh, carving, rig)
+        estimate = None if parameters.body.kind == "hull" else estimate_body(hull_mesh, carving, rig)
         on_stage("estimate")
-        mesh = hull_mesh if parameters.body.kind == "hull" else estimate.mesh
-        measurement = _measure(mesh, hull_mesh, estimate, carving, rig, parameters)
+        mesh = hull_mesh if estimate is None else estimate.mesh
+        measurement = _measure(mesh, hull_mesh, estimate, carving, rig, parameters.measuring)
         on_stage("measure")
     except RejectedError as rejection:
         return ParticleResult(
@@ -272,40 +273,41 @@ def _elevations_deg(rig: RigCalibration) -> np.ndarray:
 def _measure(
     mesh: ParticleMesh,
     hull: ParticleMesh,
-    estimate: BodyEstimate,
+    estimate: BodyEstimate | None,
     carving: SilhouetteSet,
     rig: RigCalibration,
-    parameters: PipelineParameters,
+    parameters: MeasuringParameters,
 ) -> ParticleMeasurement:
     try:
         shape = measure_shape(mesh.vertices_mm, mesh.faces)
     except MeshError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
-    model = parameters.measuring.volume_model
-    if estimate.fallback is None:
-        volume_model = model.id
-        volume_mm3 = model.volume_mm3(estimate.hull_volume_mm3, estimate.volume_mm3)
-    else:  # the least excess that any body's hull has
+    hull_volume_mm3 = shape.volume_mm3 if estimate is None else estimate.hull_volume_mm3
+    if estimate is None or estimate.fallback is not None:  # the least excess that any body's hull has
+        body: BodyKind = "hull"
         volume_model = "sphere"
-        volume_mm3 = estimate.hull_volume_mm3 / _sphere_excess(shape, carving, rig)
+        volume_mm3 = hull_volume_mm3 / _sphere_excess(shape, carving, rig)
+    else:
+        body, volume_model = "estimate", parameters.volume_model.id
+        volume_mm3 = parameters.volume_model.volume_mm3(hull_volume_mm3, estimate.volume_mm3)
     angularities = [
         gradient_angularity(silhouette.outline_uv)
         for silhouette in carving.values()
         if len(silhouette.outline_uv) >= 64
     ]
-    density = parameters.measuring.density_g_cm3
+    density = parameters.density_g_cm3
     return ParticleMeasurement(
-        body=parameters.body.kind if estimate.fallback is None else "hull",
+        body=body,
         shape=shape,
         hull=HullMeasurement(
-            volume_mm3=estimate.hull_volume_mm3,
+            volume_mm3=hull_volume_mm3,
             surface_area_mm2=(
                 shape.surface_area_mm2 if mesh is hull else surface_area_mm2(hull.vertices_mm, hull.faces)
             ),
         ),
         volume_mm3=volume_mm3,
         volume_model=volume_model,
-        volume_estimate_mm3=estimate.volume_mm3,
+        volume_estimate_mm3=None if estimate is None else estimate.volume_mm3,
         angularity=float(np.mean(angularities)) if angularities else None,
         mass_g=None if density is None else density * volume_mm3 / 1000,
     )

@@ -141,6 +141,8 @@ def problems(settings: Settings) -> Iterator[str]:
         _ = settings.measuring.parameters
     except VolumeModelError as err:
         yield f"measuring.volume_model: {err}"
+    if settings.measuring.volume_model is not None and settings.body.kind == "hull":
+        yield 'measuring.volume_model: goes by the estimated body, so body.kind must be "estimate"'
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _cannot_hold_files(folder):
             yield f"{name}: {problem}"

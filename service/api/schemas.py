@@ -68,10 +68,12 @@ class Result(BaseModel):
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
     body: Literal["estimate", "hull"] | None = Field(description="What mesh and shape describe")
     volume_mm3: float | None = Field(
-        description="Volume, corrected by the gap between hull and estimate, mm³"
+        description="Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"
     )
     volume_raw_mm3: float | None = Field(description="Volume of the visual hull, mm³")
-    volume_estimate_mm3: float | None = Field(description="Volume of the estimated body's mesh, mm³")
+    volume_estimate_mm3: float | None = Field(
+        description="Volume of the estimated body's mesh, mm³; null: none was asked for"
+    )
     volume_model: str | None = Field(description="Id of the coefficients that `volume_mm3` rests on")
     surface_area_mm2: float | None = Field(description="Surface area of the mesh, mm²")
     length_mm: float | None = Field(description="Longest axis of the D4791 triple, mm")

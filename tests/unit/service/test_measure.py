@@ -89,6 +89,7 @@ def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> No
         mesh = trimesh.load(tmp_path / record["mesh"], process=False)
         assert mesh.volume == pytest.approx(record["volume_raw_mm3"], rel=1e-4)
         assert record["surface_area_mm2"] == record["hull"]["surface_area_mm2"]
+        assert (record["volume_model"], record["volume_estimate_mm3"]) == ("sphere", None)
         assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
 
 

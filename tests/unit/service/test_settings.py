@@ -199,10 +199,11 @@ def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
     (missing,) = problems(settings_of(tmp_path, text))
     assert missing == f"measuring.volume_model: {tmp_path}/basalt.json: No such file or directory"
     write_volume_model(tmp_path / "basalt.json", VolumeModel(id="basalt", gap_share=1.0), {})
-    settings = settings_of(tmp_path, text + '\n[body]\nkind = "hull"')
+    settings = settings_of(tmp_path, text)
     assert list(problems(settings)) == []
     assert settings.pipeline.measuring.volume_model.id == "basalt"
-    assert settings.pipeline.body.kind == "hull"
+    (useless,) = problems(settings_of(tmp_path, text + '\n[body]\nkind = "hull"'))
+    assert useless == 'measuring.volume_model: goes by the estimated body, so body.kind must be "estimate"'
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
