@@ -7,10 +7,12 @@ least for the circle, the one outline that turns evenly, and grows with every co
 Values are comparable with each other, not with those of an AIMS device.
 """
 
-from functools import cache
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from pipeline.compiled import compiled
+
+Array = NDArray[np.float64]
 
 N_POINTS = 180
 """Points of equal distance; three steps are 1/60 of the perimeter, 0.5 mm on a stone of 10 mm."""
@@ -20,6 +22,8 @@ SMOOTHING_STEPS = 1.0
 MAX_ANGULARITY = 10_000.0
 OVERSAMPLING = 4
 """The sum is averaged over this many sets of points, each a part of a step further on: no first point."""
+REACH = round(7 * SMOOTHING_STEPS * OVERSAMPLING)
+"""Points on either side that are smoothed over; of the Gaussian 1e-11 is beyond."""
 
 
 def gradient_angularity(contour_uv: ArrayLike) -> float:
@@ -33,30 +37,61 @@ def gradient_angularity(contour_uv: ArrayLike) -> float:
     ValueError
         The contour has fewer than three distinct points.
     """
-    contour = np.asarray(contour_uv, dtype=np.float64)
+    contour = np.ascontiguousarray(contour_uv, dtype=np.float64)
     if contour.ndim != 2 or contour.shape[1] != 2 or not np.isfinite(contour).all():
         raise ValueError(f"a contour is a finite array (N, 2), not {contour.shape}")
-    outline = contour[:, 0] + 1j * contour[:, 1]
-    outline = outline[outline != np.roll(outline, 1)]
-    if len(outline) < 3:
-        raise ValueError("a contour needs three distinct points")
-    closed = np.append(outline, outline[0])
-    arc = np.append(0.0, np.cumsum(np.abs(np.diff(closed))))
     n = N_POINTS * OVERSAMPLING
-    even = np.interp(np.arange(n) * (arc[-1] / n), arc, closed)
+    arc, even, tangents = np.empty(len(contour) + 1), np.empty((2, n + 2 * REACH)), np.zeros((2, n))
+    squares = _squared_turns(contour, arc, even, tangents)
+    if squares < 0:
+        raise ValueError("a contour needs three distinct points")
+    angularity = np.rad2deg(np.rad2deg(squares)) / OVERSAMPLING / (N_POINTS / STEP - 1)
+    return min(float(angularity), MAX_ANGULARITY)
 
-    # tangents of the smoothed outline; they turn as the normals do
-    tangents = np.fft.ifft(_smooth_derivative(n) * np.fft.fft(even))
-    turns_deg = np.rad2deg(np.angle(np.roll(tangents, -STEP * OVERSAMPLING) * tangents.conj()))
-    angularity = float(np.sum(turns_deg**2)) / OVERSAMPLING / (N_POINTS / STEP - 1)
-    return min(angularity, MAX_ANGULARITY)
 
+@compiled
+def _squared_turns(contour: Array, arc: Array, even: Array, tangents: Array) -> float:
+    """Sum of the squared turns, in rad^2, of the smoothed outline; -1 where fewer than three points differ.
 
-@cache
-def _smooth_derivative(n: int) -> NDArray[np.complex128]:
-    """What the derivative of a smoothed outline of n points has of each frequency."""
-    frequency = np.fft.fftfreq(n) * 2 * np.pi
-    smooth = np.exp(-((frequency * SMOOTHING_STEPS * OVERSAMPLING) ** 2) / 2)
-    factors = np.array(1j * frequency * smooth)
-    factors.setflags(write=False)
-    return factors
+    Room for the length of the outline up to each point and back to the first (N + 1,), for n points of equal
+    distance with `REACH` of them once more beyond either end (2, n + 2 REACH), and for tangents (2, n), all 0.
+    """
+    n_points, n = len(contour), tangents.shape[1]
+    arc[0] = 0.0
+    n_distinct = 0
+    for i in range(n_points):
+        following = i + 1 if i + 1 < n_points else 0
+        du, dv = contour[following, 0] - contour[i, 0], contour[following, 1] - contour[i, 1]
+        n_distinct += du != 0 or dv != 0
+        arc[i + 1] = arc[i] + np.sqrt(du * du + dv * dv)
+    if n_distinct < 3:
+        return -1.0
+
+    i = 0
+    for k in range(n):
+        along = k * (arc[n_points] / n)
+        while arc[i + 1] <= along:
+            i += 1
+        share = (along - arc[i]) / (arc[i + 1] - arc[i])
+        following = i + 1 if i + 1 < n_points else 0
+        for axis in range(2):
+            start = contour[i, axis]
+            even[axis, REACH + k] = start + share * (contour[following, axis] - start)
+    for axis in range(2):
+        for k in range(REACH):
+            even[axis, k] = even[axis, n + k]
+            even[axis, REACH + n + k] = even[axis, REACH + k]
+
+    # tangents of the smoothed outline, but for their length; they turn as the normals do
+    for k in range(1, REACH + 1):
+        weight = k * np.exp(-((k / (SMOOTHING_STEPS * OVERSAMPLING)) ** 2) / 2)
+        for axis in range(2):
+            for i in range(n):
+                tangents[axis, i] += weight * (even[axis, REACH + i + k] - even[axis, REACH + i - k])
+
+    squares = 0.0
+    for i in range(n):
+        later = (i + STEP * OVERSAMPLING) % n
+        u, v, later_u, later_v = tangents[0, i], tangents[1, i], tangents[0, later], tangents[1, later]
+        squares += np.arctan2(u * later_v - v * later_u, u * later_u + v * later_v) ** 2
+    return squares

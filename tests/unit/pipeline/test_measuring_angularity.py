@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pipeline.measuring import gradient_angularity
+from pipeline.measuring.angularity import MAX_ANGULARITY, N_POINTS, OVERSAMPLING, SMOOTHING_STEPS, STEP
 
 ANGLE = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
 CIRCLE = np.column_stack([np.cos(ANGLE), np.sin(ANGLE)]) * 100
@@ -71,6 +72,26 @@ def test_size_pose_start_and_sense_do_not_matter(
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     moved = np.roll(outline @ rotation.T * scale + shift * scale, start, axis=0)[:: -1 if backward else 1]
     assert gradient_angularity(moved) == pytest.approx(gradient_angularity(outline), rel=5e-3)
+
+
+def by_fourier(contour: NDArray[np.float64]) -> float:
+    outline = contour @ [1, 1j]
+    closed = np.append(outline, outline[0])
+    arc = np.append(0.0, np.cumsum(np.abs(np.diff(closed))))
+    n = N_POINTS * OVERSAMPLING
+    even = np.interp(np.arange(n) * arc[-1] / n, arc, closed)
+    frequency = np.fft.fftfreq(n) * 2 * np.pi
+    smooth = np.exp(-((frequency * SMOOTHING_STEPS * OVERSAMPLING) ** 2) / 2)
+    tangents = np.fft.ifft(1j * frequency * smooth * np.fft.fft(even))
+    turns_deg = np.rad2deg(np.angle(np.roll(tangents, -STEP * OVERSAMPLING) * tangents.conj()))
+    return min(float(np.sum(turns_deg**2)) / OVERSAMPLING / (N_POINTS / STEP - 1), MAX_ANGULARITY)
+
+
+@settings(max_examples=50)
+@given(n=st.integers(3, 1000), roughness=st.floats(0, 0.05), seed=st.integers(0, 2**32 - 1))
+def test_the_same_by_fourier_transforms(n: int, roughness: float, seed: int) -> None:
+    outline = polygon(n) * (1 + roughness * np.random.default_rng(seed).normal(size=(n, 1)))
+    assert gradient_angularity(outline) == pytest.approx(by_fourier(outline), rel=1e-6)
 
 
 def test_a_star_reaches_the_end_of_the_scale() -> None:
