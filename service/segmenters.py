@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import subtraction
+from pipeline.segmentation import choice
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.choice import ChoosingSegmenter, Wanted
 from pipeline.segmentation.network import available_providers, load_network
@@ -63,7 +63,7 @@ def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> Network
 
 def warm_up(segmenter: ChoosingSegmenter) -> None:
     """Have everything compiled and allocated that the first stone would wait for: segment squares."""
-    subtraction.warm_up()
+    choice.warm_up()
     if segmenter.network is None:
         return
     wall = np.full((256, 320), 200, np.float32)

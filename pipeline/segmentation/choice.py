@@ -12,26 +12,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.compiled import compiled
 from pipeline.errors import ModelError
-from pipeline.frames import Frame
+from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import Segmenter
-from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
-from pipeline.segmentation.silhouette import INSIDE, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
+from pipeline.segmentation.background import BackgroundModel, CameraBackground
+from pipeline.segmentation.optics import observe_optics
+from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView
+from pipeline.segmentation.surroundings import errors_beside
 
 Grey = NDArray[np.uint8]
-Place = tuple[slice, slice]
-"""Rows and columns."""
 
 Wanted = Literal["auto", "background", "onnx"]
 """The segmenter that is asked first; `auto`: the background's, and the network where its ground is not sound."""
 
-RING_BLOCKS = (2, 8)
-"""The surroundings of a body begin and end so many blocks of 4 px beside it: further out than motion blurs it,
-and within the margin that a silhouette has."""
-RIM_BLOCKS = (1, 3)
-"""The rim of a body, likewise inwards: beyond the blur of the edge, and no further than its level is carried."""
-EVERYWHERE = (slice(None), slice(None))
 FRAME_BLOCKS = 4
 """A view without a silhouette is looked at in blocks of this edge, in blocks of 4 px."""
 PLAIN = 0.75
@@ -117,19 +112,40 @@ class ChoosingSegmenter:
             return None
         known, p = background[frame.camera], self.parameters
         if found.is_usable:
-            place, labels = _blocks_of(found)
-            return _doubt_of_light(_beside(empty, known, place), labels, p)
-        view = _beside(empty, known, EVERYWHERE)
+            return _doubt_of_light(found, empty, known, p)
+        view = _beside(empty, known)
         doubt = _doubt_of_view(view, p)
         if doubt is None and found.status is ViewStatus.EMPTY:
             return _doubt_of_dark(view, known.typical * empty.gain, p)
         return doubt
 
 
+def warm_up() -> None:
+    """Compile what views of clean rigs need, by looking at one made up for it: seconds that the first stone has not."""
+    camera = CameraId("warm-up")
+    image = np.full((8 * MARGIN_PX,) * 2, 200, np.uint8)
+    image[3 * MARGIN_PX : 5 * MARGIN_PX, 3 * MARGIN_PX : 5 * MARGIN_PX] = 60
+    empty = {camera: CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)}
+    frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
+    silhouette = ChoosingSegmenter(classical=BackgroundSegmenter(), network=None)(frame, empty)
+    silhouette.measure_distance()
+    observe_optics(frame, empty, silhouette)
+
+
 def unseen_share(found: Silhouette) -> float:
     """Share of the outline that was not seen, 0..1."""
-    steps_px = np.hypot(*np.diff(found.outline_uv, axis=0, append=found.outline_uv[:1]).T)
-    return float(steps_px[steps_px > MAX_STEP_PX].sum() / max(steps_px.sum(), 1))
+    return _unseen_share(found.outline_uv)
+
+
+@compiled
+def _unseen_share(outline_uv: NDArray[np.float64]) -> float:
+    unseen_px, total_px = 0.0, 1e-9
+    for i in range(len(outline_uv)):
+        du, dv = outline_uv[i, 0] - outline_uv[i - 1, 0], outline_uv[i, 1] - outline_uv[i - 1, 1]
+        step_px = np.sqrt(du * du + dv * dv)
+        total_px += step_px
+        unseen_px += step_px if step_px > MAX_STEP_PX else 0.0
+    return unseen_px / total_px
 
 
 def hidden_share(found: Silhouette) -> float:
@@ -140,27 +156,17 @@ def hidden_share(found: Silhouette) -> float:
 
 
 class _Beside(NamedTuple):
-    """What is seen in a part of a view, beside the empty rig; arrays (h, w) of blocks."""
+    """What is seen of a view, beside the empty rig; arrays (h, w) of blocks."""
 
     seen: Grey
     empty: Grey
     is_wall: Grey  # 1 where that is the plain wall
 
 
-def _beside(empty: EmptyView, known: CameraBackground, place: Place) -> _Beside:
-    expected = np.asarray(cv2.convertScaleAbs(empty.levels[place], alpha=empty.gain), np.uint8)
-    is_wall = known.coarse[place] >= np.float32(PLAIN * known.typical)
-    return _Beside(seen=empty.seen[place], empty=expected, is_wall=is_wall.view(np.uint8))
-
-
-def _blocks_of(found: Silhouette) -> tuple[Place, Grey]:
-    """The blocks around a silhouette, and its label in the middle of each."""
-    (left, top), (height, width) = found.offset_uv, found.labels.shape
-    rows = slice(-(-top // COARSE), (top + height) // COARSE)
-    columns = slice(-(-left // COARSE), (left + width) // COARSE)
-    first = (rows.start * COARSE + COARSE // 2 - top, columns.start * COARSE + COARSE // 2 - left)
-    labels = found.labels[first[0] :: COARSE, first[1] :: COARSE]
-    return (rows, columns), labels[: rows.stop - rows.start, : columns.stop - columns.start]
+def _beside(empty: EmptyView, known: CameraBackground) -> _Beside:
+    expected = np.asarray(cv2.convertScaleAbs(empty.levels, alpha=empty.gain), np.uint8)
+    is_wall = known.coarse >= np.float32(PLAIN * known.typical)
+    return _Beside(seen=empty.seen, empty=expected, is_wall=is_wall.view(np.uint8))
 
 
 def _doubt_of_view(view: _Beside, parameters: ChoiceParameters) -> str | None:
@@ -191,25 +197,30 @@ def _reduced(view: Grey) -> Grey:
     return np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _doubt_of_light(view: _Beside, labels: Grey, parameters: ChoiceParameters) -> str | None:
+def _doubt_of_light(
+    found: Silhouette, empty: EmptyView, known: CameraBackground, parameters: ChoiceParameters
+) -> str | None:
     """Whether the wall beside the body is what it was, and the body differs from it."""
-    seen = np.asarray(cv2.blur(view.seen, (3, 3)), np.uint8)  # a third of the noise
-    inside, covered = (labels == INSIDE).view(np.uint8), (labels != OUTSIDE).view(np.uint8)
-    nearest, farthest = RING_BLOCKS
-    ring = (_grown(inside, farthest) > _grown(covered, nearest)) & view.is_wall
-    if _share(_differs(seen, view.empty, parameters.max_light_error), ring) > parameters.max_dim_share:
-        is_beside = ring.view(np.bool_)
-        errors = np.abs(seen[is_beside] / view.empty[is_beside].astype(np.float32) - 1)
-        return f"light differs by {np.quantile(errors, 0.9):.0%} around the body"
-    shallow, deep = RIM_BLOCKS
-    rim = (_grown(covered, -shallow) > _grown(inside, -deep)) & view.is_wall
-    faint = _share(1 - _differs(seen, view.empty, parameters.clear_contrast), rim)
+    left, top = found.offset_uv
+    around, rim = errors_beside(
+        found.labels,
+        left,
+        top,
+        empty.seen,
+        empty.levels,
+        known.coarse_levels,
+        np.uint8(np.ceil(PLAIN * known.typical)),
+        np.float32(empty.gain),
+    )
+    if _share(around > parameters.max_light_error) > parameters.max_dim_share:
+        return f"light differs by {np.quantile(around, 0.9):.0%} around the body"
+    faint = _share(rim <= parameters.clear_contrast)
     return f"{faint:.0%} of the edge without contrast" if faint > parameters.max_faint_share else None
 
 
-def _share(mask: Grey, of: Grey) -> float:
-    """Share of a mask (h, w) that another covers; 0 of none."""
-    return cv2.countNonZero(mask & of) / max(cv2.countNonZero(of), 1)
+def _share(is_so: NDArray[np.bool_]) -> float:
+    """Of blocks (N,) for which something is so; 0 of none."""
+    return float(np.count_nonzero(is_so) / max(is_so.size, 1))
 
 
 def _differs(seen: Grey, empty: Grey, share: float) -> Grey:

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.frames import CameraId, Frame
+from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
 from pipeline.segmentation.comparison import DIFFERS, Thresholds, limits_around, marked, sampled
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
 from pipeline.segmentation.light import flash_gain, uneven_light
-from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
 Grey = NDArray[np.uint8]
@@ -130,18 +129,6 @@ def empty_view(image: Grey, known: CameraBackground) -> EmptyView:
     light = uneven_light(seen, known.plain_wall, gain)
     levels = known.coarse_levels if light is None else _lit(known.coarse_levels, light)
     return EmptyView(seen=seen, levels=levels, gain=gain, light=light)
-
-
-def warm_up() -> None:
-    """Compile what views of clean rigs need, by looking at one made up for it: seconds that the first stone has not."""
-    camera = CameraId("warm-up")
-    image = np.full((8 * MARGIN_PX,) * 2, 200, np.uint8)
-    image[3 * MARGIN_PX : 5 * MARGIN_PX, 3 * MARGIN_PX : 5 * MARGIN_PX] = 60
-    empty = CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)
-    frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
-    silhouette = BackgroundSegmenter()(frame, {camera: empty})
-    silhouette.measure_distance()
-    observe_optics(frame, {camera: empty}, silhouette)
 
 
 def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:

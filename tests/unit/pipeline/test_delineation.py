@@ -17,9 +17,9 @@ from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
 
 from pipeline.segmentation import edge, grey_levels, steepest
+from pipeline.segmentation.choice import warm_up
 from pipeline.segmentation.delineation import Delineation, delineate
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
-from pipeline.segmentation.subtraction import warm_up
 
 SIZE_PX = 220
 WALL, BODY, BRIGHT = 130.0, 30.0, 230.0

@@ -9,7 +9,7 @@ import pytest
 from support.networks import difference_network
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import ViewStatus, subtraction
+from pipeline.segmentation import ViewStatus, choice
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.errors import SettingsError
 from service.segmentation_settings import SegmentationSettings, plan_segmenter
@@ -100,7 +100,7 @@ def test_a_processor_that_is_not_there_is_replaced_and_told(caplog: pytest.LogCa
 
 def test_without_a_network_the_comparison_alone_is_made_ready(monkeypatch: pytest.MonkeyPatch):
     called: list[str] = []
-    monkeypatch.setattr(subtraction, "warm_up", lambda: called.append("all kernels, see test_delineation"))
+    monkeypatch.setattr(choice, "warm_up", lambda: called.append("all kernels, see test_delineation"))
     warm_up(build_segmenter(CLASSICAL, PARAMETERS))
     assert called
 
