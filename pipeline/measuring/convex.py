@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
 from pipeline.measuring.directions import half_sphere
-from pipeline.measuring.quickhull import hull_facets
+from pipeline.quickhull import hull_facets
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline.measuring import quickhull
+from pipeline import quickhull
 from pipeline.measuring.convex import convex_body
 from pipeline.measuring.directions import half_sphere
-from pipeline.measuring.quickhull import TOLERANCE, hull_facets
 from pipeline.measuring.solid import solid_of
+from pipeline.quickhull import TOLERANCE, hull_facets
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-12
