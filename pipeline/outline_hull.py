@@ -21,7 +21,7 @@ def hull_corners(outline_uv: Array, reach: int = 1) -> tuple[NDArray[np.int64], 
     Of those the edge was seen as far as the `reach`-th point on either side; from others the body may reach further.
     """
     corners = _corners(outline_uv, np.argsort(outline_uv[:, 0] + TILT * outline_uv[:, 1]))
-    return corners, _goes_on(outline_uv, corners, reach)
+    return corners, goes_on(outline_uv, corners, reach)
 
 
 @compiled
@@ -46,7 +46,7 @@ def _corners(points: Array, order: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @compiled
-def _goes_on(points: Array, which: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
+def goes_on(points: Array, which: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
     """Whether an outline (N, 2) has no gap among the `reach` steps before and after some of its points (H,)."""
     n = len(points)
     goes_on = np.empty(len(which), np.bool_)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pipeline.carving import usable_views
 from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
-from pipeline.estimate.surface import inner_surface
+from pipeline.estimate.surface import InnerSurface, inner_surface
 from pipeline.frames import CameraId
 from pipeline.meshing import ParticleMesh
 from pipeline.rig import RigCalibration
@@ -39,19 +39,12 @@ PULL = 0.999
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyEstimate:
-    """The estimate, and how far it is from the bodies on either side of it."""
+    """The estimate, and the volume of the hull that it is within."""
 
     mesh: ParticleMesh
     volume_mm3: float
     hull_volume_mm3: float
-    inner_volume_mm3: float  # of the hull when all its vertices are moved to the inner body
-    smoothness: float  # mean over the hull's vertices: 0 of a body with corners, 1 of a smooth one
     fallback: str | None = None  # why the estimate is the hull itself
-
-    @property
-    def gap(self) -> float:
-        """Share of the hull's volume that lies outside of the inner body, 0..1."""
-        return 1 - self.inner_volume_mm3 / self.hull_volume_mm3
 
 
 def estimate_body(
@@ -67,48 +60,63 @@ def estimate_body(
     ValueError
         A silhouette of a camera that the rig does not know.
     """
-    center_mm = np.array([(column.min() + column.max()) / 2 for column in hull.vertices_mm.T])
-    from_center_mm = hull.vertices_mm - center_mm
-    inner = inner_surface(usable_views(silhouettes, rig), center_mm, from_center_mm)
+    center_mm = _middle_mm(hull.vertices_mm)
+    inner = inner_surface(usable_views(silhouettes, rig), center_mm, hull.vertices_mm)
     if isinstance(inner, str):
-        hull_volume_mm3, *_ = _volumes_mm3(from_center_mm, hull.faces, np.ones((len(from_center_mm), 2)))
-        return BodyEstimate(
-            mesh=hull,
-            volume_mm3=hull_volume_mm3,
-            hull_volume_mm3=hull_volume_mm3,
-            inner_volume_mm3=hull_volume_mm3,
-            smoothness=0.0,
-            fallback=inner,
+        hull_volume_mm3, _ = _volumes_mm3(
+            hull.vertices_mm, hull.faces, center_mm, np.ones(len(hull.vertices_mm))
         )
-    radii_mm = np.sqrt(np.einsum("ij,ij->i", from_center_mm, from_center_mm))
-    excess_mm = np.maximum(radii_mm - inner.radii_mm, 0)
-    smooth = smoothness(inner.local_share, bulge_share(inner.half_heights_mm, excess_mm))
-    bulge_mm = smooth * np.minimum(inner.half_heights_mm, excess_mm)
-    shares = 1 - np.column_stack([PULL * (excess_mm - bulge_mm), excess_mm]) / radii_mm[:, None]
-    hull_volume_mm3, volume_mm3, inner_volume_mm3 = _volumes_mm3(from_center_mm, hull.faces, shares)
+        return BodyEstimate(
+            mesh=hull, volume_mm3=hull_volume_mm3, hull_volume_mm3=hull_volume_mm3, fallback=inner
+        )
+    vertices_mm, shares = _pulled(
+        hull.vertices_mm, center_mm, inner, bulge_share(inner.half_heights, inner.radii)
+    )
+    hull_volume_mm3, volume_mm3 = _volumes_mm3(hull.vertices_mm, hull.faces, center_mm, shares)
     return BodyEstimate(
-        mesh=ParticleMesh(center_mm + shares[:, :1] * from_center_mm, hull.faces),
-        volume_mm3=volume_mm3,
-        hull_volume_mm3=hull_volume_mm3,
-        inner_volume_mm3=inner_volume_mm3,
-        smoothness=float(smooth.mean()),
+        mesh=ParticleMesh(vertices_mm, hull.faces), volume_mm3=volume_mm3, hull_volume_mm3=hull_volume_mm3
     )
 
 
 @compiled
-def _volumes_mm3(points_mm: Array, faces: NDArray[np.int64], shares: Array) -> tuple[float, float, float]:
-    """Volumes of three closed meshes around the origin: of points (N, 3), and of `shares[:, 0]` and `[:, 1]` of them.
+def _middle_mm(points_mm: Array) -> Array:
+    """Of the box around points (N, 3)."""
+    low_mm, high_mm = points_mm[0].copy(), points_mm[0].copy()
+    for i in range(len(points_mm)):
+        for k in range(3):
+            low_mm[k], high_mm[k] = min(low_mm[k], points_mm[i, k]), max(high_mm[k], points_mm[i, k])
+    return (low_mm + high_mm) / 2
 
-    Each is that of the tetrahedra of the origin and every face.
+
+@compiled
+def _pulled(points_mm: Array, center_mm: Array, inner: InnerSurface, bulge: float) -> tuple[Array, Array]:
+    """Points (N, 3) pulled towards the centre, to the estimated surface, and to which share (N,) of the way."""
+    moved_mm, shares = np.empty(points_mm.shape), np.empty(len(points_mm))
+    for i in range(len(points_mm)):
+        excess = max(1 - inner.radii[i], 0.0)
+        kept = smoothness(inner.local_share[i], bulge) * min(inner.half_heights[i], excess)
+        shares[i] = 1 - PULL * (excess - kept)
+        for k in range(3):
+            moved_mm[i, k] = center_mm[k] + shares[i] * (points_mm[i, k] - center_mm[k])
+    return moved_mm, shares
+
+
+@compiled
+def _volumes_mm3(
+    points_mm: Array, faces: NDArray[np.int64], center_mm: Array, shares: Array
+) -> tuple[float, float]:
+    """Volumes of a closed mesh with points (N, 3), before and after these move to `shares` of the way from the centre.
+
+    Each is that of the tetrahedra of the centre and every face.
     """
-    whole = first = second = 0.0
+    whole = pulled = 0.0
+    x, y, z = center_mm[0], center_mm[1], center_mm[2]
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        ax, ay, az = points_mm[a, 0], points_mm[a, 1], points_mm[a, 2]
-        bx, by, bz = points_mm[b, 0], points_mm[b, 1], points_mm[b, 2]
-        cx, cy, cz = points_mm[c, 0], points_mm[c, 1], points_mm[c, 2]
+        ax, ay, az = points_mm[a, 0] - x, points_mm[a, 1] - y, points_mm[a, 2] - z
+        bx, by, bz = points_mm[b, 0] - x, points_mm[b, 1] - y, points_mm[b, 2] - z
+        cx, cy, cz = points_mm[c, 0] - x, points_mm[c, 1] - y, points_mm[c, 2] - z
         sixfold_mm3 = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
         whole += sixfold_mm3
-        first += sixfold_mm3 * shares[a, 0] * shares[b, 0] * shares[c, 0]
-        second += sixfold_mm3 * shares[a, 1] * shares[b, 1] * shares[c, 1]
-    return whole / 6, first / 6, second / 6
+        pulled += sixfold_mm3 * shares[a] * shares[b] * shares[c]
+    return whole / 6, pulled / 6

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
-from pipeline.estimate.inner import InnerBody
+from pipeline.compiled import compiled
 from pipeline.estimate.tangents import N_ANGLES, Tangents, segments_mm
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ boxes, cylinders, polyhedra smooth and rough (tests/accuracy/fit_estimate.py). S
 is flat: (-0.8, 0.9, 1.2), fitted to other bodies of these forms, changes their mean distances by 1 um."""
 SPHERE_STEP = 7
 """Every seventh ray of a sphere is enough for their median."""
-TINY_MM = 1e-6
+TINY = 1e-7
 
 
 def segment_shares(tangents: Tangents, sphere_mm: float) -> Array:
@@ -35,28 +35,42 @@ def segment_shares(tangents: Tangents, sphere_mm: float) -> Array:
     return np.minimum(tangents.lengths_mm / sphere_mm, 1)
 
 
-def local_share(inner: InnerBody, tangents: Tangents, shares: Array) -> Array:
-    """Mean of `segment_shares` (P,) of the planes that look like the one at each point of an inner body."""
-    normals = tangents.normals.astype(np.float32)
-    limit = np.float32(np.cos(np.deg2rad(REACH_DEG)))
-    weights = normals[inner.rays] @ normals.T
-    weights -= limit
-    np.maximum(weights, 0, out=weights)
-    return (weights @ shares.astype(np.float32) / weights.sum(axis=1)).astype(np.float64)
+@compiled
+def local_share(normals: Array, shares: Array) -> Array:
+    """Mean (N,) of `segment_shares` (N,) of the planes that look like each of those with these normals (N, 3).
+
+    Each plane gives to all others: unlike the mean of one after the other this runs in vectors.
+    """
+    x, y, z = normals[:, 0].copy(), normals[:, 1].copy(), normals[:, 2].copy()
+    limit = np.cos(np.deg2rad(REACH_DEG))
+    weights, weighted = np.zeros(len(x)), np.zeros(len(x))
+    for j in range(len(x)):
+        for i in range(len(x)):
+            weight = max(x[i] * x[j] + y[i] * y[j] + z[i] * z[j] - limit, 0.0)
+            weights[i] += weight
+            weighted[i] += weight * shares[j]
+    return weighted / weights
 
 
-def bulge_share(half_heights_mm: Array, excess_mm: Array) -> float:
+@compiled
+def bulge_share(half_heights: Array, radii: Array) -> float:
     """Mean share of a smooth body's bulge that the hull has room for: 0.9 for a sphere, 0.1 for a polyhedron.
 
-    Where the hull itself lies within the inner body, in a dent, there is nothing to tell.
+    Both (N,) as in `InnerSurface`. Where the hull itself lies within the inner body, in a dent, there is nothing to
+    tell.
     """
-    room = np.minimum(excess_mm / np.maximum(half_heights_mm, TINY_MM), 1)
-    return float(room.sum() / max(np.count_nonzero(excess_mm), 1))
+    room, n_outside = 0.0, 0
+    for i in range(len(radii)):
+        if radii[i] < 1:
+            room += min((1 - radii[i]) / max(half_heights[i], TINY), 1.0)
+            n_outside += 1
+    return room / max(n_outside, 1)
 
 
-def smoothness(local: Array, bulge: float) -> Array:
-    """From 0 (corners) to 1 (smooth) where the `local_share` is `local` (N,)."""
-    return np.clip(OFFSET + PER_LOCAL_SHARE * local + PER_BULGE_SHARE * bulge, 0, 1)
+@compiled
+def smoothness(local: float, bulge: float) -> float:
+    """From 0 (corners) to 1 (smooth) of a place with these shares."""
+    return min(max(OFFSET + PER_LOCAL_SHARE * local + PER_BULGE_SHARE * bulge, 0.0), 1.0)
 
 
 def sphere_segment_mm(views: Sequence[View], center_mm: Array, radius_mm: float) -> float:

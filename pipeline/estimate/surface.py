@@ -1,7 +1,7 @@
 """What the silhouettes say of the surface along each ray from the middle of the body."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from pipeline.compiled import compiled
 from pipeline.estimate.inner import InnerBody, inner_body
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
 from pipeline.estimate.tangents import tangents_of
+from pipeline.growing_hull import Facets
 
 Array = NDArray[np.float64]
 
@@ -18,100 +19,98 @@ ROUNDING = 1e-12
 """A ray that leaves a face by no more than this share has not left it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class InnerSurface:
-    """Along N rays from a centre within the inner body."""
+class InnerSurface(NamedTuple):
+    """Along the rays from a centre within the inner body through N points, in shares of their distances from it."""
 
-    radii_mm: Array  # (N,) to the surface of the inner body
-    half_heights_mm: (
-        Array  # (N,) from there, half the mean height of the tangent planes of the face's corners
-    )
+    radii: Array  # (N,) to the surface of the inner body
+    half_heights: Array  # (N,) from there, half the mean height of the tangent planes of the face's corners
     local_share: Array  # (N,) of segments, see `smoothness`
 
 
-def inner_surface(views: Sequence[View], center_mm: Array, from_center_mm: Array) -> InnerSurface | str:
-    """The inner body along the rays from `center_mm` through points (N, 3) relative to it; or why there is none."""
+def inner_surface(views: Sequence[View], center_mm: Array, points_mm: Array) -> InnerSurface | str:
+    """The inner body along the rays from `center_mm` through points (N, 3); or why there is none."""
     if len(views) < 3:
         return f"{len(views)} views are too few for an inner body"
     tangents = tangents_of(views, center_mm)
     inner = inner_body(tangents)
     if inner is None:
         return "the outlines that were seen do not span a body"
-    if not (inner.offsets_mm > 0).all():
+    if not (inner.facets.planes[:, 3] < 0).all():
         return "the inner body does not hold the hull's centre"
     sphere_mm = sphere_segment_mm(views, center_mm, float(np.cbrt(3 * inner.volume_mm3 / (4 * np.pi))))
     if not np.isfinite(sphere_mm):
         return "the views leave the hull of a sphere open"
-    shares = local_share(inner, tangents, segment_shares(tangents, sphere_mm))
-    radii_mm, half_heights_mm, share = _along(
-        from_center_mm,
-        inner.faces,
-        inner.neighbors,
-        _corner_solver(inner),
-        np.column_stack([inner.normals, inner.offsets_mm]),
-        np.column_stack([tangents.normals, tangents.offsets_mm])[inner.rays],
-        shares,
-        np.zeros((2, 2, 2), np.int64),
+    shares = local_share(tangents.normals, segment_shares(tangents, sphere_mm))
+    return InnerSurface(
+        *_along(
+            points_mm,
+            center_mm,
+            inner.facets,
+            _corner_solver(inner),
+            np.column_stack([tangents.normals, tangents.offsets_mm, shares]),
+            np.zeros((2, 2, 2), np.int32),
+        )
     )
-    return InnerSurface(radii_mm=radii_mm, half_heights_mm=half_heights_mm, local_share=share)
 
 
 def _corner_solver(inner: InnerBody) -> Array:
     """Matrices (F, 3, 3) that turn a direction into its weights, up to scale, of a face's corners."""
-    a, b, c = inner.points_mm[inner.faces.T]
+    a, b, c = inner.points_mm[inner.facets.corners.T]
     return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
 
 
 @compiled
 def _along(
     points_mm: Array,
-    faces: NDArray[np.int64],
-    neighbors: NDArray[np.int64],
+    center_mm: Array,
+    facets: Facets,
     solvers: Array,
-    face_planes: Array,
-    tangent_planes: Array,
-    shares: Array,
-    last: NDArray[np.int64],
+    tangents: Array,
+    last: NDArray[np.int32],
 ) -> tuple[Array, Array, Array]:
-    """The three arrays (N,) of `InnerSurface` for the rays from the origin through points (N, 3).
+    """The three arrays (N,) of `InnerSurface` for the rays from the centre through points (N, 3).
 
-    A face that the ray misses is left for its neighbour on the ray's side: seen from within, the faces of a
-    convex body tile a sphere as a regular triangulation, where such a walk always arrives. It starts where
-    the `last` one in the same octant (2, 2, 2) ended, at first anywhere: a mesh's vertices come in rows that
-    cross the body, so that this is less than one step away.
+    `tangents` (T, 5) are normals, offsets and shares of the planes that touch at the corners. A face that the ray
+    misses is left for its neighbour on the ray's side: seen from within, the faces of a convex body tile a sphere
+    as a regular triangulation, where such a walk always arrives. It starts where the `last` one in the same octant
+    (2, 2, 2) ended, at first anywhere: a mesh's vertices come in rows that cross the body, so that this is less
+    than one step away.
     """
     n = len(points_mm)
-    radii_mm, half_heights_mm, local_share = np.empty(n), np.empty(n), np.empty(n)
+    corners, across, planes = facets
+    radii, half_heights, local_share = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
-        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
-        length_mm = np.sqrt(x * x + y * y + z * z)
-        x, y, z = x / length_mm, y / length_mm, z / length_mm
+        x, y, z = (
+            points_mm[i, 0] - center_mm[0],
+            points_mm[i, 1] - center_mm[1],
+            points_mm[i, 2] - center_mm[2],
+        )
         octant = (int(x > 0), int(y > 0), int(z > 0))
         face = last[octant]
         a, b, c = _weights(solvers, face, x, y, z)
-        for _ in range(len(faces)):
+        for _ in range(len(corners)):
             if a + b + c > 0 and min(a, b, c) >= -ROUNDING * (a + b + c):
                 break
-            opposite = 0 if a <= min(b, c) else 1 if b <= c else 2
-            face = neighbors[face, opposite]
+            face = across[face, 1 if a <= min(b, c) else 2 if b <= c else 0]
             a, b, c = _weights(solvers, face, x, y, z)
         else:  # caught between faces without area
             a = b = c = 1.0
         last[octant] = face
-        total = a + b + c
-        a, b, c = a / total, b / total, c / total
-        first, second, third = faces[face, 0], faces[face, 1], faces[face, 2]
-        radius_mm = face_planes[face, 3] / _height(face_planes, face, x, y, z)
-        height_mm = (
-            a * (tangent_planes[first, 3] - radius_mm * _height(tangent_planes, first, x, y, z))
-            + b * (tangent_planes[second, 3] - radius_mm * _height(tangent_planes, second, x, y, z))
-            + c * (tangent_planes[third, 3] - radius_mm * _height(tangent_planes, third, x, y, z))
+        first, second, third = corners[face, 0], corners[face, 1], corners[face, 2]
+        # of the face's plane and of those that touch at its corners: heights of the point above the centre's level
+        own_mm = _height(planes, face, x, y, z)
+        radius = -planes[face, 3] / own_mm
+        scale = 1 / (a + b + c)
+        bulge_mm = scale * (
+            a * (tangents[first, 3] - radius * _height(tangents, first, x, y, z))
+            + b * (tangents[second, 3] - radius * _height(tangents, second, x, y, z))
+            + c * (tangents[third, 3] - radius * _height(tangents, third, x, y, z))
         )
-        radii_mm[i] = radius_mm
-        # square to the face h, along the ray h / cos, and cos is the face's offset over the radius
-        half_heights_mm[i] = max(height_mm, 0.0) * radius_mm / (2 * face_planes[face, 3])
-        local_share[i] = a * shares[first] + b * shares[second] + c * shares[third]
-    return radii_mm, half_heights_mm, local_share
+        radii[i] = radius
+        # square to the face h, along the ray h / cos, and cos is `own_mm` over the point's distance
+        half_heights[i] = max(bulge_mm, 0.0) / (2 * own_mm)
+        local_share[i] = scale * (a * tangents[first, 4] + b * tangents[second, 4] + c * tangents[third, 4])
+    return radii, half_heights, local_share
 
 
 @compiled

@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.outline_hull import hull_corners
+from pipeline.outline_hull import goes_on
 
 Array = NDArray[np.float64]
 
 N_ANGLES = 60
 """Tangents an outline: every 6 degrees."""
+OUTWARDS = np.array(
+    [np.cos(2 * np.pi / N_ANGLES * np.arange(N_ANGLES)), np.sin(2 * np.pi / N_ANGLES * np.arange(N_ANGLES))]
+)
+"""The directions (2, N_ANGLES) of the image that the tangents' normals have in it."""
 SLACK_MM = 0.004
 """By which planes are moved outwards before they cut rays: a tenth of a pixel. Planes that nearly contain
 a ray would otherwise cut it anywhere, by the noise of the outlines."""
@@ -35,13 +39,12 @@ MAX_OVERLAP_MM = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tangents:
-    """Touching rays and planes of all views, N of each; points relative to `center_mm`.
+    """Touching rays and planes of all views, N of each; points relative to the centre given.
 
     The body satisfies `normals @ x <= offsets_mm`, and touches its plane on `points_mm + t directions`
     at some t from `low_mm` to `high_mm`.
     """
 
-    center_mm: Array  # (3,) world frame
     normals: Array  # (N, 3) unit, outwards
     offsets_mm: Array  # (N,)
     points_mm: Array  # (N, 3) foot of the centre on the ray
@@ -54,9 +57,9 @@ class Tangents:
         """Lengths (N,) of the segments."""
         return self.high_mm - self.low_mm
 
-    def at(self, rays: NDArray[np.int64], t_mm: Array) -> Array:
-        """Points (R, 3) on rays (R,)."""
-        return self.points_mm[rays] + t_mm[:, None] * self.directions[rays]
+    def lines(self) -> Array:
+        """Points, directions and ends of the segments (N, 8)."""
+        return np.column_stack([self.points_mm, self.directions, self.low_mm, self.high_mm])
 
 
 def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
@@ -64,56 +67,74 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
 
     An outline without points gives none, and rays that miss the body are left out.
     """
-    cameras = [camera for camera, _ in views]
-    per_view = [_touching_view(view) for view in views]
-    index = np.repeat(np.arange(len(views)), [len(planes) for planes, _ in per_view])
-    R = np.array([camera.R for camera in cameras])[index]
-    eyes_mm = np.array([camera.center_mm - center_mm for camera in cameras])[index]
-    normals, directions = (
-        (_unit(np.concatenate(parts))[:, None] @ R)[:, 0] for parts in zip(*per_view, strict=True)
-    )
-    offsets_mm = (normals * eyes_mm).sum(axis=1)
-    points_mm = eyes_mm - (directions * eyes_mm).sum(axis=1, keepdims=True) * directions
-    low_mm, high_mm = segments_mm(normals, offsets_mm, points_mm, directions)
+    lines = [np.empty((0, 10))]
+    for camera, silhouette in views:
+        outline_uv = silhouette.outline_uv
+        if len(outline_uv) >= 3:
+            farthest = _farthest(outline_uv, OUTWARDS)
+            # distortion bends a plane so little that each tangent's point is among these
+            flat = camera.flat_rays(outline_uv[farthest])
+            is_known = goes_on(outline_uv, farthest, SEEN_POINTS)
+            lines.append(_touching(flat, is_known, OUTWARDS, camera.R, camera.center_mm - center_mm))
+    normals, offsets_mm, points_mm, directions = np.split(np.concatenate(lines), [3, 4, 7], axis=1)
+    low_mm, high_mm = segments_mm(normals, offsets_mm[:, 0], points_mm, directions)
     touching = np.isfinite(high_mm - low_mm) & (high_mm - low_mm > -MAX_OVERLAP_MM)
     middle_mm = (low_mm + high_mm) / 2
-    low_mm, high_mm = np.minimum(low_mm, middle_mm), np.maximum(high_mm, middle_mm)
     return Tangents(
-        center_mm=center_mm,
         normals=normals[touching],
-        offsets_mm=offsets_mm[touching],
+        offsets_mm=offsets_mm[touching, 0],
         points_mm=points_mm[touching],
         directions=directions[touching],
-        low_mm=low_mm[touching],
-        high_mm=high_mm[touching],
+        low_mm=np.minimum(low_mm, middle_mm)[touching],
+        high_mm=np.maximum(high_mm, middle_mm)[touching],
     )
 
 
-def _touching_view(view: View) -> tuple[Array, Array]:
-    """Normals (T, 3) of planes through the camera's centre that touch the outline, and rays (T, 3) to where they do.
+@compiled
+def _farthest(points: Array, outwards: Array) -> NDArray[np.int64]:
+    """The points, of (N, 2), that are farthest in each direction (2, A); in vectors, as the directions are last."""
+    n_angles = outwards.shape[1]
+    reach, farthest = np.full(n_angles, -np.inf), np.zeros(n_angles, np.int64)
+    for point in range(len(points)):
+        u, v = points[point, 0], points[point, 1]
+        for angle in range(n_angles):
+            height = u * outwards[0, angle] + v * outwards[1, angle]
+            is_farther = height > reach[angle]
+            reach[angle] = height if is_farther else reach[angle]
+            farthest[angle] = point if is_farther else farthest[angle]
+    return farthest
 
-    Both in the camera's frame, of any length.
+
+@compiled
+def _touching(flat: Array, is_known: NDArray[np.bool_], outwards: Array, R: Array, eye_mm: Array) -> Array:
+    """Tangents of one view, with those rays (C, 2) of its camera that touch one, if the edge beside is known (C,).
+
+    A row each: normal and offset of the plane, foot of the centre on the ray, and its direction.
     """
-    camera, silhouette = view
-    outline_uv = silhouette.outline_uv
-    if len(outline_uv) < 3:
-        return np.empty((0, 3)), np.empty((0, 3))
-    angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
-    outwards = np.column_stack([np.cos(angles), np.sin(angles)])
-    corners, goes_on = hull_corners(outline_uv, SEEN_POINTS)
-    # distortion bends the plane so little that each tangent's point is among these
-    candidates = (outwards @ outline_uv[corners].T).argmax(axis=1)
-    rays = np.ones((len(candidates), 3))
-    rays[:, :2] = camera.flat_rays(outline_uv[corners[candidates]])
-    heights = rays[:, :2] @ outwards.T
-    best = heights.argmax(axis=0)
-    normals = np.column_stack([outwards, -heights.max(axis=0)])
-    known = goes_on[candidates][best]
-    return normals[known], rays[best[known]]
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+    tangents, n = np.empty((outwards.shape[1], 10)), 0
+    for angle in range(outwards.shape[1]):
+        x, y = outwards[0, angle], outwards[1, angle]
+        best, z = 0, -np.inf
+        for ray in range(len(flat)):
+            height = flat[ray, 0] * x + flat[ray, 1] * y
+            if height > z:
+                best, z = ray, height
+        if not is_known[best]:
+            continue
+        u, v = flat[best, 0], flat[best, 1]
+        to_normal, to_direction = 1 / np.sqrt(x * x + y * y + z * z), 1 / np.sqrt(u * u + v * v + 1)
+        offset_mm, along_mm = 0.0, 0.0
+        for k in range(3):
+            normal = (x * R[0, k] + y * R[1, k] - z * R[2, k]) * to_normal
+            direction = (u * R[0, k] + v * R[1, k] + R[2, k]) * to_direction
+            offset_mm += normal * eye_mm[k]
+            along_mm += direction * eye_mm[k]
+            tangents[n, k], tangents[n, 7 + k] = normal, direction
+        tangents[n, 3] = offset_mm
+        for k in range(3):
+            tangents[n, 4 + k] = eye_mm[k] - along_mm * tangents[n, 7 + k]
+        n += 1
+    return tangents[:n]
 
 
 def segments_mm(

@@ -56,7 +56,7 @@ class Sample:
         """Mean distance of the estimate to the true surface."""
         offset, per_local, per_bulge = coefficients
         smooth = np.clip(offset + per_local * self.inner.local_share + per_bulge * self.bulge_share, 0, 1)
-        estimate_mm = smooth * np.minimum(self.inner.half_heights_mm, self.excess_mm)
+        estimate_mm = smooth * np.minimum(self.inner.half_heights, self.excess_mm)
         return float(np.mean(np.abs(estimate_mm - self.true_mm) * self.cosines))
 
 
@@ -73,20 +73,19 @@ def sample(name: str, number: int, seed: int) -> Sample:
     from_center_mm = rng.permutation(hull.vertices_mm)[:N_RAYS] - center_mm
     radii_mm = np.linalg.norm(from_center_mm, axis=1)
     directions = from_center_mm / radii_mm[:, None]
-    inner = inner_surface(usable_views(silhouettes, rig), center_mm, directions)
+    inner = inner_surface(usable_views(silhouettes, rig), center_mm, center_mm + directions)  # shares of 1 mm
     if isinstance(inner, str):
         raise AssertionError(f"{name} {number}: {inner}")
     starts = np.broadcast_to(center_mm.astype(np.float32), directions.shape).copy()
     hit = embree_scene(truth).run(starts, directions.astype(np.float32), output=True)
     normals = hit["Ng"] / np.linalg.norm(hit["Ng"], axis=1, keepdims=True)
-    excess_mm = np.maximum(radii_mm - inner.radii_mm, 0)
     return Sample(
         form=name,
-        excess_mm=excess_mm,
-        true_mm=hit["tfar"] - np.minimum(inner.radii_mm, radii_mm),
+        excess_mm=np.maximum(radii_mm - inner.radii, 0),
+        true_mm=hit["tfar"] - np.minimum(inner.radii, radii_mm),
         cosines=np.abs(np.einsum("ij,ij->i", normals, directions)),
         inner=inner,
-        bulge_share=bulge_share(inner.half_heights_mm, excess_mm),
+        bulge_share=bulge_share(inner.half_heights / radii_mm, inner.radii / radii_mm),
         gap=float(np.log(estimate.hull_volume_mm3 / estimate.volume_mm3)),
         missing=float(np.log(estimate.hull_volume_mm3 / truth.volume)),
     )

@@ -98,7 +98,7 @@ def test_the_estimate_is_nearer_than_the_hull(name: str, bar_mm: float) -> None:
     hull_mm, estimate_mm = mean_mm(hull, truth), mean_mm(estimate.mesh, truth)
     assert estimate_mm < bar_mm
     assert estimate_mm < hull_mm + 0.002
-    assert estimate.inner_volume_mm3 <= estimate.volume_mm3 <= estimate.hull_volume_mm3
+    assert estimate.volume_mm3 <= estimate.hull_volume_mm3
     assert abs(estimate.volume_mm3 / truth.volume - 1) < abs(estimate.hull_volume_mm3 / truth.volume - 1)
 
 
@@ -223,7 +223,8 @@ def test_the_inner_body_touches_every_tangent_plane_and_leaves_none(name: str) -
     tangents = tangents_of(usable_views(silhouettes, RIG), truth.center_mass)
     inner = inner_body(tangents)
     assert inner is not None
-    reach_mm = (tangents.normals @ inner.points_mm.T).max(axis=1)
+    corners_mm = inner.points_mm[np.unique(inner.facets.corners)]
+    reach_mm = (tangents.normals @ corners_mm.T).max(axis=1)
     assert (reach_mm > tangents.offsets_mm - 0.02).all()
     assert np.quantile(reach_mm - tangents.offsets_mm, 0.99) < 0.06
 

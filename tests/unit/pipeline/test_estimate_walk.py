@@ -28,18 +28,21 @@ def test_the_walk_ends_in_the_face_that_ends_the_ray(seed: int) -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     inner = inner_body(tangents_of(VIEWS, CENTER_MM))
     assert inner is not None
-    nearest_mm = 1 / (directions @ (inner.normals / inner.offsets_mm[:, None]).T).max(axis=1)
-    found = surface(directions * rng.uniform(1, 20, size=(2000, 1)))
-    np.testing.assert_allclose(found.radii_mm, nearest_mm, rtol=1e-12)
+    planes = inner.facets.planes
+    nearest_mm = 1 / (directions @ (planes[:, :3] / -planes[:, 3:]).T).max(axis=1)
+    distances_mm = rng.uniform(1, 20, size=2000)
+    found = surface(CENTER_MM + directions * distances_mm[:, None])
+    np.testing.assert_allclose(found.radii * distances_mm, nearest_mm, rtol=1e-12)
     # the corners' weights give the bulge of the sphere above its facets
-    assert found.radii_mm.mean() < 7.49
-    assert (found.radii_mm + found.half_heights_mm).mean() == pytest.approx(7.5, abs=0.01)
+    assert nearest_mm.mean() < 7.49
+    outer_mm = (found.radii + found.half_heights) * distances_mm
+    assert outer_mm.mean() == pytest.approx(7.5, abs=0.01)
 
 
 def test_the_order_of_the_rays_does_not_matter() -> None:
-    points_mm = np.random.default_rng(3).normal(size=(500, 3))
+    points_mm = CENTER_MM + np.random.default_rng(3).normal(size=(500, 3))
     order = np.random.default_rng(4).permutation(len(points_mm))
     there, shuffled = surface(points_mm), surface(points_mm[order])
-    np.testing.assert_allclose(shuffled.radii_mm, there.radii_mm[order], rtol=1e-12)
-    np.testing.assert_allclose(shuffled.half_heights_mm, there.half_heights_mm[order], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(shuffled.radii, there.radii[order], rtol=1e-12)
+    np.testing.assert_allclose(shuffled.half_heights, there.half_heights[order], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(shuffled.local_share, there.local_share[order], rtol=1e-9)

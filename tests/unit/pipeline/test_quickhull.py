@@ -73,7 +73,7 @@ def test_points_in_one_plane_have_no_hull() -> None:
 
 def test_where_the_horizon_is_no_ring_qhull_helps(monkeypatch: pytest.MonkeyPatch) -> None:
     points = rough_ball(300, np.random.default_rng(0))
-    monkeypatch.setattr(quickhull, "_grow", lambda points, growth, n_facets: 0)
+    monkeypatch.setattr(quickhull, "grow", lambda points, growth: False)
     assert_is_hull(points)
 
 
