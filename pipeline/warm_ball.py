@@ -4,7 +4,14 @@ import numpy as np
 
 from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
-from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, Silhouette, ViewStatus
+from pipeline.segmentation.silhouette import (
+    INSIDE,
+    MARGIN_PX,
+    OUTSIDE,
+    KnownDistances,
+    Silhouette,
+    ViewStatus,
+)
 
 RADIUS_MM = 5.0
 
@@ -31,5 +38,5 @@ def _silhouette(camera: CameraCalibration) -> Silhouette:
         offset_uv=(int(left), int(top)),
         labels=np.where(distance_px > 0, INSIDE, OUTSIDE),
         outline_uv=outline_uv,
-        measure_distance=lambda: distance_px.astype(np.float32),
+        distances=KnownDistances(distance_px.astype(np.float32)),
     )

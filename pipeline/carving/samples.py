@@ -8,145 +8,127 @@ interpolates, and none once all are outside by more than a voxel.
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.carving.octree import LEAF, SLACK_PX, WITHIN, Blocks, States
-from pipeline.carving.views import Pinholes, look
+from pipeline.carving.interpolation import interpolate, room_for
+from pipeline.carving.octree import CHUNK, LEAF, Blocks, Halves
+from pipeline.carving.views import HALVES, Pinholes, look
 from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN
 
 Array = NDArray[np.float32]
 Grey = NDArray[np.uint8]
-
-PARTS = 8
-"""Of a leaf, and samples of a part."""
-SAMPLES = LEAF**3
-"""Of a leaf, part by part."""
+Parts = NDArray[np.int32]
+"""Part p of leaf l is number 8 l + p; where it is in the leaf, `views.HALVES` tells, as for its samples."""
 
 
 @compiled
-def offset_of(sample: int) -> tuple[int, int, int]:
-    """Where a leaf's sample is, from its first one."""
-    part, within = sample // PARTS, sample % PARTS
-    return (
-        2 * (part >> 2 & 1) + (within >> 2 & 1),
-        2 * (part >> 1 & 1) + (within >> 1 & 1),
-        2 * (part & 1) + (within & 1),
-    )
+def undecided(within: Halves, parts: Halves, view: int) -> Parts:
+    """The parts that may be cut and do not lie within a view."""
+    found = np.empty(HALVES * len(parts) + 1, np.int32)
+    n_found = 0
+    for leaf in range(len(parts)):
+        asked = parts[leaf] & ~within[leaf, view]
+        if asked:
+            for part in range(HALVES):
+                found[n_found] = HALVES * leaf + part
+                n_found += asked >> part & 1
+    return found[:n_found]
 
 
-def steps_of(pinholes: Pinholes, pitch_mm: float) -> Array:
-    """From a leaf's first sample to all of them, then to the centres of its parts, in cameras' frames (V, 3, P)."""
-    parts = 2 * np.indices((2, 2, 2)).reshape(3, PARTS, 1)
-    within = np.indices((2, 2, 2)).reshape(3, 1, PARTS)
-    offsets = np.concatenate([(parts + within).reshape(3, SAMPLES), parts[:, :, 0] + 0.5], axis=1)
-    return (pitch_mm * pinholes.R @ offsets).astype(np.float32)
+@compiled
+def look_at_samples(
+    leaves: Blocks, parts: Parts, n: int, pitch_mm: float, pinholes: Pinholes, view: int, seen: Array
+) -> None:
+    """How a camera sees the samples of at most CHUNK parts: as `look`."""
+    centres_mm = np.empty((3, CHUNK), np.float32)
+    to_centre = np.float32(1 - n / 2)
+    pitch = np.float32(pitch_mm)
+    for index in range(len(parts)):
+        leaf, part = parts[index] // HALVES, parts[index] % HALVES
+        for axis in range(3):
+            first = leaves[leaf, axis] + 2 * (part >> 2 - axis & 1)
+            centres_mm[axis, index] = pitch * (np.float32(first) + to_centre)
+    look(pinholes, view, centres_mm, len(parts), pitch_mm / 2, seen)
 
 
 @compiled
 def lower(
     values_mm: Array,
-    open_parts: Grey,
     leaves: Blocks,
-    states: States,
+    parts: Parts,
     n: int,
     pitch_mm: float,
     pinholes: Pinholes,
     view: int,
-    steps_mm: Array,
     distance_px: Array,
 ) -> None:
-    """Enter a view's signed distances to its viewing cone into the smallest so far (M, L, SAMPLES), in order.
-
-    `open_parts` (L,) has a bit for each part of a leaf that may still be cut.
-    """
+    """Enter a view's signed distances to its viewing cone into the smallest so far (M, PARTS, HALVES), in order."""
     height, width = distance_px.shape
     flat_px = distance_px.reshape(-1)
     last_u, last_v = np.float32(width - 1), np.float32(height - 1)
-    zero = np.float32(0)
-    per_focal = np.float32(1 / pinholes.focals_px[view])
-    # from a part's centre to its samples, and one voxel on
-    across_mm = np.float32((pinholes.across[view] / 2 + 1) * pitch_mm)
-    along_mm = np.float32((pinholes.along[view] / 2 + 1) * pitch_mm)
-    stretch_px = np.float32(pinholes.stretches_px[view])
-    seen = np.empty((4, SAMPLES + PARTS), np.float32)
-    low = (1 - n) / 2
-    chosen = np.empty(PARTS, np.int64)
-    for leaf in range(len(leaves)):
-        if states[leaf, view] == WITHIN or open_parts[leaf] == 0:
-            continue
-        x, y, z = (
-            pitch_mm * (low + leaves[leaf, 0]),
-            pitch_mm * (low + leaves[leaf, 1]),
-            pitch_mm * (low + leaves[leaf, 2]),
-        )
-        look(pinholes, view, x, y, z, steps_mm, seen)
-        n_chosen = 0
-        for part in range(PARTS):
-            u, v, z = seen[0, SAMPLES + part], seen[1, SAMPLES + part], seen[2, SAMPLES + part]
-            reach_mm = across_mm + seen[3, SAMPLES + part] * along_mm
-            reach_px = stretch_px * reach_mm / (z - along_mm) + np.float32(SLACK_PX)
-            near_u, near_v = min(max(u, zero), last_u), min(max(v, zero), last_v)
-            at = np.uint64(int(near_v + np.float32(0.5)) * width + int(near_u + np.float32(0.5)))
-            to_end_px = min(min(u, last_u - u), min(v, last_v - v))
-            is_within = (z > along_mm) & (min(flat_px[at], to_end_px) > reach_px)
-            chosen[n_chosen] = part
-            n_chosen += (not is_within) & (open_parts[leaf] >> part & 1)
-        for part in chosen[:n_chosen]:
-            highest_mm = np.float32(-np.inf)
-            for sample in range(PARTS * part, PARTS * part + PARTS):
-                u, v, z = seen[0, sample], seen[1, sample], seen[2, sample]
-                value_px = np.float32(-MARGIN_PX)
-                if u >= 0 and u <= last_u and v >= 0 and v <= last_v and z > 0:
-                    column, row = min(int(u), width - 2), min(int(v), height - 2)
-                    right, below = u - np.float32(column), v - np.float32(row)
-                    at = np.uint64(row * width + column)
-                    under, one = at + np.uint64(width), np.uint64(1)
-                    first_px = flat_px[at] + right * (flat_px[at + one] - flat_px[at])
-                    second_px = flat_px[under] + right * (flat_px[under + one] - flat_px[under])
-                    value_px = first_px + below * (second_px - first_px)
-                seen[2, sample] = value_px * abs(z) * per_focal
-            for rank in range(len(values_mm)):
-                highest_mm = np.float32(-np.inf)
-                for sample in range(PARTS * part, PARTS * part + PARTS):
-                    known_mm, value_mm = values_mm[rank, leaf, sample], seen[2, sample]
-                    values_mm[rank, leaf, sample] = min(known_mm, value_mm)
-                    seen[2, sample] = max(known_mm, value_mm)
-                    highest_mm = max(highest_mm, min(known_mm, value_mm))
-            if highest_mm < -pitch_mm:
-                open_parts[leaf] &= ~np.uint8(1 << part)
+    per_focal, beyond_px = np.float32(1) / pinholes.focals_px[view], np.float32(-MARGIN_PX)
+    seen = np.empty((HALVES, 4, CHUNK), np.float32)
+    places, found_px, found_mm = (
+        room_for(CHUNK),
+        np.empty(CHUNK, np.float32),
+        np.empty((CHUNK, HALVES), np.float32),
+    )
+    for begin in range(0, len(parts), CHUNK):
+        chunk = parts[begin : begin + CHUNK]
+        look_at_samples(leaves, chunk, n, pitch_mm, pinholes, view, seen)
+        for sample in range(HALVES):
+            u, v, z = seen[sample, 0], seen[sample, 1], seen[sample, 2]
+            interpolate(flat_px, 0, height, width, u, v, len(chunk), places, found_px)
+            for index in range(len(chunk)):
+                is_seen = (u[index] >= 0) & (u[index] <= last_u) & (v[index] >= 0) & (v[index] <= last_v)
+                value_px = found_px[index] if is_seen & (z[index] > 0) else beyond_px
+                found_mm[index, sample] = value_px * abs(z[index]) * per_focal
+        for rank in range(len(values_mm)):
+            for index in range(len(chunk)):
+                part = chunk[index]
+                for sample in range(HALVES):
+                    known_mm, value_mm = values_mm[rank, part, sample], found_mm[index, sample]
+                    values_mm[rank, part, sample] = min(known_mm, value_mm)
+                    found_mm[index, sample] = max(known_mm, value_mm)
 
 
 @compiled
 def count(
     counts: Array,
     leaves: Blocks,
-    states: States,
+    parts: Parts,
     n: int,
     pitch_mm: float,
     pinholes: Pinholes,
     view: int,
-    steps_mm: Array,
     labels: Grey,
 ) -> None:
-    """Add 1 to the samples (L, SAMPLES) whose nearest pixel is inside or unknown in a view."""
+    """Add 1 to the samples (PARTS, HALVES) whose nearest pixel is inside or unknown in a view."""
     height, width = labels.shape
-    seen = np.empty((4, SAMPLES + PARTS), np.float32)
-    low = (1 - n) / 2
+    seen = np.empty((HALVES, 4, CHUNK), np.float32)
     half = np.float32(0.5)
-    for leaf in range(len(leaves)):
-        if states[leaf, view] == WITHIN:
-            for sample in range(SAMPLES):
-                counts[leaf, sample] += 1
-            continue
-        x, y, z = (
-            pitch_mm * (low + leaves[leaf, 0]),
-            pitch_mm * (low + leaves[leaf, 1]),
-            pitch_mm * (low + leaves[leaf, 2]),
-        )
-        look(pinholes, view, x, y, z, steps_mm, seen)
-        for sample in range(SAMPLES):
-            u, v = seen[0, sample] + half, seen[1, sample] + half
-            if u >= 0 and u < width and v >= 0 and v < height and seen[2, sample] > 0:
-                counts[leaf, sample] += labels[np.uint64(v), np.uint64(u)] >= UNKNOWN
+    for begin in range(0, len(parts), CHUNK):
+        chunk = parts[begin : begin + CHUNK]
+        look_at_samples(leaves, chunk, n, pitch_mm, pinholes, view, seen)
+        for index in range(len(chunk)):
+            for sample in range(HALVES):
+                u, v = seen[sample, 0, index] + half, seen[sample, 1, index] + half
+                if u >= 0 and u < width and v >= 0 and v < height and seen[sample, 2, index] > 0:
+                    counts[chunk[index], sample] += labels[np.uint64(int(v)), np.uint64(int(u))] >= UNKNOWN
+
+
+@compiled
+def count_within(within: Halves) -> Array:
+    """How many views (PARTS, HALVES) the samples' part lies within."""
+    n_leaves, n_views = within.shape
+    counts = np.empty((HALVES * n_leaves, HALVES), np.float32)
+    for leaf in range(n_leaves):
+        for part in range(HALVES):
+            n_within = 0
+            for view in range(n_views):
+                n_within += within[leaf, view] >> part & 1
+            for sample in range(HALVES):
+                counts[HALVES * leaf + part, sample] = n_within
+    return counts
 
 
 @compiled
@@ -165,33 +147,36 @@ def place(
     field: Array,
     corner: NDArray[np.int64],
     leaves: Blocks,
+    parts: Halves,
     values: Array,
     n: int,
     level: float,
     inside: float,
     outside: float,
 ) -> bool:
-    """Write the values (L, SAMPLES) of leaves into a field that begins at voxel `corner`.
+    """Write the values (PARTS, HALVES) of leaves into a field that begins at voxel `corner`.
 
-    What is inside at the border of the grid becomes `outside`; whether there is any is returned.
+    Of a part that cannot be cut, and what is inside at the border of the grid, becomes `outside`; whether there is
+    any of the latter is returned.
     """
     flat, row, plane = field.reshape(-1), field.shape[2], field.shape[1] * field.shape[2]
-    steps = np.empty(SAMPLES, np.int64)
-    for sample in range(SAMPLES):
-        i, j, k = offset_of(sample)
-        steps[sample] = plane * i + row * j + k
     touches_border = False
     for leaf in range(len(leaves)):
         i0, j0, k0 = leaves[leaf, 0], leaves[leaf, 1], leaves[leaf, 2]
-        first = plane * (i0 - corner[0]) + row * (j0 - corner[1]) + k0 - corner[2]
         is_at_border = min(i0, j0, k0) == 0 or max(i0, j0, k0) + LEAF == n
-        for sample in range(SAMPLES):
-            value = min(values[leaf, sample], np.float32(inside))
-            if value == level:  # would make triangles without area
-                value += np.float32(1e-4)
-            if is_at_border and value > level:
-                i, j, k = offset_of(sample)
-                if min(i0 + i, j0 + j, k0 + k) == 0 or max(i0 + i, j0 + j, k0 + k) == n - 1:
+        for part in range(HALVES):
+            is_left = parts[leaf] >> part & 1
+            for sample in range(HALVES):
+                i = i0 + 2 * (part >> 2 & 1) + (sample >> 2 & 1)
+                j = j0 + 2 * (part >> 1 & 1) + (sample >> 1 & 1)
+                k = k0 + 2 * (part & 1) + (sample & 1)
+                value = min(values[HALVES * leaf + part, sample], np.float32(inside))
+                if not is_left:
+                    value = np.float32(outside)
+                elif value == level:  # would make triangles without area
+                    value += np.float32(1e-4)
+                if is_at_border and value > level and (min(i, j, k) == 0 or max(i, j, k) == n - 1):
                     touches_border, value = True, np.float32(outside)
-            flat[np.uint64(first + steps[sample])] = value
+                at = plane * (i - corner[0]) + row * (j - corner[1]) + k - corner[2]
+                flat[np.uint64(at)] = value
     return touches_border

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from pipeline.carving.hull import CarvingParameters, VisualHull
 from pipeline.carving.octree import LEAF, Octree, octree_of
-from pipeline.carving.samples import SAMPLES, count, fill, lower, place, steps_of
-from pipeline.carving.views import Pinholes, View, pinholes_of, usable_views
+from pipeline.carving.samples import count, count_within, fill, lower, place, undecided
+from pipeline.carving.views import HALVES, Pinholes, View, pinholes_of, usable_views
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import nominal_rig
@@ -52,7 +52,7 @@ def carve(
     field = np.zeros(shape, np.float32)
     for blocks, edge in octree.solid:
         fill(field, corner, blocks, edge, inside)
-    touches_border = place(field, corner, octree.leaves, values, n, level, inside, outside)
+    touches_border = place(field, corner, octree.leaves, octree.parts, values, n, level, inside, outside)
     return VisualHull(
         field=field,
         leaves=octree.leaves - corner.astype(np.int32),
@@ -72,43 +72,23 @@ def warm_up(parameters: CarvingParameters) -> VisualHull:
 def _distances_mm(
     views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
 ) -> Array:
-    """Signed distances (L, SAMPLES) to the viewing cones' intersection, cut off at about a voxel."""
-    pitch_mm, n_leaves = parameters.pitch_mm, len(octree.leaves)
-    smallest_mm = np.full((parameters.max_disagreeing_views + 1, n_leaves, SAMPLES), np.inf, np.float32)
-    open_parts = np.full(n_leaves, 255, np.uint8)
-    steps_mm = steps_of(pinholes, parameters.pitch_mm)
+    """Signed distances (PARTS, HALVES) to the viewing cones' intersection, cut off at about a voxel."""
+    n_parts = HALVES * len(octree.leaves)
+    smallest_mm = np.full((parameters.max_disagreeing_views + 1, n_parts, HALVES), np.inf, np.float32)
+    grid = (parameters.n, parameters.pitch_mm)
     for view, (_, silhouette) in enumerate(views):
-        lower(
-            smallest_mm,
-            open_parts,
-            octree.leaves,
-            octree.states,
-            parameters.n,
-            pitch_mm,
-            pinholes,
-            view,
-            steps_mm,
-            silhouette.distance_px,
-        )
+        parts = undecided(octree.within, octree.parts, view)
+        lower(smallest_mm, octree.leaves, parts, *grid, pinholes, view, silhouette.distance_px)
     return smallest_mm[-1]
 
 
 def _counts(
     views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
 ) -> Array:
-    """The paper's S (L, SAMPLES): how many silhouettes contain the nearest pixel of each sample's projection."""
-    counts = np.zeros((len(octree.leaves), SAMPLES), np.float32)
-    steps_mm = steps_of(pinholes, parameters.pitch_mm)
+    """The paper's S (PARTS, HALVES): how many silhouettes contain the nearest pixel of each sample's projection."""
+    counts = count_within(octree.within)
+    grid = (parameters.n, parameters.pitch_mm)
     for view, (_, silhouette) in enumerate(views):
-        count(
-            counts,
-            octree.leaves,
-            octree.states,
-            parameters.n,
-            parameters.pitch_mm,
-            pinholes,
-            view,
-            steps_mm,
-            silhouette.labels,
-        )
+        parts = undecided(octree.within, octree.parts, view)
+        count(counts, octree.leaves, parts, *grid, pinholes, view, silhouette.labels)
     return counts

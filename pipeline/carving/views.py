@@ -11,17 +11,22 @@ from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
 
-Array = NDArray[np.float64]
+Array = NDArray[np.float32]
 View = tuple[CameraCalibration, Silhouette]
 Lens = tuple[Any, ...]
 """A row of `Pinholes.lenses`, all in double or all in single precision, in which what it projects stays."""
 
+HALVES = 8
+"""Of a cube; where half i, j, k is, each 0 or 1, is number 4 i + 2 j + k."""
 CORNERS = np.array([[1, j, k] for j in (-1, 1) for k in (-1, 1)], np.float64)
 """Of a cube around the origin, those that are not opposite to another."""
 
 
 class Pinholes(NamedTuple):
-    """V cameras that see regions of their images, and the largest extents of a cube of half edge 1 in their frames."""
+    """V cameras that see regions of their images, and the largest extents of a cube of half edge 1 in their frames.
+
+    In single precision, in which pixels are off by less than 1e-3.
+    """
 
     R: Array  # (V, 3, 3)
     t_mm: Array  # (V, 3)
@@ -65,26 +70,16 @@ def pinholes_of(views: Sequence[View], size_mm: float) -> Pinholes:
     k1, k2, p1, p2, k3 = np.abs(distortions).T
     bend = 3 * k1 * slope**2 + 5 * k2 * slope**4 + 7 * k3 * slope**6 + 6 * (p1 + p2) * slope
     corners = np.einsum("vij,cj->vci", R, CORNERS)
-    return Pinholes(
-        R=R,
-        t_mm=t_mm,
-        lenses=lenses,
-        focals_px=np.array([camera.focal_px for camera in cameras]),
-        stretches_px=(1 + bend) * (np.maximum(K[:, 0, 0], K[:, 1, 1]) + np.abs(K[:, 0, 1])),
-        across=np.linalg.norm(corners[:, :, :2], axis=2).max(axis=1),
-        along=np.abs(corners[:, :, 2]).max(axis=1),
-    )
-
-
-@compiled
-def in_camera(pinholes: Pinholes, view: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A world point in a camera's frame, mm."""
-    R, t = pinholes.R, pinholes.t_mm  # rows of arrays would be counted references
-    return (
-        R[view, 0, 0] * x + R[view, 0, 1] * y + R[view, 0, 2] * z + t[view, 0],
-        R[view, 1, 0] * x + R[view, 1, 1] * y + R[view, 1, 2] * z + t[view, 1],
-        R[view, 2, 0] * x + R[view, 2, 1] * y + R[view, 2, 2] * z + t[view, 2],
-    )
+    entries = {
+        "R": R,
+        "t_mm": t_mm,
+        "lenses": lenses,
+        "focals_px": [camera.focal_px for camera in cameras],
+        "stretches_px": (1 + bend) * (np.maximum(K[:, 0, 0], K[:, 1, 1]) + np.abs(K[:, 0, 1])),
+        "across": np.linalg.norm(corners[:, :, :2], axis=2).max(axis=1),
+        "along": np.abs(corners[:, :, 2]).max(axis=1),
+    }
+    return Pinholes(**{name: np.asarray(entry, np.float32) for name, entry in entries.items()})
 
 
 @compiled
@@ -94,16 +89,6 @@ def lens_of(pinholes: Pinholes, view: int) -> Lens:
     return (
         row[view, 0], row[view, 1], row[view, 2], row[view, 3], row[view, 4],
         row[view, 5], row[view, 6], row[view, 7], row[view, 8], row[view, 9],
-    )  # fmt: skip
-
-
-@compiled
-def single(lens: Lens) -> Lens:
-    """The lens in single precision."""
-    a, b, c, d, e, f, g, h, i, j = lens
-    return (
-        np.float32(a), np.float32(b), np.float32(c), np.float32(d), np.float32(e),
-        np.float32(f), np.float32(g), np.float32(h), np.float32(i), np.float32(j),
     )  # fmt: skip
 
 
@@ -119,25 +104,29 @@ def pixel_of(lens: Lens, x: float, y: float) -> tuple[float, float]:
 
 
 @compiled
-def look(
-    pinholes: Pinholes,
-    view: int,
-    x: float,
-    y: float,
-    z: float,
-    steps_mm: NDArray[np.float32],
-    seen: NDArray[np.float32],
-) -> None:
-    """How a camera sees points around a world point: (4, P) region pixels u, v, depth, slope to the optical axis.
+def look(pinholes: Pinholes, view: int, centres_mm: Array, n_cubes: int, half_mm: float, seen: Array) -> None:
+    """How a camera sees the centres of the halves of cubes: region pixels u, v, depth and slope to the optical axis.
 
-    `steps_mm` (V, 3, P) lead to them in the cameras' frames.
+    Of the cubes around `centres_mm` (3, C) the first `n_cubes` are looked at; `half_mm` is half of a half's edge, and
+    `seen` (HALVES, 4, C).
     """
-    x, y, z = in_camera(pinholes, view, x, y, z)
-    x0, y0, z0 = np.float32(x), np.float32(y), np.float32(z)
-    lens = single(lens_of(pinholes, view))
-    for point in range(steps_mm.shape[2]):
-        depth_mm = z0 + steps_mm[view, 2, point]
-        x, y = (x0 + steps_mm[view, 0, point]) / depth_mm, (y0 + steps_mm[view, 1, point]) / depth_mm
-        u, v = pixel_of(lens, x, y)
-        seen[0, point], seen[1, point], seen[2, point] = u, v, depth_mm
-        seen[3, point] = np.sqrt(x * x + y * y)
+    R, t = pinholes.R, pinholes.t_mm  # rows of arrays would be counted references
+    xx, xy, xz = R[view, 0, 0], R[view, 0, 1], R[view, 0, 2]
+    yx, yy, yz = R[view, 1, 0], R[view, 1, 1], R[view, 1, 2]
+    zx, zy, zz = R[view, 2, 0], R[view, 2, 1], R[view, 2, 2]
+    lens = lens_of(pinholes, view)
+    for half in range(HALVES):
+        i = np.float32(half_mm if half & 4 else -half_mm)
+        j = np.float32(half_mm if half & 2 else -half_mm)
+        k = np.float32(half_mm if half & 1 else -half_mm)
+        from_x = t[view, 0] + (xx * i + xy * j + xz * k)
+        from_y = t[view, 1] + (yx * i + yy * j + yz * k)
+        from_z = t[view, 2] + (zx * i + zy * j + zz * k)
+        for cube in range(n_cubes):
+            x, y, z = centres_mm[0, cube], centres_mm[1, cube], centres_mm[2, cube]
+            depth_mm = from_z + (zx * x + zy * y + zz * z)
+            slope_x = (from_x + (xx * x + xy * y + xz * z)) / depth_mm
+            slope_y = (from_y + (yx * x + yy * y + yz * z)) / depth_mm
+            u, v = pixel_of(lens, slope_x, slope_y)
+            seen[half, 0, cube], seen[half, 1, cube], seen[half, 2, cube] = u, v, depth_mm
+            seen[half, 3, cube] = np.sqrt(slope_x * slope_x + slope_y * slope_y)

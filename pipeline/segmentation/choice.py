@@ -128,7 +128,7 @@ def warm_up() -> None:
     empty = {camera: CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)}
     frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
     silhouette = ChoosingSegmenter(classical=BackgroundSegmenter(), network=None)(frame, empty)
-    silhouette.measure_distance()
+    _ = silhouette.distance_px
     observe_optics(frame, empty, silhouette)
 
 

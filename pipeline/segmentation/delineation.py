@@ -145,7 +145,7 @@ def silhouette_of(
         offset_uv=corner_uv,
         labels=labels,
         outline_uv=delineation.edge.outline_uv + np.array(corner_uv),
-        measure_distance=delineation.edge.distance_px,
+        distances=delineation.edge,
         found_by=found_by,
     )
 

@@ -1,9 +1,9 @@
 """One particle in one view: three-state labels and the signed distance to its sub-pixel edge."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ OUTSIDE, UNKNOWN, INSIDE = np.uint8(0), np.uint8(128), np.uint8(255)
 
 MARGIN_PX = 40
 """Width of the known surroundings of a silhouette; further out, all is outside by at least this much."""
+
+SPACING_PX = 6
+"""Between the nodes of a coarse field of distances; the first one is the region's first pixel."""
 
 MAX_STEP_PX = 3.0
 """Neighbouring points of an outline are closer; further apart, the edge between them was not seen."""
@@ -29,8 +32,32 @@ class ViewStatus(StrEnum):
     NO_BACKGROUND = "no_background"
 
 
-def _nowhere() -> NDArray[np.float32]:
-    return np.zeros((0, 0), np.float32)
+class Distances(Protocol):
+    """Computes signed distances to an edge, which costs as much as finding it and is not always asked for."""
+
+    def coarse_px(self) -> NDArray[np.float32]:
+        """(h / SPACING_PX, w / SPACING_PX), both rounded up: `Silhouette.coarse_px`."""
+
+    def fine_px(self, coarse_px: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(h, w) from the coarse ones: `Silhouette.distance_px`."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownDistances:
+    """Distances that need not be computed."""
+
+    distance_px: NDArray[np.float32]  # (h, w)
+
+    def coarse_px(self) -> NDArray[np.float32]:
+        """Those of the nodes."""
+        return np.ascontiguousarray(self.distance_px[::SPACING_PX, ::SPACING_PX])
+
+    def fine_px(self, coarse_px: NDArray[np.float32]) -> NDArray[np.float32]:
+        """All."""
+        return self.distance_px
+
+
+NOWHERE = KnownDistances(np.zeros((0, 0), np.float32))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,17 +75,21 @@ class Silhouette:
     """(h, w): OUTSIDE, UNKNOWN or INSIDE."""
     outline_uv: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     """(N, 2) points on the edge in image coordinates, in order, only where the edge was seen."""
-    measure_distance: Callable[[], NDArray[np.float32]] = _nowhere
-    """Computes `distance_px`, which costs as much as finding the silhouette and is not always asked for."""
+    distances: Distances = NOWHERE
     found_by: str = "background"
     """Name of the segmenter that made it."""
     fallback: str | None = None
     """Why it was not the one that was wanted."""
 
     @cached_property
+    def coarse_px(self) -> NDArray[np.float32]:
+        """As `distance_px`, rough, of every `SPACING_PX`-th pixel: up to 3 px too small, hardly ever too large."""
+        return self.distances.coarse_px()
+
+    @cached_property
     def distance_px(self) -> NDArray[np.float32]:
         """(h, w) signed distance of the pixel centre to the edge of *inside or unknown*, positive within."""
-        return self.measure_distance()
+        return self.distances.fine_px(self.coarse_px)
 
     @property
     def is_usable(self) -> bool:

@@ -87,7 +87,7 @@ def _silhouette(
         offset_uv=(window.left, window.top),
         labels=found.labels,
         outline_uv=found.edge.outline_uv + np.array([window.left, window.top]),
-        measure_distance=found.edge.distance_px,
+        distances=found.edge,
     )
 
 

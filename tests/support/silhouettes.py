@@ -13,6 +13,7 @@ from pipeline.segmentation.silhouette import (
     MARGIN_PX,
     OUTSIDE,
     UNKNOWN,
+    KnownDistances,
     Silhouette,
     SilhouetteSet,
     ViewStatus,
@@ -48,7 +49,7 @@ def sphere_silhouette(
         image_size_px=camera.image_size_px,
         offset_uv=(left, top),
         labels=np.where(distance_px > 0, INSIDE, OUTSIDE),
-        measure_distance=lambda: np.clip(distance_px, -MARGIN_PX, MARGIN_PX),
+        distances=KnownDistances(np.clip(distance_px, -MARGIN_PX, MARGIN_PX)),
         outline_uv=camera.project(camera.center_mm + 300 * cone)[0],
     )
 
@@ -100,5 +101,5 @@ def hidden(silhouette: Silhouette, at: int, share: float) -> Silhouette:
         silhouette,
         labels=np.where(within_px > 0, UNKNOWN, silhouette.labels),
         outline_uv=outline_uv[known],
-        measure_distance=lambda: distance_px,
+        distances=KnownDistances(distance_px),
     )

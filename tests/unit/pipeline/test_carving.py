@@ -12,7 +12,7 @@ from pipeline.frames import CameraId
 from pipeline.meshing import mesh_hull
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
-from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN, Silhouette, ViewStatus
+from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN, KnownDistances, Silhouette, ViewStatus
 
 RIG = as_built(nominal_rig(), seed=5)
 COARSE = CarvingParameters(n=128)
@@ -124,7 +124,7 @@ def test_unknown_pixels_do_not_carve() -> None:
         image_size_px=seen.image_size_px,
         offset_uv=(0, 0),
         labels=np.full((1024, 1280), UNKNOWN),
-        measure_distance=lambda: np.full((1024, 1280), 40, np.float32),
+        distances=KnownDistances(np.full((1024, 1280), 40, np.float32)),
     )
     assert occupied(carve({**silhouettes, CameraId("c03"): blind}, RIG, COARSE)) == occupied(without)
     assert occupied(whole) < occupied(without)
@@ -139,7 +139,7 @@ def test_views_that_may_disagree_do_not_carve_alone() -> None:
         image_size_px=seen.image_size_px,
         offset_uv=seen.offset_uv,
         labels=np.full_like(seen.labels, OUTSIDE),
-        measure_distance=lambda: np.full_like(seen.distance_px, -40),
+        distances=KnownDistances(np.full_like(seen.distance_px, -40)),
     )
     silhouettes[CameraId("c07")] = wrong
     assert carve(silhouettes, RIG, COARSE).field.size == 0

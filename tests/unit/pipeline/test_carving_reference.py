@@ -16,9 +16,17 @@ from pipeline.carving.reference import carve_every_voxel
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
-from pipeline.segmentation.silhouette import INSIDE, UNKNOWN, Silhouette, SilhouetteSet, ViewStatus
+from pipeline.segmentation.silhouette import (
+    INSIDE,
+    UNKNOWN,
+    KnownDistances,
+    Silhouette,
+    SilhouetteSet,
+    ViewStatus,
+)
 
 BUILT = as_built(nominal_rig(), seed=7)
+SAMPLING = ("undecided", "lower", "count", "count_within", "fill", "place")
 DISTORTIONS = {"none": np.zeros(5), "all": np.array([-0.3, 0.4, 2e-3, -3e-3, 1.0])}
 
 
@@ -37,7 +45,7 @@ def with_unknown(silhouette: Silhouette, share: float) -> Silhouette:
     labels[:, :column] = UNKNOWN
     from_border_px = column - 0.5 - np.arange(labels.shape[1], dtype=np.float32)
     distance_px = np.maximum(distance_px, np.clip(from_border_px, -40, 40))
-    return replace(silhouette, labels=labels, measure_distance=lambda: distance_px)
+    return replace(silhouette, labels=labels, distances=KnownDistances(distance_px))
 
 
 def on_grid(hull: VisualHull, n: int) -> NDArray[np.float32]:
@@ -110,7 +118,7 @@ def test_a_blind_view_decides_nothing_wherever_its_image_ends() -> None:
         image_size_px=camera.image_size_px,
         offset_uv=(500, 0),
         labels=np.full((1024, 200), INSIDE),
-        measure_distance=lambda: np.full((1024, 200), 40, np.float32),
+        distances=KnownDistances(np.full((1024, 200), 40, np.float32)),
     )
     parameters = CarvingParameters(n=32, size_mm=20)
     cut = {**silhouettes, CameraId(camera.id): blind}
@@ -129,7 +137,7 @@ def test_blocks_are_left_out_and_filled_in_a_larger_grid() -> None:
 
 @pytest.mark.parametrize("field", ["sub_voxel", "view_count"])
 def test_after_the_warm_up_nothing_is_left_to_compile(field: Literal["sub_voxel", "view_count"]) -> None:
-    kernels = [octree._halved, samples.lower, samples.count, samples.fill, samples.place]
+    kernels = [octree._judged, octree._halved, *(getattr(samples, name) for name in SAMPLING)]
     made_up = warm_up(CarvingParameters(field=field))
     assert (made_up.field > made_up.level).any()
     compiled = [len(kernel.signatures) for kernel in kernels]

@@ -14,7 +14,7 @@ from pipeline.rig_design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import MARGIN_PX
 
 RIG = as_built(nominal_rig(), seed=8)
-N_SAMPLES = 1000
+N_SAMPLES = 1500
 
 
 @cache

@@ -175,7 +175,7 @@ def test_only_the_largest_body_is_left_and_large_holes_are_seen_through() -> Non
     assert found.labels[205, 205] == OUTSIDE
     assert np.linalg.norm(outline_of(found) - SIZE_PX / 2, axis=1).min() > 69, "the outer contour alone"
     assert found.edge is not None
-    distance_px = found.edge.distance_px()
+    distance_px = found.edge.fine_px(found.edge.coarse_px())
     near = np.abs(ring_px) < 8
     assert np.abs(distance_px - ring_px)[near].max() < 0.3
     assert abs((distance_px - ring_px)[near].mean()) < 0.02
@@ -202,7 +202,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
         grey_levels.decide,
         grey_levels.crossings,
         steepest.to_steepest,
-        edge._pieces,
+        edge._sides,
         edge._between,
         edge._keep_nearest,
     ]
@@ -213,7 +213,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     for expected in (wall(), np.full((SIZE_PX, SIZE_PX + 1), WALL, np.float32)[:, :-1]):
         found = delineate(photographed(true_px, rng, 2.0), expected, *masks_of(true_px))
         assert found.edge is not None
-        found.edge.distance_px()
+        found.edge.fine_px(found.edge.coarse_px())
     assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 

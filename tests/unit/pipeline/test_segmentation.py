@@ -183,7 +183,7 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     unknown = np.zeros(coverage.shape, bool)
     edge = delineate(1 - coverage, np.ones_like(coverage), coverage > 0.999, coverage > 0.01, unknown).edge
     assert edge is not None
-    distance_px, outline = edge.distance_px(), edge.outline_uv
+    distance_px, outline = edge.fine_px(edge.coarse_px()), edge.outline_uv
     within = (np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25)
     assert np.abs(distance_px - true_px)[within].max() < 0.1
     assert abs((distance_px - true_px)[within].mean()) < 0.05
