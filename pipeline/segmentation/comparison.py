@@ -7,16 +7,17 @@ from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
 from pipeline.segmentation.background import COARSE
+from pipeline.segmentation.grey_levels import FINE, OPEN
+from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 
 DIFFERS, DARK = np.uint8(1), np.uint8(2)
 """Marks of what is not the empty view, and of where no deviation tells anything."""
 NOISE_GREY = np.float32(4)
 """A smaller deviation is no body, however dark the wall."""
-FINE = 2
-"""Around a body every so many-th pixel of every so many-th row is compared."""
+BORDER = 2
+"""So far around a pixel its neighbours are looked at."""
 
 
 class Thresholds(NamedTuple):
@@ -62,45 +63,69 @@ def _mark(seen: np.uint8, level: np.uint8, darkest: np.uint8, thresholds: Thresh
 
 @compiled
 def limits_around(
-    image: Grey, levels: Grey, background: Grey, left: int, top: int, thresholds: Thresholds
-) -> tuple[Mask, Mask, Mask]:
-    """Core, possible and unknown pixels (h / 2, w / 2) for `delineate`, of every second pixel of an image (h, w).
+    image: Grey,
+    clean: Grey,
+    corner: tuple[int, int],
+    levels: Grey,
+    levels_corner: tuple[int, int],
+    shape: tuple[int, int],
+    thresholds: Thresholds,
+) -> Grey:
+    """What is known of a region (h, w) of an image: INSIDE, UNKNOWN, OUTSIDE or OPEN, for blocks (h / 2, w / 2) of it.
 
-    The empty view's levels, and those before the light changed (H, W), may be of more than the image, which
-    begins at `left` and `top` then.
+    One pixel of each is compared. Two blocks behind the first trace of the body, lens and motion no longer mix
+    the background in.
 
-    Two pixels behind the first trace of the body, lens and motion no longer mix the background in.
+    Parameters
+    ----------
+    image, clean
+        (H, W) grey levels: seen, and of the empty rig.
+    corner
+        Column and row of both at which the region begins.
+    levels
+        What the image would show without a body, but for the gain.
+    levels_corner
+        Column and row of that at which the region begins.
     """
-    height, width = -(-image.shape[0] // FINE), -(-image.shape[1] // FINE)
-    # with a border of what does not differ; loops over whole rows are vectorized
-    marks = np.zeros((height + 4, width + 4), np.uint8)
-    for row in range(height):
-        seen, marks_here = image[FINE * row], marks[row + 2, 2:]
-        levels_here, background_here = levels[top + FINE * row, left:], background[top + FINE * row, left:]
+    marks = _marks(image, clean, corner, levels, levels_corner, shape, thresholds)
+    height, width = marks.shape[0] - 2 * BORDER, marks.shape[1] - 2 * BORDER
+    fives, threes = np.empty((len(marks), width), np.uint8), np.empty((len(marks), width), np.uint8)
+    for row in range(len(marks)):
+        mark, five, three = marks[row], fives[row], threes[row]
         for u in range(width):
-            marks_here[u] = _mark(
-                seen[FINE * u], levels_here[FINE * u], background_here[FINE * u], thresholds
-            )
-    core, possible = np.empty((height, width), np.bool_), np.empty((height, width), np.bool_)
-    unknown = np.empty((height, width), np.bool_)
+            five[u] = mark[u] & mark[u + 1] & mark[u + 2] & mark[u + 3] & mark[u + 4]
+            three[u] = mark[u + 1] | mark[u + 2] | mark[u + 3]
+    limits = np.empty((height, width), np.uint8)
     for row in range(height):
-        a, b, c, d, e = marks[row], marks[row + 1], marks[row + 2], marks[row + 3], marks[row + 4]
+        a, b, d, e = marks[row, 2:], marks[row + 1, 2:], marks[row + 3, 2:], marks[row + 4, 2:]
+        five_b, five_c, five_d = fives[row + 1], fives[row + 2], fives[row + 3]
+        three_b, three_c, three_d = threes[row + 1], threes[row + 2], threes[row + 3]
+        here = limits[row]
         for u in range(width):
-            above = b[u] & b[u + 1] & b[u + 2] & b[u + 3] & b[u + 4]
-            here = c[u] & c[u + 1] & c[u + 2] & c[u + 3] & c[u + 4]
-            below = d[u] & d[u + 1] & d[u + 2] & d[u + 3] & d[u + 4]
-            core[row, u] = a[u + 2] & above & here & below & e[u + 2] & DIFFERS
-            possible[row, u] = (b[u + 2] | c[u + 1] | c[u + 2] | c[u + 3] | d[u + 2]) & DIFFERS
-            is_dark = (
-                b[u + 1]
-                | b[u + 2]
-                | b[u + 3]
-                | c[u + 1]
-                | c[u + 2]
-                | c[u + 3]
-                | d[u + 1]
-                | d[u + 2]
-                | d[u + 3]
-            )
-            unknown[row, u] = is_dark & DARK
-    return core, possible, unknown
+            is_core = a[u] & five_b[u] & five_c[u] & five_d[u] & e[u] & DIFFERS
+            is_possible = (b[u] | three_c[u] | d[u]) & DIFFERS
+            is_dark = (three_b[u] | three_c[u] | three_d[u]) & DARK
+            here[u] = INSIDE if is_core else (UNKNOWN if is_dark else (OPEN if is_possible else OUTSIDE))
+    return limits
+
+
+@compiled
+def _marks(
+    image: Grey,
+    clean: Grey,
+    corner: tuple[int, int],
+    levels: Grey,
+    levels_corner: tuple[int, int],
+    shape: tuple[int, int],
+    thresholds: Thresholds,
+) -> Grey:
+    """Marks of every second pixel of every second row of a region, with a border of what does not differ."""
+    height, width = -(-shape[0] // FINE), -(-shape[1] // FINE)
+    marks = np.zeros((height + 2 * BORDER, width + 2 * BORDER), np.uint8)
+    (left, top), (levels_left, levels_top) = corner, levels_corner
+    for row in range(height):  # loops over whole rows are vectorized
+        seen, empty = image[top + FINE * row, left:], clean[top + FINE * row, left:]
+        behind, here = levels[levels_top + FINE * row, levels_left:], marks[BORDER + row, BORDER:]
+        for u in range(width):
+            here[u] = _mark(seen[FINE * u], behind[FINE * u], empty[FINE * u], thresholds)
+    return marks

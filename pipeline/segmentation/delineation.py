@@ -25,7 +25,7 @@ from pipeline.segmentation.steepest import to_steepest
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+Region = tuple[slice, slice]
 
 MIN_CONTRAST = 0.12
 """Of the body's level to the background, as a share of it; below, grey levels do not tell them apart."""
@@ -47,32 +47,30 @@ class Delineation:
 
 
 def delineate(
-    image: Grey | Array,
+    image: Grey,
     expected: Grey | Array,
-    core: Mask,
-    possible: Mask,
-    unknown: Mask,
+    limits: Grey,
     *,
+    region: Region | None = None,
     expected_from_uv: tuple[int, int] = (0, 0),
     gain: float = 1.0,
     min_contrast: float = MIN_CONTRAST,
     hole_px: int = HOLE_PX,
 ) -> Delineation:
-    """The largest body with its sub-pixel edge between `core` and the border of `possible`.
+    """The largest body with its sub-pixel edge between its core and the border of what is possible.
 
     Parameters
     ----------
     image
-        (h, w) grey levels of a region.
+        (H, W) grey levels.
     expected
-        (H, W) grey level of what is behind the body, in this light once `gain` is applied, of the region or more.
-    core
-        Surely body, and not at its blurred edge: its grey level is carried outwards. This mask and the next
-        two are (h, w), or of half that size, rounded up, where each pixel stands for a block of 2 x 2.
-    possible
-        Outside of it nothing is body.
-    unknown
-        Grey levels mean nothing here, unless it is core.
+        Grey level of what is behind the body, in this light once `gain` is applied.
+    limits
+        Of blocks of 2 x 2 pixels (h / 2, w / 2), rounded up: INSIDE what is surely body, and not at its blurred edge:
+        its grey level is carried outwards. UNKNOWN where grey levels mean nothing. OPEN elsewhere, if it may be
+        body, or else OUTSIDE.
+    region
+        Rows and columns (h, w) of the image that are looked at; all of it without.
     expected_from_uv
         Where in `expected` the region begins.
     gain
@@ -82,24 +80,23 @@ def delineate(
     hole_px
         Holes of the body up to this area are filled.
     """
-    known, open_cells, twice = spread(core, possible, unknown)
-    is_half = core.shape != image.shape
-    left, top = expected_from_uv
+    rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    open_cells, twice = spread(limits)
     view = GreyLevels(
-        # compiled loops are compiled again for other kinds of arrays
-        image=image if image.flags.c_contiguous and image.flags.writeable else image.copy(),
+        image=_read_only(image),
+        left=columns.start,
+        top=rows.start,
         expected=expected if expected.flags.c_contiguous else expected.copy(),
-        left=left,
-        top=top,
+        expected_left=expected_from_uv[0],
+        expected_top=expected_from_uv[1],
         gain=np.float32(gain),
-        known=known,
+        limits=limits,
         open_cells=open_cells,
-        halvings=int(is_half),
     )
-    height, width = image.shape
-    labels = np.ascontiguousarray(twice.view(np.uint8)[:height, :width]) if is_half else known.copy()
+    labels = np.ascontiguousarray(twice.view(np.uint8)[:height, :width])
     levels = carried(view)
-    if not (decide(view, levels, np.float32(min_contrast), labels) or np.any(core)):
+    if not (decide(view, levels, np.float32(min_contrast), labels) or INSIDE in limits):
         return Delineation(labels=labels, edge=None)
     for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
         body, contours = _largest_with_holes_filled(labels, hole_px)
@@ -117,6 +114,13 @@ def delineate(
         seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
     edge = Edge(body=body, contours=contours, points_uv=points_uv, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
+
+
+def _read_only(image: Grey) -> Grey:
+    """The image as a frame has it: compiled loops are compiled again for other kinds of arrays."""
+    view = np.ascontiguousarray(image).view()
+    view.flags.writeable = False
+    return view
 
 
 def silhouette_of(

@@ -15,7 +15,12 @@ Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-BLOCK_PX = 4
+OPEN = np.uint8(64)
+"""Beside INSIDE, UNKNOWN and OUTSIDE: what is to be decided."""
+FINE = 2
+"""Edge of the cells, in pixels, of which something is known or is to be decided."""
+CELLS = 2
+BLOCK_PX = CELLS * FINE
 """The body's grey level is the same for the pixels of a block of this edge: the mean of the core in it and its
 eight neighbours."""
 FAR_PX = 32
@@ -27,113 +32,116 @@ LEAST_COVERAGE = 0.025
 
 
 class GreyLevels(NamedTuple):
-    """What decides between core and possible."""
+    """What decides in a region (h, w) of an image between core and possible."""
 
-    image: Grey | Array  # (h, w)
-    expected: Grey | Array  # (H, W) without a body
-    left: int  # where in that the image begins
+    image: Grey  # (H, W)
+    left: int  # where in that the region begins
     top: int
+    expected: Grey | Array  # without a body
+    expected_left: int  # where in that the region begins
+    expected_top: int
     gain: np.float32  # factor on `expected`
-    known: Grey  # INSIDE the core, or UNKNOWN, else OUTSIDE; (h, w) or half of it
-    open_cells: NDArray[np.int32]  # (N, 2) row and column of its pixels that are to be decided
-    halvings: int  # 1 if it is of half the size, else 0
+    limits: Grey  # (h / 2, w / 2) INSIDE, UNKNOWN, OUTSIDE, or OPEN
+    open_cells: NDArray[np.int32]  # (N, 2) row and column of the open ones
+
+
+def limits_from(core: Mask, possible: Mask, unknown: Mask) -> Grey:
+    """INSIDE the core, elsewhere UNKNOWN, elsewhere OPEN if possible, else OUTSIDE: of masks (h / 2, w / 2)."""
+    return np.where(core, INSIDE, np.where(unknown, UNKNOWN, np.where(possible, OPEN, OUTSIDE)))
 
 
 @compiled
-def spread(core: Mask, possible: Mask, unknown: Mask) -> tuple[Grey, NDArray[np.int32], NDArray[np.uint16]]:
-    """What is known (h, w), the cells (N, 2) that are open, and every pixel of the known twice (2 h, w)."""
-    height, width = core.shape
-    n_pixels = height * width
-    known = np.empty((height, width), np.uint8)
+def spread(limits: Grey) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
+    """Row and column of the open cells (N, 2) of limits (h, w), and every other label twice in two rows (2 h, w)."""
+    height, width = limits.shape
     twice = np.empty((2 * height, width), np.uint16)
+    cells, n_cells = np.empty((height * width + 1, 2), np.int32), 0
     # the open ones are few: eight at a time are skipped
-    eights = np.zeros(-(-n_pixels // 8), np.uint64)
+    eights = np.zeros(-(-width // 8), np.uint64)
     is_open = eights.view(np.uint8)
-    n_open = 0
     for row in range(height):
-        open_here = is_open[row * width :]
+        here, upper, lower = limits[row], twice[2 * row], twice[2 * row + 1]
         for column in range(width):
-            label = INSIDE if core[row, column] else UNKNOWN if unknown[row, column] else OUTSIDE
-            known[row, column] = label
-            twice[2 * row, column] = twice[2 * row + 1, column] = label * np.uint16(0x0101)
-            open_here[column] = possible[row, column] & (label == OUTSIDE)
-            n_open += open_here[column]
-    cells = np.empty((n_open, 2), np.int32)
-    n_cells, row, end = 0, 0, width
-    for eight in range(len(eights)):
-        if eights[eight] == 0:
-            continue
-        for pixel in range(8 * eight, 8 * eight + 8):
-            if is_open[pixel]:
-                while pixel >= end:
-                    row, end = row + 1, end + width
-                cells[n_cells, 0], cells[n_cells, 1] = row, pixel - end + width
-                n_cells += 1
-    return known, cells, twice
+            is_open[column] = here[column] == OPEN
+            label = OUTSIDE if here[column] == OPEN else here[column]
+            upper[column] = lower[column] = label * np.uint16(0x0101)
+        for eight in range(len(eights)):
+            if eights[eight] == 0:
+                continue
+            for column in range(8 * eight, 8 * eight + 8):
+                cells[n_cells, 0], cells[n_cells, 1] = row, column
+                n_cells += is_open[column]
+    return cells[:n_cells], twice
 
 
 @compiled
 def carried(view: GreyLevels) -> Array:
-    """Grey level of the body in each block (h / BLOCK_PX, w / BLOCK_PX); NaN where nothing is to be decided."""
-    image, known, halvings = view.image, view.known, view.halvings
-    height, width = image.shape
-    n_rows, n_columns = height // BLOCK_PX + 1, width // BLOCK_PX + 1
-    levels = np.empty((n_rows, n_columns), np.float32)
-    for y in range(n_rows):
-        for x in range(n_columns):
-            levels[y, x] = np.nan
-    # of every second pixel of every second row that is of the core, with a border of blocks that have none
-    sums, counts = (
-        np.zeros((n_rows + 2, n_columns + 2), np.float32),
-        np.zeros((n_rows + 2, n_columns + 2), np.uint8),
-    )
-    is_added = np.zeros((n_rows + 2, n_columns + 2), np.bool_)
+    """Grey level of the body in each block (h / BLOCK_PX, w / BLOCK_PX), NaN where nothing is to be decided."""
+    levels = _means(view)
+    n_rows, n_columns = levels.shape
     typical = np.float32(np.nan)
     for i in range(len(view.open_cells)):
-        row, column = view.open_cells[i, 0], view.open_cells[i, 1]
+        v, u = FINE * view.open_cells[i, 0], FINE * view.open_cells[i, 1]
         # and for the pixels next to it, between which the edge may run
-        first_y, last_y = max((row << halvings) - 1, 0) // BLOCK_PX, ((row + 1) << halvings) // BLOCK_PX
-        first_x, last_x = max((column << halvings) - 1, 0) // BLOCK_PX, ((column + 1) << halvings) // BLOCK_PX
-        for y in range(first_y, min(last_y + 1, n_rows)):
-            for x in range(first_x, min(last_x + 1, n_columns)):
-                if not np.isnan(levels[y, x]):
-                    continue
-                total, n = np.float32(0), 0
-                for near_y in range(y, y + 3):  # counted from the border
-                    for near_x in range(x, x + 3):
-                        if not is_added[near_y, near_x]:
-                            is_added[near_y, near_x] = True
-                            top, left = BLOCK_PX * (near_y - 1), BLOCK_PX * (near_x - 1)
-                            for v in range(max(top, 0), min(top + BLOCK_PX, height), 2):
-                                for u in range(max(left, 0), min(left + BLOCK_PX, width), 2):
-                                    if known[v >> halvings, u >> halvings] == INSIDE:
-                                        sums[near_y, near_x] += np.float32(image[v, u])
-                                        counts[near_y, near_x] += 1
-                        total += sums[near_y, near_x]
-                        n += counts[near_y, near_x]
-                level = total / np.float32(n)
-                if n == 0:
-                    level = _mean_far_around(image, known, halvings, y, x)
-                if np.isnan(level):  # no core far and wide: what may be body, its edge included
+        for y in range(max(v - 1, 0) // BLOCK_PX, min((v + FINE) // BLOCK_PX + 1, n_rows)):
+            for x in range(max(u - 1, 0) // BLOCK_PX, min((u + FINE) // BLOCK_PX + 1, n_columns)):
+                if np.isnan(levels[y, x]):
+                    levels[y, x] = _mean_far_around(view, y, x)
+                if np.isnan(levels[y, x]):  # no core far and wide: what may be body, its edge included
                     if np.isnan(typical):
                         typical = _mean_of_open(view)
-                    level = typical
-                levels[y, x] = level
+                    levels[y, x] = typical
     return levels
 
 
 @compiled
-def _mean_far_around(image: Grey | Array, known: Grey, halvings: int, y: int, x: int) -> np.float32:
+def _means(view: GreyLevels) -> Array:
+    """Mean grey level of the core in each block and its neighbours, NaN of none: of one pixel of each cell."""
+    height, width = view.limits.shape
+    n_rows, n_columns = height // CELLS + 1, width // CELLS + 1
+    # with a border of blocks that have none
+    sums = np.zeros((n_rows + 2, n_columns + 2), np.uint16)
+    counts = np.zeros_like(sums)
+    sums_here, counts_here = np.zeros(CELLS * n_columns, np.uint16), np.zeros(CELLS * n_columns, np.uint16)
+    for y in range(n_rows):
+        sums_here[:] = 0
+        counts_here[:] = 0
+        for row in range(CELLS * y, min(CELLS * (y + 1), height)):
+            pixels, limits = view.image[view.top + FINE * row, view.left :], view.limits[row]
+            for u in range(width):
+                is_core = np.uint8(255) if limits[u] == INSIDE else np.uint8(0)
+                sums_here[u] += is_core & pixels[FINE * u]
+                counts_here[u] += is_core & np.uint8(1)
+        block_sums, block_counts = sums[y + 1, 1:], counts[y + 1, 1:]
+        for x in range(n_columns):
+            block_sums[x] = sums_here[CELLS * x] + sums_here[CELLS * x + 1]
+            block_counts[x] = counts_here[CELLS * x] + counts_here[CELLS * x + 1]
+    means = np.empty((n_rows, n_columns), np.float32)
+    totals, numbers = np.empty(n_columns + 2, np.uint16), np.empty(n_columns + 2, np.uint16)
+    for y in range(n_rows):
+        for x in range(n_columns + 2):
+            totals[x] = sums[y, x] + sums[y + 1, x] + sums[y + 2, x]
+            numbers[x] = counts[y, x] + counts[y + 1, x] + counts[y + 2, x]
+        for x in range(n_columns):
+            total = np.uint16(totals[x] + totals[x + 1] + totals[x + 2])
+            means[y, x] = np.float32(total) / np.float32(
+                np.uint16(numbers[x] + numbers[x + 1] + numbers[x + 2])
+            )
+    return means
+
+
+@compiled
+def _mean_far_around(view: GreyLevels, y: int, x: int) -> np.float32:
     """Mean of the core's pixels in a sparse window around a block, NaN of none."""
-    height, width = image.shape
+    height, width = view.limits.shape
     v, u = y * BLOCK_PX + BLOCK_PX // 2, x * BLOCK_PX + BLOCK_PX // 2
     step = FAR_PX // N_SAMPLES
     reach_px = N_SAMPLES * step
     total, n = np.float32(0), np.float32(0)
-    for near_v in range(max(v - reach_px, v % step), min(v + reach_px + 1, height), step):
-        for near_u in range(max(u - reach_px, u % step), min(u + reach_px + 1, width), step):
-            if known[near_v >> halvings, near_u >> halvings] == INSIDE:
-                total += np.float32(image[near_v, near_u])
+    for near_v in range(max(v - reach_px, v % step), min(v + reach_px + 1, FINE * height), step):
+        for near_u in range(max(u - reach_px, u % step), min(u + reach_px + 1, FINE * width), step):
+            if view.limits[near_v // FINE, near_u // FINE] == INSIDE:
+                total += np.float32(view.image[near_v + view.top, near_u + view.left])
                 n += np.float32(1)
     return total / n
 
@@ -144,25 +152,26 @@ def _mean_of_open(view: GreyLevels) -> np.float32:
     total = np.float32(0)
     for i in range(len(view.open_cells)):
         row, column = view.open_cells[i, 0], view.open_cells[i, 1]
-        total += np.float32(view.image[row << view.halvings, column << view.halvings])
+        total += np.float32(view.image[FINE * row + view.top, FINE * column + view.left])
     return total / np.float32(len(view.open_cells))
 
 
 @compiled
 def decide(view: GreyLevels, levels: Array, min_contrast: np.float32, labels: Grey) -> bool:
-    """Label what is possible and not yet known (h, w); whether any of it is inside."""
-    image, expected, gain, halvings = view.image, view.expected, view.gain, view.halvings
-    height, width = image.shape
+    """Label what is open (h, w); whether any of it is inside."""
+    height, width = labels.shape
     is_inside = False
     for i in range(len(view.open_cells)):
         row, column = view.open_cells[i, 0], view.open_cells[i, 1]
-        for v in range(row << halvings, min((row + 1) << halvings, height)):
-            for u in range(column << halvings, min((column + 1) << halvings, width)):
-                behind = gain * np.float32(expected[v + view.top, u + view.left])
-                contrast = behind - levels[v // BLOCK_PX, u // BLOCK_PX]
+        level = levels[row // CELLS, column // CELLS]
+        for v in range(FINE * row, min(FINE * (row + 1), height)):
+            for u in range(FINE * column, min(FINE * (column + 1), width)):
+                behind = view.gain * np.float32(view.expected[v + view.expected_top, u + view.expected_left])
+                contrast = behind - level
+                covered = behind - np.float32(view.image[v + view.top, u + view.left])
                 if abs(contrast) < min_contrast * behind:
                     labels[v, u] = UNKNOWN
-                elif (behind - image[v, u]) / contrast > 0.5:
+                elif (covered - np.float32(0.5) * contrast) * contrast > 0:
                     labels[v, u] = INSIDE
                     is_inside = True
     return is_inside
@@ -176,8 +185,7 @@ def crossings(
 
     Under a Gaussian blur of any width the probit of the coverage is linear across the edge.
     """
-    image, expected, gain = view.image, view.expected, view.gain
-    known, halvings = view.known, view.halvings
+    image, expected, gain, limits = view.image, view.expected, view.gain, view.limits
     height, width = body.shape
     points_uv, seen = np.empty((len(pixels_uv), 2)), np.empty(len(pixels_uv), np.uint8)
     for i in range(len(pixels_uv)):
@@ -193,9 +201,10 @@ def crossings(
                 if not (0 <= x < width and 0 <= y < height) or body[y, x]:
                     continue
             coverage = 1.0
-            if known[y >> halvings, x >> halvings] != INSIDE:
-                behind = gain * np.float32(expected[y + view.top, x + view.left])
-                coverage = float((behind - image[y, x]) / (behind - levels[y // BLOCK_PX, x // BLOCK_PX]))
+            if limits[y // FINE, x // FINE] != INSIDE:
+                behind = gain * np.float32(expected[y + view.expected_top, x + view.expected_left])
+                covered = behind - np.float32(image[y + view.top, x + view.left])
+                coverage = float(covered / (behind - levels[y // BLOCK_PX, x // BLOCK_PX]))
             probit = _probit(min(max(coverage, LEAST_COVERAGE), 1 - LEAST_COVERAGE))
             if labels[y, x] == UNKNOWN:
                 seen[i] = 0

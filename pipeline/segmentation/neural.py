@@ -16,6 +16,7 @@ from pipeline.segmentation.background import COARSE, BackgroundModel
 from pipeline.segmentation.behind import Behind
 from pipeline.segmentation.comparison import sampled
 from pipeline.segmentation.delineation import Delineation, delineate, no_body, silhouette_of
+from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.ground import Ground, carried, ground_of
 from pipeline.segmentation.limits import (
     CORE,
@@ -153,9 +154,7 @@ class NetworkSegmenter:
         return delineate(
             seen,
             expected,
-            core,
-            possible,
-            unknown,
+            limits_from(core, possible, unknown),
             expected_from_uv=(left, top),
             gain=gain,
             min_contrast=self.parameters.min_contrast,

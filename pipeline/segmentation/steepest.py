@@ -55,7 +55,7 @@ def to_steepest(
     unknown. The number of such points is returned.
     """
     n_points = len(points_uv)
-    inwards = _inwards(view, points_uv, seen)
+    inwards = _inwards(labels.shape, points_uv, seen)
     slopes = _slopes(view, points_uv, inwards, seen)
     rests = np.zeros(n_points, np.float32)  # of the body, just outside of the edge, in grey levels
     behinds, heights = np.zeros(n_points, np.float32), np.zeros(n_points, np.float32)
@@ -82,9 +82,12 @@ def to_steepest(
         points_uv[i, 1] += depth_px * inwards[i, 1]
         u = int(points_uv[i, 0] - BEYOND_PX * inwards[i, 0] + 0.5)
         v = int(points_uv[i, 1] - BEYOND_PX * inwards[i, 1] + 0.5)
-        behinds[i], heights[i] = view.gain * np.float32(view.expected[v + view.top, u + view.left]), highest
+        behinds[i], heights[i] = (
+            view.gain * np.float32(view.expected[v + view.expected_top, u + view.expected_left]),
+            highest,
+        )
         if labels[v, u] == OUTSIDE:
-            rests[i] = behinds[i] - np.float32(view.image[v, u])
+            rests[i] = behinds[i] - np.float32(view.image[v + view.top, u + view.left])
     n_doubtful = 0
     for i in range(n_points):
         if not seen[i]:
@@ -100,9 +103,9 @@ def to_steepest(
 
 
 @compiled
-def _inwards(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey) -> Array:
+def _inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey) -> Array:
     """Inward normals (N, 2) of a contour; points that have none, or are at the border of the region, are not seen."""
-    height, width = view.image.shape
+    height, width = shape
     n_points = len(points_uv)
     far_px = BEYOND_PX + np.float32(2)
     inwards = np.empty((n_points, 2), np.float32)
@@ -145,8 +148,8 @@ def _slopes(view: GreyLevels, points_uv: NDArray[np.float64], inwards: Array, se
             u, v = point_u + depth_px * inwards[i, 0], point_v + depth_px * inwards[i, 1]
             x, y = np.int32(u), np.int32(v)
             right[k], down[k] = u - np.float32(x), v - np.float32(y)
-            at[k] = y * np.int64(width) + x
-            behind_at[k] = (y + view.top) * expected_width + x + view.left
+            at[k] = (y + view.top) * np.int64(width) + x + view.left
+            behind_at[k] = (y + view.expected_top) * expected_width + x + view.expected_left
         for k in range(N_STEPS):
             pixel = np.uint64(at[k])
             upper, lower = np.float32(image[pixel]), np.float32(image[pixel + width])

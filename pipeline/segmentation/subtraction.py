@@ -73,22 +73,30 @@ class BackgroundSegmenter:
             return no_body(frame, status), empty
         region = _full_size(box, frame.image.shape)
         rows, columns = region
-        image = frame.image[region].copy()
-        even = levels = known.levels
-        left, top = columns.start, rows.start
+        corner = (columns.start, rows.start)
+        levels, levels_corner = known.levels, corner
         if empty.light is not None:
-            even, left, top = even[region].copy(), 0, 0
-            levels = _lit(even, empty.light[_in_blocks(region)])
-        delineation = delineate(
-            image,
+            levels, levels_corner = _lit(known.levels[region], empty.light[_in_blocks(region)]), (0, 0)
+        limits = limits_around(
+            frame.image,
+            known.levels,
+            corner,
             levels,
-            *limits_around(image, levels, even, left, top, self._thresholds(empty, known)),
-            expected_from_uv=(left, top),
+            levels_corner,
+            (rows.stop - rows.start, columns.stop - columns.start),
+            self._thresholds(empty, known),
+        )
+        delineation = delineate(
+            frame.image,
+            levels,
+            limits,
+            region=region,
+            expected_from_uv=levels_corner,
             gain=empty.gain,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
         )
-        return silhouette_of(frame, (columns.start, rows.start), delineation), empty
+        return silhouette_of(frame, corner, delineation), empty
 
     def locate(self, empty: EmptyView, known: CameraBackground) -> tuple[ViewStatus, Box | None]:
         """Box of the body in coarse pixels, or why there is none.

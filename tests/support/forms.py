@@ -10,6 +10,7 @@ from pipeline.carving import CarvingParameters, carve
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.segmentation.delineation import delineate
+from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, SilhouetteSet, ViewStatus
 from pipeline.synthesis import outline
 from pipeline.synthesis.bodies import Body, body_from_mesh, cylinder
@@ -18,6 +19,7 @@ Array = NDArray[np.float64]
 
 BLUR_PX = 0.8
 COVERAGE_NOISE = 0.012
+WALL = 200
 N_BUMPS = 300
 
 
@@ -75,10 +77,12 @@ def _silhouette(
     is_front = np.einsum("ij,ij->i", mesh.face_normals, towards_mm) > 0
     border_uv = pixels_uv[outline.border(edges, is_front)]
     covered = cv2.GaussianBlur(outline.coverage(border_uv[:, 0], border_uv[:, 1], window), (0, 0), BLUR_PX)
-    covered = (covered + COVERAGE_NOISE * rng.normal(size=covered.shape)).astype(np.float32)
+    covered = covered + COVERAGE_NOISE * rng.normal(size=covered.shape)
+    image = np.clip(np.rint(WALL * (1 - covered)), 0, 255).astype(np.uint8)
     core = cv2.erode((covered > 0.5).astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    unknown = np.zeros(covered.shape, bool)
-    found = delineate(1 - covered, np.ones_like(covered), core, covered > 0.1, unknown)
+    possible, unknown = covered > 0.1, np.zeros(covered.shape, bool)
+    limits = limits_from(*(mask[::2, ::2] for mask in (core, possible, unknown)))
+    found = delineate(image, np.full_like(image, WALL), limits)
     assert found.edge is not None
     return Silhouette(
         camera=camera.id,

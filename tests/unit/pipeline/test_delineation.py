@@ -1,4 +1,4 @@
-"""The edge between what is surely body and what may be: against arrays and formulas, whole and in halves."""
+"""The edge between what is surely body and what may be: against arrays and formulas."""
 
 import os
 import subprocess
@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
-from scipy.spatial import cKDTree
 from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
 
 from pipeline.segmentation import edge, grey_levels, steepest
 from pipeline.segmentation.choice import warm_up
 from pipeline.segmentation.delineation import Delineation, delineate
+from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 
 SIZE_PX = 220
@@ -43,7 +43,18 @@ def photographed(
 
 
 def masks_of(true_px: NDArray[np.float64]) -> tuple[Mask, Mask, Mask]:
-    return true_px > 4.5, true_px > -4.5, np.zeros(true_px.shape, bool)
+    """Core, possible and unknown (h, w)."""
+    return blocky(true_px > 4.5), blocky(true_px > -4.5), np.zeros(true_px.shape, bool)
+
+
+def blocky(mask: Mask) -> Mask:
+    """The mask (h, w) with the same for each block of 2 x 2."""
+    height, width = mask.shape
+    return np.asarray(mask[::2, ::2].repeat(2, axis=0).repeat(2, axis=1)[:height, :width])
+
+
+def halved(*masks: Mask) -> NDArray[np.uint8]:
+    return limits_from(*(mask[::2, ::2] for mask in masks))
 
 
 def wall() -> NDArray[np.float32]:
@@ -73,11 +84,12 @@ def test_quick_and_flat_delineation_agree(
     for u, v in rng.integers(20, SIZE_PX - 20, size=(3, 2)):  # dark dots of the wall, here and there
         dot = np.zeros(unknown.shape, np.uint8)
         cv2.circle(dot, (int(u), int(v)), 9, 1, -1)
-        unknown |= dot.astype(bool) & ~core
+        unknown |= blocky(dot.astype(bool) & ~core)
     if has_hole:  # a glint
         glint = np.hypot(*(np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2)) < 5
-        image[glint], core[glint] = round(WALL), False
-    found = delineate(image, wall(), core, possible, unknown)
+        image[glint] = round(WALL)
+        core = blocky(core & ~glint)
+    found = delineate(image, wall(), halved(core, possible, unknown))
     labels, points, is_tie = flat_delineation(image.astype(np.float32), wall(), core, possible, unknown)
     near_tie = cv2.dilate(is_tie.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     assert ((found.labels == labels) | near_tie).all()
@@ -92,25 +104,26 @@ def test_quick_and_flat_delineation_agree(
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(25, 65))
-def test_masks_of_half_the_size_give_the_same_body(seed: int, radius_px: float) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(0, 9), st.integers(0, 9), st.sampled_from([0, 1]))
+def test_a_region_of_an_image_is_as_good_as_an_image(seed: int, left: int, top: int, odd: int) -> None:
     rng = np.random.default_rng(seed)
-    true_px = blob_px(rng, radius_px)[:-1, :-3]  # odd sizes
-    image, expected = photographed(true_px, rng, 2.0), wall()[:-1, :-3]
-    whole = delineate(image, expected, *masks_of(true_px))
-    core, possible, unknown = (mask[::2, ::2] for mask in masks_of(true_px))
-    half = delineate(image, expected, core, possible, unknown)
-    assert np.count_nonzero(half.labels != whole.labels) <= 3
-    distances_px, _ = cKDTree(outline_of(whole)).query(outline_of(half))
-    assert np.quantile(distances_px, 0.95) < 0.02
+    true_px = blob_px(rng, 60)[: SIZE_PX - odd, : SIZE_PX - odd]
+    image, expected = photographed(true_px, rng, 2.0), wall()[: SIZE_PX - odd, : SIZE_PX - odd]
+    limits = halved(*masks_of(true_px))
+    alone = delineate(image, expected, limits)
+    around = np.pad(image, ((top, 3), (left, 5)))
+    region = (slice(top, top + len(image)), slice(left, left + len(image)))
+    within = delineate(around, np.pad(expected, 4), limits, region=region, expected_from_uv=(4, 4))
+    np.testing.assert_array_equal(within.labels, alone.labels)
+    np.testing.assert_array_equal(outline_of(within), outline_of(alone))
 
 
 def test_gain_is_a_factor_on_what_is_expected() -> None:
     rng = np.random.default_rng(3)
     true_px = blob_px(rng, 50)
     image = photographed(true_px, rng, 2.0)
-    one = delineate(image, wall(), *masks_of(true_px))
-    other = delineate(image, wall() / 2, *masks_of(true_px), gain=2.0)
+    one = delineate(image, wall(), halved(*masks_of(true_px)))
+    other = delineate(image, wall() / 2, halved(*masks_of(true_px)), gain=2.0)
     np.testing.assert_array_equal(outline_of(one), outline_of(other))
     np.testing.assert_array_equal(one.labels, other.labels)
 
@@ -122,7 +135,7 @@ def test_where_body_and_background_are_alike_is_unknown_unless_it_is_core() -> N
     expected = wall()
     expected[:, 110:] = BODY  # a dark aperture behind the right half
     image = np.where(true_px > 0, BODY, expected).astype(np.uint8)
-    labels = delineate(image, expected, core, possible, unknown).labels
+    labels = delineate(image, expected, halved(core, possible, unknown)).labels
     assert (labels[core] == INSIDE).all()
     assert (labels[:, 111:][(possible & ~core)[:, 111:]] == UNKNOWN).all()
     assert (labels[~possible] == OUTSIDE).all()
@@ -137,7 +150,7 @@ def test_a_rim_that_shines_towards_its_edge_does_not_move_it() -> None:
     )  # half-way to the level behind it is 0.38 px within
     image = blurred(np.where(true_px > 0, grey, WALL), rng)
     expected = wall()
-    found = delineate(image, expected, *masks_of(true_px))
+    found = delineate(image, expected, halved(*masks_of(true_px)))
     depths_px = map_coordinates(true_px, outline_of(found).T[::-1], order=1)
     assert found.edge is not None
     assert found.edge.seen.mean() > 0.99
@@ -151,7 +164,7 @@ def test_a_step_within_the_body_is_not_taken_for_its_edge() -> None:
     grey = np.where((true_px < 4) & is_right, 0.8 * WALL, BODY)  # a rim nearly as bright as the wall
     image = blurred(np.where(true_px > 0, grey, WALL), rng)
     core, _, unknown = masks_of(true_px - 2.5)
-    found = delineate(image, wall(), core, np.asarray(true_px > -4.5), unknown)
+    found = delineate(image, wall(), halved(core, blocky(true_px > -4.5), unknown))
     depths_px = map_coordinates(true_px, outline_of(found).T[::-1], order=1)
     assert np.quantile(depths_px, 0.98) < 0.5, "nothing of the inner step is left"
     assert found.edge is not None
@@ -170,7 +183,7 @@ def test_only_the_largest_body_is_left_and_large_holes_are_seen_through() -> Non
     speck_px = 8 - np.hypot(u - 95, v - 95)
     true_px = np.maximum(ring_px, speck_px)
     image = photographed(true_px, np.random.default_rng(5), 1.0)
-    found = delineate(image, wall(), *masks_of(true_px))
+    found = delineate(image, wall(), halved(*masks_of(true_px)))
     assert found.labels[SIZE_PX // 2, SIZE_PX // 2] == OUTSIDE
     assert found.labels[205, 205] == OUTSIDE
     assert np.linalg.norm(outline_of(found) - SIZE_PX / 2, axis=1).min() > 69, "the outer contour alone"
@@ -183,7 +196,7 @@ def test_only_the_largest_body_is_left_and_large_holes_are_seen_through() -> Non
     excess_px = np.abs(distance_px[far]) - np.minimum(np.abs(ring_px[far]), MARGIN_PX)
     assert -4 < excess_px.min() < excess_px.max() < 0.5
     assert ((distance_px > 0) == (ring_px > 0))[far & ~near].all()
-    filled = delineate(image, wall(), *masks_of(true_px), hole_px=4000)
+    filled = delineate(image, wall(), halved(*masks_of(true_px)), hole_px=4000)
     assert filled.labels[SIZE_PX // 2, SIZE_PX // 2] == INSIDE
 
 
@@ -191,7 +204,7 @@ def test_nothing_inside_is_no_edge() -> None:
     nowhere = np.zeros((SIZE_PX, SIZE_PX), bool)
     unknown = nowhere.copy()
     unknown[50:60, 50:60] = True
-    found = delineate(wall().astype(np.uint8), wall(), nowhere, nowhere, unknown)
+    found = delineate(wall().astype(np.uint8), wall(), halved(nowhere, nowhere, unknown))
     assert found.edge is None
     assert (found.labels == np.where(unknown, UNKNOWN, OUTSIDE)).all()
 
@@ -211,7 +224,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     rng = np.random.default_rng(6)
     true_px = blob_px(rng, 50)
     for expected in (wall(), np.full((SIZE_PX, SIZE_PX + 1), WALL, np.float32)[:, :-1]):
-        found = delineate(photographed(true_px, rng, 2.0), expected, *masks_of(true_px))
+        found = delineate(photographed(true_px, rng, 2.0), expected, halved(*masks_of(true_px)))
         assert found.edge is not None
         found.edge.fine_px(found.edge.coarse_px())
     assert [len(kernel.signatures) for kernel in kernels] == compiled

@@ -15,7 +15,7 @@ from pipeline.segmentation.comparison import (
     marked,
     sampled,
 )
-from pipeline.segmentation.grey_levels import spread
+from pipeline.segmentation.grey_levels import OPEN, limits_from, spread
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 THRESHOLDS = Thresholds(gain=np.float32(0.9), min_contrast=np.float32(0.12), dark=np.uint8(100))
@@ -64,22 +64,27 @@ def test_the_core_is_eroded_and_the_possible_dilated(
     """By a disc and a cross; beyond the border nothing differs."""
     wall, picture = view(height + top, width + left, seed)
     image = picture[top:, left:].copy()
-    core, possible, unknown = limits_around(image, wall, wall, left, top, THRESHOLDS)
+    levels = wall[top:].copy()  # begins elsewhere
+    limits = limits_around(picture, wall, (left, top), levels, (left, 0), image.shape, THRESHOLDS)
     marks = reference(image[::2, ::2], wall[top::2, left::2])
     differs = np.pad((marks == DIFFERS).view(np.uint8), 2)
-    inner = (slice(2, -2), slice(2, -2))
-    np.testing.assert_array_equal(core, cv2.erode(differs, DISC)[inner] > 0)
-    np.testing.assert_array_equal(possible, cv2.dilate(differs, CROSS)[inner] > 0)
     is_dark = np.pad((marks == DARK).view(np.uint8), 2)
-    np.testing.assert_array_equal(unknown, cv2.dilate(is_dark, np.ones((3, 3), np.uint8))[inner] > 0)
+    core, possible, unknown = (
+        mask[2:-2, 2:-2] > 0
+        for mask in (
+            cv2.erode(differs, DISC),
+            cv2.dilate(differs, CROSS),
+            cv2.dilate(is_dark, np.ones((3, 3), np.uint8)),
+        )
+    )
+    np.testing.assert_array_equal(limits, limits_from(core, possible, unknown))
 
 
 @given(sides, sides, seeds)
 @settings(max_examples=30)
-def test_what_is_known_and_open_is_spread_over_pixels(height: int, width: int, seed: int) -> None:
-    core, possible, unknown = np.random.default_rng(seed).random((3, height, width)) < 0.2
-    known, cells, twice = spread(core, possible, unknown)
-    expected = np.where(core, INSIDE, np.where(unknown, UNKNOWN, OUTSIDE))
-    np.testing.assert_array_equal(known, expected)
-    np.testing.assert_array_equal(cells, np.argwhere(possible & ~core & ~unknown))
-    np.testing.assert_array_equal(twice.view(np.uint8), expected.repeat(2, axis=0).repeat(2, axis=1))
+def test_limits_are_spread_over_pixels(height: int, width: int, seed: int) -> None:
+    limits = np.random.default_rng(seed).choice([INSIDE, UNKNOWN, OUTSIDE, OPEN], (height, width))
+    cells, twice = spread(limits)
+    labels = np.where(limits == OPEN, OUTSIDE, limits)
+    np.testing.assert_array_equal(cells, np.argwhere(limits == OPEN))
+    np.testing.assert_array_equal(twice.view(np.uint8), labels.repeat(2, axis=0).repeat(2, axis=1))

@@ -16,6 +16,7 @@ from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.delineation import delineate
+from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.light import flash_gain
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
@@ -179,9 +180,10 @@ def test_a_dark_dot_at_the_edge_is_unknown_not_guessed(angle: float, off_px: flo
 def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blur_px: float) -> None:
     v, u = np.mgrid[0:80, 0:80].astype(float)
     true_px = (u - 40) * np.cos(angle) + (v - 40) * np.sin(angle) + shift_px
-    coverage = ndtr(true_px / blur_px).astype(np.float32)
-    unknown = np.zeros(coverage.shape, bool)
-    edge = delineate(1 - coverage, np.ones_like(coverage), coverage > 0.999, coverage > 0.01, unknown).edge
+    coverage = ndtr(true_px / blur_px)
+    image, expected = np.rint(200 - 180 * coverage).astype(np.uint8), np.full(coverage.shape, 200, np.uint8)
+    few_px = true_px[::2, ::2]
+    edge = delineate(image, expected, limits_from(few_px > 5.5, few_px > -5.5, few_px > 99)).edge
     assert edge is not None
     distance_px, outline = edge.fine_px(edge.coarse_px()), edge.outline_uv
     within = (np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25)
