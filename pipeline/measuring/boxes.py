@@ -5,8 +5,8 @@ Both depend on nothing but the widths w(e) of the body along the axes of an orth
 - a box along the frame holds the body if its edges are w(e1), w(e2), w(e3);
 - the body passes along e3 through a square with sides along e1 and e2 and edge max(w(e1), w(e2)).
 
-Both have many local minima. A beam of the best frames, chosen among 75 000 coarse ones (`near_frames`),
-is turned by smaller and smaller angles; frames that come close to a better one give way to others.
+Both have many local minima. A beam of the best frames, chosen among 20 000 coarse ones (`near_frames`), is turned
+by smaller and smaller angles; frames that come close to a better one, or fall behind, give way to others.
 """
 
 from typing import NamedTuple
@@ -15,27 +15,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
-from pipeline.measuring.convex import ConvexBody, Edges, highest, touch, unit
+from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere, near_frames
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
-N_RANKED = 400
+N_RANKED = 200
 """Coarse frames among which the starts are chosen."""
+N_STARTS = 30
+START_SPACING_RAD = 0.1
 BEAM = 12
 """Frames followed while a turn may still lead from one local minimum to another."""
 NARROW_BEAM = 5
 """Frames followed at turns of less than `NARROW_RAD`."""
 NARROW_RAD = 0.006
+MAX_LAG = 0.5
+"""A frame is given up that is worse than the best known by more than this share for each rad of the latest turn."""
 N_CHILDREN = 4
-"""Neighbours of a frame that are looked at closely."""
-START_SPACING_RAD = 0.1
+"""Of the turns of a frame so many are looked at closely."""
 ZOOM = 0.6
 FINAL_RADIUS_RAD = 2e-5
 """Turning a body of extent D by this changes a width by at most 2e-5 D."""
 N_STEPS = 7
 """Turns about each axis, from minus to plus the radius."""
+N_TURNS = N_STEPS**2  # of one axis: about itself it does not turn
 
 
 class _Frames(NamedTuple):
@@ -45,6 +49,18 @@ class _Frames(NamedTuple):
     touching: Indices  # (3 F, 2) vertices at the upper and the lower plane of each axis
     width_mm: Array  # (3 F,)
     score: Array  # (F,) what is to be least; infinite: not wanted
+
+
+class _Turns(NamedTuple):
+    """Small turns of any axis, and room for what they measure."""
+
+    towards: Array  # (N_TURNS,) how far, in rad, towards the axis after it
+    away: Array  # (N_TURNS,) and away from the last one
+    shrink: Array  # (N_TURNS,) what makes it a unit vector again
+    height_mm: Array  # (2, N_TURNS) of the plane above the body and of the one below it
+    width_mm: Array  # (3, N_TURNS) for each axis of a frame
+    queue: Indices  # (N,) vertices
+    is_queued: NDArray[np.bool_]  # (N,)
 
 
 def min_box_mm(body: ConvexBody) -> Array:
@@ -62,27 +78,30 @@ def sieve_size_mm(body: ConvexBody) -> float:
 
 
 def _least(body: ConvexBody, is_box: bool) -> Array:
-    """The widths (3,) along the axes of the best frame."""
+    """The widths (3,) along the axes of the best frame; where it is no box the third is 0."""
     triples = near_frames()
     scores = np.empty(len(triples))
     _score_all(body.width_mm, triples, is_box, scores)
-    starts = triples[np.argpartition(scores, N_RANKED)[:N_RANKED]]
-    frames, kept = _room(max(N_RANKED, BEAM * (1 + N_CHILDREN))), _room(BEAM)
-    frames.axes[:N_RANKED] = half_sphere().directions[starts]
-    frames.touching[: 3 * N_RANKED] = body.touching[starts.reshape(-1)]
-    grid_mm = np.empty((3, N_STEPS, N_STEPS))
-    n_kept = _choose(body.edges, frames, N_RANKED, is_box, kept, BEAM, START_SPACING_RAD)
-    radius = COVERING_RAD
-    while radius > FINAL_RADIUS_RAD:
-        n_most = BEAM if radius >= NARROW_RAD else NARROW_BEAM
-        n_frames = _turn(body.edges, kept, min(n_kept, n_most), radius, is_box, grid_mm, frames)
-        n_kept = _choose(body.edges, frames, n_frames, is_box, kept, n_most, radius / 2)
-        radius *= ZOOM
-    return kept.width_mm[:3]
+    ranked = np.argpartition(scores, N_RANKED)[:N_RANKED]
+    starts = triples[ranked]
+    frames, kept = _room(N_RANKED), _room(N_STARTS)
+    frames.axes[:] = half_sphere().directions[starts]
+    frames.touching[:] = body.touching[starts.reshape(-1)]
+    frames.score[:] = scores[ranked]
+    best_mm = np.zeros(3)
+    _search(body.edges, frames, kept, is_box, _turns(len(body.vertices_mm)), best_mm)
+    return best_mm
 
 
 def _room(n: int) -> _Frames:
     return _Frames(np.empty((n, 3, 3)), np.empty((3 * n, 2), np.int32), np.empty(3 * n), np.empty(n))
+
+
+def _turns(n_vertices: int) -> _Turns:
+    towards, away, shrink = np.empty((3, N_TURNS))
+    height_mm, width_mm = np.empty((2, N_TURNS)), np.empty((3, N_TURNS))
+    queue, is_queued = np.empty(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
+    return _Turns(towards, away, shrink, height_mm, width_mm, queue, is_queued)
 
 
 @compiled
@@ -98,30 +117,64 @@ def _score(a_mm: float, b_mm: float, c_mm: float, is_box: bool) -> float:
 
 
 @compiled
+def _search(
+    edges: Edges, frames: _Frames, kept: _Frames, is_box: bool, turns: _Turns, best_mm: Array
+) -> None:
+    """Set the widths (3,) of the best frame, starting from some of those given, whose room is used again."""
+    n_frames, n_most = len(frames.score), len(kept.score)
+    spacing_rad, limit = START_SPACING_RAD, np.inf
+    radius, best = COVERING_RAD, np.inf
+    while True:
+        n_kept = _choose(edges, frames, n_frames, is_box, kept, n_most, spacing_rad, limit)
+        for i in range(n_kept):
+            if kept.score[i] < best:
+                best = kept.score[i]
+                for axis in range(3 if is_box else 2):
+                    best_mm[axis] = kept.width_mm[3 * i + axis]
+        if radius < FINAL_RADIUS_RAD:
+            return
+        n_frames = _turn(edges, kept, n_kept, radius, is_box, turns, frames)
+        n_most = BEAM if radius >= NARROW_RAD else NARROW_BEAM
+        spacing_rad, limit = radius / 2, best * (1 + MAX_LAG * radius)
+        radius *= ZOOM
+
+
+@compiled
 def _choose(
-    edges: Edges, frames: _Frames, n_frames: int, is_box: bool, kept: _Frames, n_most: int, spacing_rad: float
+    edges: Edges,
+    frames: _Frames,
+    n_frames: int,
+    is_box: bool,
+    kept: _Frames,
+    n_most: int,
+    spacing_rad: float,
+    limit: float,
 ) -> int:
     """Keep the best of some frames, best first, none a near twin of a better one; returns how many."""
     cos_spacing = np.cos(spacing_rad)
-    for i in range(n_frames):
-        _settle(edges, frames, i, is_box)
     for n_kept in range(n_most):
-        best = n_kept  # or any other
+        best = 0
         for i in range(n_frames):
             if frames.score[i] < frames.score[best]:
                 best = i
-        if frames.score[best] == np.inf:
+        if not frames.score[best] < limit:
             return n_kept
-        for axis in range(3):
-            for k in range(3):
-                kept.axes[n_kept, axis, k] = frames.axes[best, axis, k]
-            for k in range(2):
-                kept.touching[3 * n_kept + axis, k] = frames.touching[3 * best + axis, k]
-            kept.width_mm[3 * n_kept + axis] = frames.width_mm[3 * best + axis]
+        _copy(frames, best, kept, n_kept)
+        _settle(edges, kept, n_kept, is_box)
         for i in range(n_frames):
-            if _are_twins(frames.axes, i, best, cos_spacing):
+            if i == best or _are_twins(frames.axes, i, best, cos_spacing):
                 frames.score[i] = np.inf
     return n_most
+
+
+@compiled
+def _copy(frames: _Frames, i: int, to_frames: _Frames, to_i: int) -> None:
+    """Copy axes and touching vertices."""
+    for axis in range(3):
+        for k in range(3):
+            to_frames.axes[to_i, axis, k] = frames.axes[i, axis, k]
+        for k in range(2):
+            to_frames.touching[3 * to_i + axis, k] = frames.touching[3 * i + axis, k]
 
 
 @compiled
@@ -135,7 +188,7 @@ def _settle(edges: Edges, frames: _Frames, i: int, is_box: bool) -> None:
     axes[i, 0, 0], axes[i, 0, 1], axes[i, 0, 2] = x, y, z
     axes[i, 1, 0], axes[i, 1, 1], axes[i, 1, 2] = u, v, w
     axes[i, 2, 0], axes[i, 2, 1], axes[i, 2, 2] = y * w - z * v, z * u - x * w, x * v - y * u
-    for axis in range(3):
+    for axis in range(3 if is_box else 2):
         x, y, z = axes[i, axis, 0], axes[i, axis, 1], axes[i, axis, 2]
         frames.width_mm[3 * i + axis] = touch(edges, x, y, z, frames.touching, 3 * i + axis)
     width_mm = frames.width_mm
@@ -159,74 +212,90 @@ def _are_twins(axes: Array, i: int, j: int, cos_spacing: float) -> bool:
 
 @compiled
 def _turn(
-    edges: Edges, kept: _Frames, n_kept: int, radius: float, is_box: bool, grid_mm: Array, frames: _Frames
+    edges: Edges, kept: _Frames, n_kept: int, radius: float, is_box: bool, turns: _Turns, frames: _Frames
 ) -> int:
-    """The frames kept, and for each the best of those turned by (x, y, z) in a cube of +-radius; returns how many.
+    """For each of the frames kept the best of those turned by (x, y, z) in a cube of +-radius; returns how many.
 
-    To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths of 3 m^2
-    directions `grid_mm` give the score at m^3 rotations.
+    To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths along 3 m^2
+    directions give the score at m^3 rotations.
     """
-    axes = kept.axes
-    n_steps = grid_mm.shape[1]
-    step = 2 * radius / (n_steps - 1)
+    axes, width_mm, shrink = kept.axes, turns.width_mm, turns.shrink
+    step = 2 * radius / (N_STEPS - 1)
+    for i in range(N_STEPS):
+        for j in range(N_STEPS):
+            towards, away = i * step - radius, j * step - radius
+            turns.towards[N_STEPS * i + j], turns.away[N_STEPS * i + j] = towards, away
+            shrink[N_STEPS * i + j] = 1 / np.sqrt(1 + towards * towards + away * away)
     for parent in range(n_kept):
-        for axis in range(3):
-            if is_box or axis < 2:
-                _measure_grid(edges, kept, parent, axis, radius, grid_mm)
-        own = parent * (1 + N_CHILDREN)
-        for i in range(own, own + 1 + N_CHILDREN):
-            frames.score[i] = np.inf
-            for axis in range(3):
-                for k in range(3):
-                    frames.axes[i, axis, k] = axes[parent, axis, k]
-                for k in range(2):
-                    frames.touching[3 * i + axis, k] = kept.touching[3 * parent + axis, k]
-        worst = own + 1
-        for x in range(n_steps):
-            for y in range(n_steps):
-                for z in range(n_steps):
-                    score = _score(grid_mm[0, z, y], grid_mm[1, x, z], grid_mm[2, y, x], is_box)
+        for axis in range(3 if is_box else 2):
+            for end in range(2):
+                _measure_heights(edges, kept, parent, axis, end, radius, turns)
+            for turn in range(N_TURNS):
+                both_mm = turns.height_mm[0, turn] + turns.height_mm[1, turn]
+                width_mm[axis, turn] = both_mm * shrink[turn]
+        children = range(parent * N_CHILDREN, (parent + 1) * N_CHILDREN)
+        for child in children:
+            _copy(kept, parent, frames, child)
+            frames.score[child] = np.inf
+        worst = parent * N_CHILDREN
+        for x in range(N_STEPS):
+            for y in range(N_STEPS):
+                for z in range(N_STEPS):
+                    first, second, third = N_STEPS * z + y, N_STEPS * x + z, N_STEPS * y + x
+                    score = _score(width_mm[0, first], width_mm[1, second], width_mm[2, third], is_box)
                     if score >= frames.score[worst]:
                         continue
                     frames.score[worst] = score
                     about_x, about_y, about_z = x * step - radius, y * step - radius, z * step - radius
                     for k in range(3):
                         e1, e2, e3 = axes[parent, 0, k], axes[parent, 1, k], axes[parent, 2, k]
-                        frames.axes[worst, 0, k] = e1 + about_z * e2 - about_y * e3
-                        frames.axes[worst, 1, k] = e2 - about_z * e1 + about_x * e3
-                    for i in range(own + 1, own + 1 + N_CHILDREN):
-                        if frames.score[i] > frames.score[worst]:
-                            worst = i
-    return n_kept * (1 + N_CHILDREN)
+                        frames.axes[worst, 0, k] = (e1 + about_z * e2 - about_y * e3) * shrink[first]
+                        frames.axes[worst, 1, k] = (e2 + about_x * e3 - about_z * e1) * shrink[second]
+                        frames.axes[worst, 2, k] = (e3 + about_y * e1 - about_x * e2) * shrink[third]
+                    for child in children:
+                        if frames.score[child] > frames.score[worst]:
+                            worst = child
+    return n_kept * N_CHILDREN
 
 
 @compiled
-def _measure_grid(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, grid_mm: Array) -> None:
-    """Widths of an axis turned by -radius to +radius towards the next axis and away from the one after."""
-    axes, points = kept.axes, edges.vertices_mm
-    n_steps = grid_mm.shape[1]
-    step = 2 * radius / (n_steps - 1)
+def _measure_heights(
+    edges: Edges, kept: _Frames, frame: int, axis: int, end: int, radius: float, turns: _Turns
+) -> None:
+    """Heights of the body's upper (`end` 0) or lower plane along an axis turned in all ways.
+
+    The vertices that touch in one of these ways are connected. So, from the one that touches now outwards,
+    those are looked at which the turns may lift as high as it.
+    """
+    axes, points, height_mm = kept.axes, edges.vertices_mm, turns.height_mm
+    sense = 1.0 - 2.0 * end
     after, last = (axis + 1) % 3, (axis + 2) % 3
-    upper, lower = kept.touching[3 * frame + axis, 0], kept.touching[3 * frame + axis, 1]
-    # vertices that touch in the four corners of the grid do so between them
-    is_same = True
-    for place in range(4 + n_steps * n_steps):
-        i, j = (place - 4) // n_steps, (place - 4) % n_steps
-        if place < 4:
-            i, j = (place & 1) * (n_steps - 1), (place >> 1) * (n_steps - 1)
-        towards, away = i * step - radius, j * step - radius
-        x = axes[frame, axis, 0] + towards * axes[frame, after, 0] - away * axes[frame, last, 0]
-        y = axes[frame, axis, 1] + towards * axes[frame, after, 1] - away * axes[frame, last, 1]
-        z = axes[frame, axis, 2] + towards * axes[frame, after, 2] - away * axes[frame, last, 2]
-        if place < 4 or not is_same:
-            was_upper, was_lower = upper, lower
-            upper, lower = highest(edges, x, y, z, upper), highest(edges, -x, -y, -z, lower)
-            is_same = is_same and (place == 0 or (upper == was_upper and lower == was_lower))
-        if place >= 4:
-            dx, dy, dz = (
-                points[upper, 0] - points[lower, 0],
-                points[upper, 1] - points[lower, 1],
-                points[upper, 2] - points[lower, 2],
-            )
-            length = np.sqrt(1 + towards * towards + away * away)
-            grid_mm[axis, i, j] = (dx * x + dy * y + dz * z) / length
+    x, y, z = sense * axes[frame, axis, 0], sense * axes[frame, axis, 1], sense * axes[frame, axis, 2]
+    u, v, w = sense * axes[frame, after, 0], sense * axes[frame, after, 1], sense * axes[frame, after, 2]
+    a, b, c = sense * axes[frame, last, 0], sense * axes[frame, last, 1], sense * axes[frame, last, 2]
+    top = kept.touching[3 * frame + axis, end]
+    px, py, pz = points[top, 0], points[top, 1], points[top, 2]
+    top_mm = px * x + py * y + pz * z
+    top_after_mm, top_last_mm = px * u + py * v + pz * w, px * a + py * b + pz * c
+    for turn in range(N_TURNS):
+        height_mm[end, turn] = -np.inf
+    turns.queue[0], turns.is_queued[top] = top, True
+    n_seen, n_queued = 0, 1
+    while n_seen < n_queued:
+        vertex = turns.queue[n_seen]
+        n_seen += 1
+        px, py, pz = points[vertex, 0], points[vertex, 1], points[vertex, 2]
+        own_mm = px * x + py * y + pz * z
+        after_mm, last_mm = px * u + py * v + pz * w, px * a + py * b + pz * c
+        if own_mm + radius * (abs(after_mm - top_after_mm) + abs(last_mm - top_last_mm)) < top_mm:
+            continue
+        for turn in range(N_TURNS):
+            turned_mm = own_mm + turns.towards[turn] * after_mm - turns.away[turn] * last_mm
+            height_mm[end, turn] = max(height_mm[end, turn], turned_mm)
+        for k in range(edges.first[vertex], edges.first[vertex + 1]):
+            other = edges.neighbors[k]
+            if not turns.is_queued[other]:
+                turns.queue[n_queued], turns.is_queued[other] = other, True
+                n_queued += 1
+    for k in range(n_queued):
+        turns.is_queued[turns.queue[k]] = False

@@ -19,6 +19,9 @@ Indices = NDArray[np.int32]
 SUBDIVISIONS = 4
 COVERING_RAD = 0.048
 """No direction is farther than this (2.75 degrees) from the nearest of the set or from its opposite."""
+NEARLY_RAD = 0.024
+"""Directions that are so nearly orthogonal can be the axes of a coarse frame. With twice as much there are twice as
+many frames and their widths tell less of those of the frames nearby: searches from them end worse."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,14 +55,9 @@ def half_sphere() -> HalfSphere:
 
 @cache
 def near_frames() -> Indices:
-    """Triples (F, 3) of indices of directions which are orthogonal within the spacing of the set.
-
-    Every orthonormal frame has a triple whose first two directions are within `COVERING_RAD` of two
-    of its axes.
-    """
+    """Triples (F, 3) of indices of directions, each within `NEARLY_RAD` of being orthogonal to the first of them."""
     directions = half_sphere().directions
-    limit = np.sin(2 * COVERING_RAD)
-    first, second = np.nonzero(np.triu(np.abs(directions @ directions.T) < limit))
+    first, second = np.nonzero(np.triu(np.abs(directions @ directions.T) < np.sin(NEARLY_RAD)))
     nearest = scipy.spatial.cKDTree(np.concatenate([directions, -directions]))
     _, third = nearest.query(np.cross(directions[first], directions[second]))
     return _constant(np.column_stack([first, second, third % len(directions)]).astype(np.int32))
