@@ -1,10 +1,11 @@
-"""Volume, area, centre of mass and inertia of a closed mesh, in one pass over its faces.
+"""Volume, area and centre of mass of a closed mesh, and whether it is closed, in one pass over its faces.
 
 A mesh bounds a solid when every directed edge (a, b) of a face meets its opposite (b, a) in another
 face: then the signed tetrahedra below add up to the volume, whatever their common apex.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +17,10 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 First = tuple[float, float, float]
 """Integrals of x, y, z."""
-Second = tuple[float, float, float, float, float, float]
-"""Integrals of xx, yy, zz, xy, yz, zx."""
 
 MIN_FILLING = 1e-9
 """Volume over the cube of the extent below which a surface encloses nothing but rounding errors."""
+MISSING = "the mesh has faces whose vertices are missing"
 MIX_1, MIX_2, MIX_3 = (
     np.uint64(0x9E3779B97F4A7C15),
     np.uint64(0xBF58476D1CE4E5B9),
@@ -36,7 +36,6 @@ class Solid:
     volume_mm3: float
     surface_area_mm2: float
     center_mm: Array  # (3,) centre of mass at uniform density
-    inertia_mm5: Array  # (3, 3) about the centre of mass, at density 1
     vertices_mm: Array  # (N, 3) the vertices that belong to a face
 
 
@@ -54,89 +53,86 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
     corners = np.ascontiguousarray(faces, np.int64)
     if len(corners) == 0:
         raise MeshError("the mesh has no faces")
-    if corners.min() < 0 or corners.max() >= len(points_mm):
-        raise MeshError("the mesh has faces whose vertices are missing")
+    if not 0 <= corners[0, 0] < len(points_mm):
+        raise MeshError(MISSING)
+    apex_mm = points_mm[corners[0, 0]]  # far from the mesh the tetrahedra would cancel digits
     is_used = np.zeros(len(points_mm), np.bool_)
-    fingerprint = _fingerprint(corners, is_used)
-    used_mm = points_mm if is_used.all() else points_mm[is_used]
-    low_mm, high_mm = np.array([(column.min(), column.max()) for column in used_mm.T]).T
-    if not np.isfinite(high_mm - low_mm).all():
+    sums = _sums(points_mm, corners, apex_mm, np.empty(len(points_mm), np.uint64), is_used)
+    if sums.n_used < 0:
+        raise MeshError(MISSING)
+    if not np.isfinite(sums.area_mm2):
         raise MeshError("the mesh has vertices that are not finite numbers")
-    if fingerprint:
+    if sums.fingerprint:
         raise MeshError(_defect(corners, len(points_mm)))
-
-    # about the middle: far from the origin the tetrahedra would cancel digits
-    middle_mm = (low_mm + high_mm) / 2
-    area_mm2, volume_mm3, first_mm4, (xx, yy, zz, xy, yz, zx) = _moments(points_mm, corners, middle_mm)
-    if not abs(volume_mm3) > MIN_FILLING * float((high_mm - low_mm).max()) ** 3:
+    if not abs(sums.volume_mm3) > MIN_FILLING * sums.extent_mm**3:
         raise MeshError("the mesh encloses no volume")
-    center_mm = np.array(first_mm4) / volume_mm3
-    second_mm5 = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
-    second_mm5 -= volume_mm3 * np.outer(center_mm, center_mm)
-    inertia_mm5 = (np.trace(second_mm5) * np.eye(3) - second_mm5) * np.sign(volume_mm3)
     return Solid(
-        volume_mm3=abs(volume_mm3),
-        surface_area_mm2=area_mm2,
-        center_mm=center_mm + middle_mm,
-        inertia_mm5=inertia_mm5,
-        vertices_mm=used_mm,
+        volume_mm3=abs(sums.volume_mm3),
+        surface_area_mm2=sums.area_mm2,
+        center_mm=np.array(sums.first_mm4) / sums.volume_mm3 + apex_mm,
+        vertices_mm=points_mm if sums.n_used == len(points_mm) else points_mm[is_used],
     )
 
 
-@compiled
-def _fingerprint(faces: Faces, is_used: NDArray[np.bool_]) -> np.uint64:
-    """A sum over the edges that is 0 for a closed, oriented mesh; marks the vertices that belong to a face.
+class _Sums(NamedTuple):
+    """What one pass over the faces adds up."""
 
-    Each edge adds a random number of 64 bits of its own, with the sign of its direction: edges and their
-    opposites cancel. Of other meshes one in 2^64 would pass.
+    n_used: int  # vertices that belong to a face; -1 where some are missing
+    fingerprint: np.uint64  # 0 for a closed, oriented mesh
+    extent_mm: float  # the longest edge of the box along the axes
+    area_mm2: float
+    volume_mm3: float  # signed
+    first_mm4: First  # moments about the origin given
+
+
+@compiled
+def _sums(
+    vertices_mm: Array, faces: Faces, origin_mm: Array, tags: NDArray[np.uint64], is_used: NDArray[np.bool_]
+) -> _Sums:
+    """Add up a mesh; room for a random number for each vertex, and for whether it belongs to a face.
+
+    Each face adds (p - q) (q - r) (r - p) of its corners' numbers to the fingerprint. That is a sum over its edges,
+    q p^2 - p q^2 for the one from p to q: edges and their opposites cancel, and nothing else does but by chance.
+
+    The tetrahedron of the origin and a face (a, b, c) with volume V has the first moment V (a + b + c) / 4.
     """
-    n_vertices = len(is_used)
+    n_vertices = len(vertices_mm)
+    for vertex in range(n_vertices):
+        mixed = np.uint64(vertex + 1) * MIX_1
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * MIX_2
+        mixed = (mixed ^ (mixed >> np.uint64(27))) * MIX_3
+        tags[vertex] = mixed ^ (mixed >> np.uint64(31))
     fingerprint = np.uint64(0)
-    for face in range(len(faces)):
-        for k in range(3):
-            start, end = faces[face, k], faces[face, (k + 1) % 3]
-            is_used[start] = True
-            mixed = np.uint64(min(start, end) * n_vertices + max(start, end)) * MIX_1
-            mixed = (mixed ^ (mixed >> np.uint64(30))) * MIX_2
-            mixed = (mixed ^ (mixed >> np.uint64(27))) * MIX_3
-            mixed ^= mixed >> np.uint64(31)
-            if start < end:
-                fingerprint += mixed
-            elif end < start:
-                fingerprint -= mixed
-    return fingerprint
-
-
-@compiled
-def _moments(vertices_mm: Array, faces: Faces, origin_mm: Array) -> tuple[float, float, First, Second]:
-    """Area, volume, and its first and second moments about the origin given.
-
-    Of the tetrahedron of the origin and a face (a, b, c) with volume V they are V (a + b + c) / 4 and
-    V / 20 (a a' + b b' + c c' + (a + b + c) (a + b + c)').
-    """
-    area, volume = 0.0, 0.0
+    area = volume = mx = my = mz = 0.0
     ox, oy, oz = origin_mm[0], origin_mm[1], origin_mm[2]
-    mx, my, mz, xx, yy, zz, xy, yz, zx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        if min(a, b, c) < 0 or max(a, b, c) >= n_vertices:
+            return _Sums(-1, fingerprint, 0.0, area, volume, (mx, my, mz))
+        is_used[a] = is_used[b] = is_used[c] = True
+        fingerprint += (tags[a] - tags[b]) * (tags[b] - tags[c]) * (tags[c] - tags[a])
         ax, ay, az = vertices_mm[a, 0] - ox, vertices_mm[a, 1] - oy, vertices_mm[a, 2] - oz
         bx, by, bz = vertices_mm[b, 0] - ox, vertices_mm[b, 1] - oy, vertices_mm[b, 2] - oz
         cx, cy, cz = vertices_mm[c, 0] - ox, vertices_mm[c, 1] - oy, vertices_mm[c, 2] - oz
         nx = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
         ny = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
         nz = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        area += np.sqrt(nx * nx + ny * ny + nz * nz) / 2
-        part = (ax * nx + ay * ny + az * nz) / 6
+        area += np.sqrt(nx * nx + ny * ny + nz * nz)
+        part = ax * nx + ay * ny + az * nz
         volume += part
-        sx, sy, sz = ax + bx + cx, ay + by + cy, az + bz + cz
-        mx, my, mz = mx + part * sx, my + part * sy, mz + part * sz
-        xx += part * (ax * ax + bx * bx + cx * cx + sx * sx)
-        yy += part * (ay * ay + by * by + cy * cy + sy * sy)
-        zz += part * (az * az + bz * bz + cz * cz + sz * sz)
-        xy += part * (ax * ay + bx * by + cx * cy + sx * sy)
-        yz += part * (ay * az + by * bz + cy * cz + sy * sz)
-        zx += part * (az * ax + bz * bx + cz * cx + sz * sx)
-    return area, volume, (mx / 4, my / 4, mz / 4), (xx / 20, yy / 20, zz / 20, xy / 20, yz / 20, zx / 20)
+        mx, my, mz = mx + part * (ax + bx + cx), my + part * (ay + by + cy), mz + part * (az + bz + cz)
+
+    n_used = 0
+    low_x = low_y = low_z = np.inf
+    high_x = high_y = high_z = -np.inf
+    for vertex in range(n_vertices):
+        if is_used[vertex]:
+            n_used += 1
+            x, y, z = vertices_mm[vertex, 0], vertices_mm[vertex, 1], vertices_mm[vertex, 2]
+            low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
+            high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
+    extent = max(high_x - low_x, high_y - low_y, high_z - low_z)
+    return _Sums(n_used, fingerprint, extent, area / 2, volume / 6, (mx / 24, my / 24, mz / 24))
 
 
 @compiled
