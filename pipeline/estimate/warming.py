@@ -1,9 +1,7 @@
 """Compile what the estimate needs, by estimating a ball made up for it: seconds that the first stone has not."""
 
-import numpy as np
-import trimesh
-
 from pipeline.estimate.body import BodyEstimate, estimate_body
+from pipeline.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
 from pipeline.rig_design import nominal_rig
 from pipeline.warm_ball import RADIUS_MM, ball_silhouettes
@@ -12,6 +10,6 @@ from pipeline.warm_ball import RADIUS_MM, ball_silhouettes
 def warm_up() -> BodyEstimate:
     """The estimate of a coarse ball in the middle of the rig as designed."""
     rig = nominal_rig()
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS_MM)
-    hull = ParticleMesh(np.array(ball.vertices, np.float64), np.array(ball.faces, np.int64))
+    directions, faces = icosphere(subdivisions=2)
+    hull = ParticleMesh(RADIUS_MM * directions, faces)
     return estimate_body(hull, ball_silhouettes(rig), rig)

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import scipy.spatial
-import trimesh
 from numpy.typing import NDArray
+
+from pipeline.icosphere import icosahedron, subdivided
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
@@ -36,13 +37,10 @@ class HalfSphere:
 @cache
 def half_sphere() -> HalfSphere:
     """The set of directions."""
-    icosahedron = trimesh.creation.icosahedron()
+    corners, faces = icosahedron()
     # a plane in general position: of two opposite faces one is on either side
-    upper = icosahedron.triangles_center @ [0.2, 0.3, 0.9] > 0
-    directions, triangles = np.array(icosahedron.vertices), icosahedron.faces[upper]
-    for _ in range(SUBDIVISIONS):
-        directions, triangles = trimesh.remesh.subdivide(directions, triangles)
-        directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    upper = corners[faces].sum(axis=1) @ [0.2, 0.3, 0.9] > 0
+    directions, triangles = subdivided(corners, faces[upper], SUBDIVISIONS)
     used, triangles = np.unique(triangles, return_inverse=True)
     directions = np.array(directions[used])
     nearby = np.tril(directions @ directions.T + 1, -1).argmax(axis=1)

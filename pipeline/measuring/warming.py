@@ -1,8 +1,8 @@
 """Compile what measuring needs, by measuring a ball: seconds that the first stone has not."""
 
 import numpy as np
-import trimesh
 
+from pipeline.icosphere import icosphere
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.shape import ShapeMeasurement, measure_shape
 from pipeline.measuring.solid import surface_area_mm2
@@ -12,8 +12,8 @@ RADIUS_MM = 5.0
 
 def warm_up() -> ShapeMeasurement:
     """The shape of a coarse ball."""
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS_MM)
-    vertices_mm, faces = np.array(ball.vertices, np.float64), np.array(ball.faces, np.int64)
+    directions, faces = icosphere(subdivisions=2)
+    vertices_mm = RADIUS_MM * directions
     surface_area_mm2(vertices_mm, faces)
     angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
     gradient_angularity(np.column_stack([np.cos(angle), np.sin(angle)]))
