@@ -5,13 +5,16 @@ import gc
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Of mallopt(3)."""
-KEPT_BYTES = 64 << 20
+KEPT_BYTES = 128 << 20
 LARGEST_BYTES = 32 << 20
 """glibc takes no more."""
 
 
 def keep_freed_memory() -> None:
-    """Let images be made where images were: copying 16 into fresh memory takes 16 ms, into used memory 4."""
+    """Let images and fields be made where others were: what is new must be cleared first, page by page.
+
+    To copy 16 images into fresh memory takes 16 ms instead of 4, and a stone of 40 mm is measured 6 % slower.
+    """
     libc = ctypes.CDLL(None)
     libc.mallopt(_M_MMAP_THRESHOLD, LARGEST_BYTES)
     libc.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)

@@ -34,6 +34,7 @@ from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.optics import observe_all
 from service.background_file import read_background, write_background
 from service.errors import WorkerFailure
+from service.process_memory import keep_freed_memory
 from service.record import optics_record, result_record
 from service.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.workers import worker_boundary
@@ -126,6 +127,7 @@ def initialize(context: WorkerContext, number: int = 0) -> bool:
     """
     global _worker
     step_back()
+    keep_freed_memory()
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
     _worker = Worker(context=context, segmenter=segmenter)
     steps: list[Callable[[], object]] = [

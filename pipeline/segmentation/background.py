@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation.light import PlainWall, flash_gain
+from pipeline.segmentation.light import LIT, PlainWall, flash_gain
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
@@ -68,6 +68,14 @@ class CameraBackground:
     def levels(self) -> Grey:
         """(H, W) the mean in whole grey levels, a quarter of its bytes: rounding is far below an image's noise."""
         return np.asarray(cv2.convertScaleAbs(self.mean), np.uint8)
+
+    @cached_property
+    def neighbours(self) -> Array:
+        """(H/16, W/16, 2) the mean at the middle pixel of each block, and at the one to its right."""
+        height, width = self.plain_wall.levels.shape
+        edge = COARSE * LIT
+        rows = self.mean[edge // 2 :: edge][:height]
+        return np.stack([rows[:, edge // 2 + side :: edge][:, :width] for side in (0, 1)], axis=2)
 
     @cached_property
     def coarse_levels(self) -> Grey:

@@ -7,6 +7,7 @@ pixels, but for the edge's, which come from grey profiles across the outline.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import pi, sqrt
 from types import MappingProxyType
 
 import cv2
@@ -17,6 +18,7 @@ from pipeline.compiled import compiled
 from pipeline.each import Each
 from pipeline.frames import CameraId, Frame, Image
 from pipeline.segmentation.background import COARSE, SLOWEST_WEIGHT, BackgroundModel, CameraBackground
+from pipeline.segmentation.edge_profile import edge_profile
 from pipeline.segmentation.light import LIT
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 
@@ -40,17 +42,6 @@ SURROUNDINGS = 9
 MIN_BLOCKS = 24
 MAX_NOISE_GREY = 40.0
 """A larger difference of two neighbours is an edge."""
-PROFILES = 48
-"""Places along the outline at which its edge is looked at."""
-MIN_OUTLINE_PX = 150
-"""The grey level behind the edge of a body with a shorter outline is not flat anywhere."""
-REACH_PX, STEP_PX, N_STEPS = 12.0, 0.8, 31
-PLATEAU_PX = 8.0
-"""Beyond this distance from the edge, blur (to 5 px of motion) mixes nothing in."""
-TANGENT_POINTS = 6
-"""Points of the outline, about a pixel apart, to both sides that say where it runs."""
-MIN_STEP_GREY = 16.0
-"""A lower edge is lost in the noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,113 +88,134 @@ def observe_optics(
     known = background.get(frame.camera)
     if known is None or known.mean.shape != frame.image.shape:
         return None
-    is_wall = known.shows_wall & ~_near_body(silhouette, known.shows_wall.shape)
+    is_wall = _shown_wall(known, silhouette)
     if np.count_nonzero(is_wall) < MIN_BLOCKS:
         return None
-    height, width = is_wall.shape
-    columns = np.zeros((2, width * BLOCK_PX), np.uint16)
-    means, saturated_share = _block_means(frame.image, height, width, columns)
-    ratio: Array = np.divide(means, np.maximum(known.flat_field, 1), dtype=np.float32)
-    brightness, slope_u, slope_v = _plane(ratio, is_wall)
-    level = _levels(ratio, is_wall, brightness, slope_u, slope_v)
-    clearest = np.partition(level, -len(level) // 20)[-len(level) // 20]
-    edge = None if silhouette is None else _edge(frame.image, silhouette.outline_uv)
+    columns = np.zeros((2, is_wall.shape[1] * BLOCK_PX), np.uint16)
+    light, saturated_share = _light(frame.image, known.flat_field, columns)
+    brightness, slope_u, slope_v = _plane(light, is_wall)
+    levels, mean = _levels(light, is_wall, brightness, slope_u, slope_v)
+    clearest = float(np.partition(levels, -len(levels) // 20)[-len(levels) // 20])
+    edge = None if silhouette is None else edge_profile(frame.image, silhouette.outline_uv)
     return ViewOptics(
         brightness=brightness,
         gradient_uv=(2 * slope_u / brightness, 2 * slope_v / brightness),
-        dust=max(0.0, 1 - float(level.mean() / max(clearest, 1e-6))),
-        spots_share=_spots_share(ratio, is_wall),
+        dust=max(0.0, 1 - mean / max(clearest, 1e-6)),
+        spots_share=_spots_share(light, is_wall),
         saturated_share=saturated_share,
         noise_grey=_noise_grey(frame.image, known, is_wall),
-        edge_width_px=None if edge is None else edge[0],
-        contrast=None if edge is None else edge[1],
+        edge_width_px=None if edge is None else edge.width_px,
+        contrast=None if edge is None else edge.contrast,
     )
 
 
-@compiled
-def _block_means(image: Image, height: int, width: int, columns: NDArray[np.uint16]) -> tuple[Array, float]:
-    """Means (h, w) of blocks of an image (H, W), from two rows of each, and the share of pixels that is saturated.
+def _shown_wall(known: CameraBackground, silhouette: Silhouette | None) -> Mask:
+    """Blocks (h, w) of plain wall, but for the body's box and its margin."""
+    is_wall = known.shows_wall.copy()
+    if silhouette is not None:
+        (u, v), (height, width) = silhouette.offset_uv, silhouette.labels.shape
+        is_wall[v // BLOCK_PX : -(-(v + height) // BLOCK_PX), u // BLOCK_PX : -(-(u + width) // BLOCK_PX)] = (
+            False
+        )
+    return is_wall
 
-    `columns` (2, W), of zeros, are room for sums.
+
+@compiled
+def _light(image: Image, flat_field: Array, columns: NDArray[np.uint16]) -> tuple[Array, float]:
+    """Means (h, w) of blocks of an image (H, W), from two rows of each, as a share of those of the clean rig.
+
+    And the share of these rows that is saturated. `columns` (2, W), of zeros, are room for sums.
     """
-    means = np.empty((height, width), np.float32)
+    height, width = flat_field.shape
+    light = np.empty((height, width), np.float32)
     n_columns = min(width * BLOCK_PX, image.shape[1])
     sums, saturated = columns[0], columns[1]
     n_saturated = 0
     for row in range(height):
         upper = image[min(row * BLOCK_PX + ROWS[0], len(image) - 1)]
         lower = image[min(row * BLOCK_PX + ROWS[1], len(image) - 1)]
+        # over whole rows, that it is vectorized
         for u in range(n_columns):
             sums[u] = np.uint16(upper[u]) + np.uint16(lower[u])
             saturated[u] += (upper[u] == SATURATED) + (lower[u] == SATURATED)
         for column in range(width):
-            total = 0
-            for u in range(column * BLOCK_PX, (column + 1) * BLOCK_PX):
-                total += sums[u]
-            means[row, column] = np.float32(total) / np.float32(len(ROWS) * BLOCK_PX)
+            total = np.uint16(0)
+            for i in range(BLOCK_PX):
+                total = np.uint16(total + sums[column * BLOCK_PX + i])
+            clean = max(flat_field[row, column], np.float32(1))
+            light[row, column] = np.float32(total) / np.float32(len(ROWS) * BLOCK_PX) / clean
     for u in range(n_columns):
         n_saturated += saturated[u]
-    return means, n_saturated / (len(ROWS) * height * n_columns)
-
-
-def _near_body(silhouette: Silhouette | None, shape: tuple[int, ...]) -> Mask:
-    """Blocks (h, w) of the body's box and its margin."""
-    near = np.zeros(shape, bool)
-    if silhouette is not None:
-        (u, v), (height, width) = silhouette.offset_uv, silhouette.labels.shape
-        near[v // BLOCK_PX : -(-(v + height) // BLOCK_PX), u // BLOCK_PX : -(-(u + width) // BLOCK_PX)] = True
-    return near
-
-
-def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
-    """Least squares plane through some of the values (h, w): in the middle, and its slopes along u and v."""
-    products = np.zeros((4, 4))
-    _add_products(values, is_wall, np.ones(4), products)
-    # the little on the diagonal only matters where all lie on one line
-    middle, slope_u, slope_v = np.linalg.solve(products[:3, :3] + RIDGE * np.eye(3), products[:3, 3])
-    return max(float(middle), 0.01), float(slope_u), float(slope_v)
+    return light, n_saturated / (len(ROWS) * height * n_columns)
 
 
 @compiled
-def _add_products(
-    values: Array, is_wall: Mask, terms: NDArray[np.float64], sums: NDArray[np.float64]
-) -> None:
-    """Add the products (4, 4) of the terms 1, u, v and value of some places (h, w), -1..1 from border to border."""
+def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
+    """Least squares plane through some of the values (h, w): in the middle, and its slopes along u and v.
+
+    u and v go from -1 to 1, from border to border.
+    """
     height, width = values.shape
+    step_u, step_v = 2 / width, 2 / height
+    n = su = sv = suu = suv = svv = sx = sux = svx = 0.0
     for row in range(height):
+        v = (row + 0.5) * step_v - 1
+        n_row = su_row = suu_row = sx_row = sux_row = 0.0
         for column in range(width):
             if is_wall[row, column]:
-                terms[1], terms[2] = (2 * column + 1) / width - 1, (2 * row + 1) / height - 1
-                terms[3] = values[row, column]
-                for i in range(4):
-                    for j in range(4):
-                        sums[i, j] += terms[i] * terms[j]
+                u, x = (column + 0.5) * step_u - 1, values[row, column]
+                n_row += 1
+                su_row += u
+                suu_row += u * u
+                sx_row += x
+                sux_row += u * x
+        n, su, sv = n + n_row, su + su_row, sv + v * n_row
+        suu, suv, svv = suu + suu_row, suv + v * su_row, svv + v * v * n_row
+        sx, sux, svx = sx + sx_row, sux + sux_row, svx + v * sx_row
+    u_mean, v_mean, x_mean = su / n, sv / n, sx / n
+    # the little that is added only matters where all lie on one line
+    uu, uv, vv = suu - su * u_mean + RIDGE, suv - su * v_mean, svv - sv * v_mean + RIDGE
+    ux, vx = sux - sx * u_mean, svx - sx * v_mean
+    determinant = uu * vv - uv * uv
+    slope_u, slope_v = (vv * ux - uv * vx) / determinant, (uu * vx - uv * ux) / determinant
+    return max(x_mean - slope_u * u_mean - slope_v * v_mean, 0.01), slope_u, slope_v
 
 
 @compiled
-def _levels(values: Array, is_wall: Mask, middle: float, slope_u: float, slope_v: float) -> Array:
-    """The values (N,) at some places (h, w), relative to a plane."""
+def _levels(
+    values: Array, is_wall: Mask, middle: float, slope_u: float, slope_v: float
+) -> tuple[Array, float]:
+    """The values (N,) at some places (h, w), relative to a plane, and their mean."""
     height, width = values.shape
     levels = np.empty(height * width, np.float32)
-    n = 0
+    step = 2 * slope_u / width
+    n, total = 0, 0.0
     for row in range(height):
+        first = middle + slope_v * ((2 * row + 1) / height - 1) - slope_u + step / 2
         for column in range(width):
             if is_wall[row, column]:
-                u, v = (2 * column + 1) / width - 1, (2 * row + 1) / height - 1
-                levels[n] = values[row, column] / max(middle + slope_u * u + slope_v * v, LEAST_LIGHT)
+                levels[n] = values[row, column] / max(first + column * step, LEAST_LIGHT)
+                total += levels[n]
                 n += 1
-    return levels[:n]
+    return levels[:n], total / n
 
 
-def _spots_share(ratio: Array, is_wall: Mask) -> float:
-    """Share of the wall that is darker than what surrounds it."""
-    of_wall = ratio[is_wall]
-    if of_wall.min() >= (1 - SPOT) * of_wall.max():
-        return 0.0  # no block is darker than any other
-    window = (SURROUNDINGS, SURROUNDINGS)
-    weight = cv2.blur(is_wall.astype(np.float32), window)
-    around = cv2.blur(ratio * is_wall, window)
-    return float(np.mean((ratio * weight < (1 - SPOT) * around)[is_wall]))
+def _spots_share(light: Array, is_wall: Mask) -> float:
+    """Share of the wall, some blocks (h, w), that is darker than the wall around it."""
+    (height, width), reach = light.shape, SURROUNDINGS // 2
+    of_wall = np.where(is_wall, light, np.float32(0))
+    # no other block is darker than any, and of a clean rig few are
+    rows, columns = np.nonzero(is_wall & (light < (1 - SPOT) * of_wall.max()))
+    if not len(rows):
+        return 0.0
+    top, bottom = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, height)
+    left, right = np.maximum(columns - reach, 0), np.minimum(columns + reach + 1, width)
+    lit, n_lit = (
+        before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left]
+        for before in (cv2.integral(of_wall), cv2.integral(is_wall.view(np.uint8)))
+    )
+    n_spots = np.count_nonzero(light[rows, columns] * n_lit < (1 - SPOT) * lit)
+    return n_spots / np.count_nonzero(is_wall)
 
 
 def _noise_grey(image: Image, known: CameraBackground, is_wall: Mask) -> float:
@@ -211,81 +223,30 @@ def _noise_grey(image: Image, known: CameraBackground, is_wall: Mask) -> float:
     # the mean has noise of its own: of so many frames, or of those that it remembers
     of_mean = max(1 / known.n_frames, SLOWEST_WEIGHT / (2 - SLOWEST_WEIGHT))
     # of a normal distribution sqrt(2 / pi) times its standard deviation; of two pixels
-    deviation = _deviation(image, known.mean, is_wall)
-    return float(deviation * np.sqrt(np.pi / 2) / np.sqrt(2 * (1 + of_mean)))
+    return float(_deviation(image, known.neighbours, is_wall) * sqrt(pi / 2) / sqrt(2 * (1 + of_mean)))
 
 
 @compiled
-def _deviation(image: Image, mean: Array, is_wall: Mask) -> float:
-    """Mean deviation of a pixel's difference to its neighbour from the background's (H, W), at blocks (h, w)."""
+def _deviation(image: Image, neighbours: Array, is_wall: Mask) -> float:
+    """Mean deviation of a pixel's difference to its neighbour from the background's, at blocks (h, w).
+
+    `neighbours` (h, w, 2) are the background's pixels at these places of the image (H, W).
+    """
     differences = np.empty((is_wall.size // EVERY + 1, 2))
     n, n_wall, seen, empty = 0, 0, 0.0, 0.0
     for row in range(is_wall.shape[0]):
+        of_row = image[row * BLOCK_PX + BLOCK_PX // 2]
         for column in range(is_wall.shape[1]):
             n_wall += is_wall[row, column]
-            if is_wall[row, column] and n_wall % EVERY == 0:
-                v, u = row * BLOCK_PX + BLOCK_PX // 2, column * BLOCK_PX + BLOCK_PX // 2
-                seen += image[v, u]
-                empty += mean[v, u]
-                differences[n, 0] = float(image[v, u]) - float(image[v, u + 1])
-                differences[n, 1] = mean[v, u] - mean[v, u + 1]
+            if n_wall == EVERY:
+                n_wall = 0
+                u = column * BLOCK_PX + BLOCK_PX // 2
+                seen += of_row[u]
+                empty += neighbours[row, column, 0]
+                differences[n, 0] = float(of_row[u]) - float(of_row[u + 1])
+                differences[n, 1] = neighbours[row, column, 0] - neighbours[row, column, 1]
                 n += 1
     gain, total = seen / max(empty, 1.0), 0.0
     for i in range(n):
         total += min(abs(differences[i, 0] - gain * differences[i, 1]), MAX_NOISE_GREY)
     return total / max(n, 1)
-
-
-def _edge(image: Image, outline_uv: NDArray[np.float64]) -> tuple[float, float] | None:
-    """Width from 10 to 90 % in px, and contrast, of the median profile across an outline (N, 2)."""
-    if len(outline_uv) < MIN_OUTLINE_PX:
-        return None
-    rises, contrasts = _profiles(image, outline_uv)
-    if len(rises) < MIN_BLOCKS:
-        return None
-    # the upper median, in a fifth of the time that np.median takes
-    middle = len(rises) // 2
-    rise = np.sort(rises, axis=0)[middle]
-    low, high = np.interp([0.1, 0.9], np.maximum.accumulate(rise), np.arange(N_STEPS))
-    return float(high - low) * STEP_PX, float(np.sort(contrasts)[middle])
-
-
-@compiled
-def _profiles(image: Image, outline_uv: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Across an outline where it runs unbroken: rises (P, N_STEPS) outwards, 0..1, and contrasts (P,)."""
-    height, width = image.shape
-    n_points, n_plateau = len(outline_uv), int((REACH_PX - PLATEAU_PX) / STEP_PX) + 1
-    doubled_area = 0.0  # positive for an outline that runs clockwise as seen
-    for i in range(n_points):
-        after = (i + 1) % n_points
-        doubled_area += outline_uv[i, 0] * outline_uv[after, 1] - outline_uv[after, 0] * outline_uv[i, 1]
-    every = max(1, n_points // PROFILES)
-    rises = np.empty((n_points // every + 1, N_STEPS), np.float32)
-    contrasts = np.empty(len(rises), np.float32)
-    n_clear = 0
-    for i in range(0, n_points, every):
-        before, after = (i - TANGENT_POINTS) % n_points, (i + TANGENT_POINTS) % n_points
-        along_u = outline_uv[after, 0] - outline_uv[before, 0]
-        along_v = outline_uv[after, 1] - outline_uv[before, 1]
-        length = np.sqrt(along_u**2 + along_v**2)
-        if not TANGENT_POINTS < length < 3 * TANGENT_POINTS:
-            continue
-        length = length if doubled_area > 0 else -length
-        for k in range(N_STEPS):
-            outwards_px = STEP_PX * k - REACH_PX
-            u = min(max(outline_uv[i, 0] + outwards_px * along_v / length, 0.0), width - 1.001)
-            v = min(max(outline_uv[i, 1] - outwards_px * along_u / length, 0.0), height - 1.001)
-            x, y = int(u), int(v)
-            upper = image[y, x] + (u - x) * (float(image[y, x + 1]) - image[y, x])
-            lower = image[y + 1, x] + (u - x) * (float(image[y + 1, x + 1]) - image[y + 1, x])
-            rises[n_clear, k] = upper + (v - y) * (lower - upper)
-        within, beyond = 0.0, 0.0
-        for k in range(n_plateau):
-            within += rises[n_clear, k] / n_plateau
-            beyond += rises[n_clear, N_STEPS - 1 - k] / n_plateau
-        if abs(beyond - within) > MIN_STEP_GREY:
-            for k in range(N_STEPS):
-                rises[n_clear, k] = (rises[n_clear, k] - within) / (beyond - within)
-            contrasts[n_clear] = abs(beyond - within) / max(beyond, 1.0)
-            n_clear += 1
-    return rises[:n_clear], contrasts[:n_clear]

@@ -6,12 +6,24 @@ from functools import cache
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support import rendered
 from support.silhouettes import sphere_silhouette
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import BackgroundModel, learn_background
-from pipeline.segmentation.optics import ViewOptics, observe_all, observe_optics
+from pipeline.segmentation.optics import (
+    LEAST_LIGHT,
+    SPOT,
+    SURROUNDINGS,
+    ViewOptics,
+    _levels,
+    _plane,
+    _spots_share,
+    observe_all,
+    observe_optics,
+)
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import stream
@@ -180,3 +192,41 @@ def test_views_without_an_outline_have_figures_too() -> None:
 @pytest.mark.parametrize("model", [{}, {C05: replace(background()[C05], mean=np.ones((10, 10), np.float32))}])
 def test_without_a_background_to_compare_with_there_are_none(model: Mapping) -> None:
     assert observe_optics(exposed(), model, None) is None
+
+
+@st.composite
+def lights(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
+    """Uneven light (h, w), and where there is wall."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    shape = draw(st.integers(2, 20)), draw(st.integers(2, 24))
+    light = (1 + draw(st.floats(0, 0.2)) * rng.normal(size=shape)).astype(np.float32)
+    is_wall = rng.random(shape) < draw(st.floats(0.3, 1))
+    is_wall[0, 0] = True
+    return light, is_wall
+
+
+@given(lights())
+def test_the_plane_is_that_of_least_squares(case: tuple[np.ndarray, np.ndarray]) -> None:
+    light, is_wall = case
+    v, u = ((2 * at + 1) / size - 1 for at, size in zip(np.indices(light.shape), light.shape, strict=True))
+    terms = np.stack([np.ones_like(u), u, v], axis=-1)
+    found = np.array(_plane(light, is_wall))
+    levels, mean = _levels(light, is_wall, *found)
+    assert levels == pytest.approx((light / np.maximum(terms @ found, LEAST_LIGHT))[is_wall], rel=1e-5)
+    assert mean == pytest.approx(levels.mean(), rel=1e-5)
+    # no other plane is nearer, but for the little that keeps places on one line from having none
+    misses, best = (light - terms @ found)[is_wall], np.linalg.lstsq(terms[is_wall], light[is_wall])[0]
+    assert misses @ misses <= np.sum((light[is_wall] - terms[is_wall] @ best) ** 2) + 0.01
+
+
+@given(lights())
+def test_spots_are_darker_than_the_wall_around_them(case: tuple[np.ndarray, np.ndarray]) -> None:
+    light, is_wall = case
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(np.where(is_wall, light, np.nan), SURROUNDINGS // 2, constant_values=np.nan),
+        (SURROUNDINGS, SURROUNDINGS),
+    )
+    with np.errstate(invalid="ignore"):
+        below = light / np.nanmean(np.where(is_wall[..., None, None], around, 1.0), axis=(2, 3)) - (1 - SPOT)
+    least, most = (np.mean(below[is_wall] < margin) for margin in (-1e-6, 1e-6))
+    assert least <= _spots_share(light, is_wall) <= most
