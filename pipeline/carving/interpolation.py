@@ -26,9 +26,9 @@ def room_for(n: int) -> Any:
 
 @compiled
 def interpolate(
-    flat: Array, first: int, height: int, width: int, u: Array, v: Array, n: int, places: Places, found: Array
+    flat: Array, first: int, height: int, width: int, seen: Array, n: int, places: Places, found: Array
 ) -> None:
-    """Values (N,) at the first `n` places u, v of an image, one of several in `flat`; beyond it, at its border.
+    """Values (N,) of an image, one of several in `flat`, at the first `n` places u, v in `seen`; beyond, at its border.
 
     Two loops are faster than one: without indirect access the first is done for 8 places at a time.
     """
@@ -37,7 +37,7 @@ def interpolate(
     at, right, below = places
     start, stride = np.int32(first), np.int32(width)
     for place in range(n):
-        near_u, near_v = min(max(u[place], zero), last_u), min(max(v[place], zero), last_v)
+        near_u, near_v = min(max(seen[0, place], zero), last_u), min(max(seen[1, place], zero), last_v)
         column, row = min(np.int32(near_u), most_column), min(np.int32(near_v), most_row)
         at[place] = np.int32(start + np.int32(row * stride) + column)
         right[place], below[place] = near_u - np.float32(column), near_v - np.float32(row)

@@ -61,34 +61,28 @@ def lower(
     view: int,
     distance_px: Array,
 ) -> None:
-    """Enter a view's signed distances to its viewing cone into the smallest so far (M, PARTS, HALVES), in order."""
+    """Enter a view's signed distances to its viewing cone into the smallest so far (M, HALVES, PARTS), in order."""
     height, width = distance_px.shape
     flat_px = distance_px.reshape(-1)
     last_u, last_v = np.float32(width - 1), np.float32(height - 1)
     per_focal, beyond_px = np.float32(1) / pinholes.focals_px[view], np.float32(-MARGIN_PX)
     seen = np.empty((HALVES, 4, CHUNK), np.float32)
-    places, found_px, found_mm = (
-        room_for(CHUNK),
-        np.empty(CHUNK, np.float32),
-        np.empty((CHUNK, HALVES), np.float32),
-    )
+    places, found = room_for(CHUNK), np.empty(CHUNK, np.float32)
     for begin in range(0, len(parts), CHUNK):
         chunk = parts[begin : begin + CHUNK]
         look_at_samples(leaves, chunk, n, pitch_mm, pinholes, view, seen)
         for sample in range(HALVES):
-            u, v, z = seen[sample, 0], seen[sample, 1], seen[sample, 2]
-            interpolate(flat_px, 0, height, width, u, v, len(chunk), places, found_px)
+            interpolate(flat_px, 0, height, width, seen[sample], len(chunk), places, found)
             for index in range(len(chunk)):
-                is_seen = (u[index] >= 0) & (u[index] <= last_u) & (v[index] >= 0) & (v[index] <= last_v)
-                value_px = found_px[index] if is_seen & (z[index] > 0) else beyond_px
-                found_mm[index, sample] = value_px * abs(z[index]) * per_focal
-        for rank in range(len(values_mm)):
-            for index in range(len(chunk)):
-                part = chunk[index]
-                for sample in range(HALVES):
-                    known_mm, value_mm = values_mm[rank, part, sample], found_mm[index, sample]
-                    values_mm[rank, part, sample] = min(known_mm, value_mm)
-                    found_mm[index, sample] = max(known_mm, value_mm)
+                u, v, depth_mm = seen[sample, 0, index], seen[sample, 1, index], seen[sample, 2, index]
+                is_seen = (u >= 0) & (u <= last_u) & (v >= 0) & (v <= last_v) & (depth_mm > 0)
+                found[index] = (found[index] if is_seen else beyond_px) * abs(depth_mm) * per_focal
+            for rank in range(len(values_mm)):
+                for index in range(len(chunk)):
+                    part = np.uint64(chunk[index])
+                    known_mm, value_mm = values_mm[rank, sample, part], found[index]
+                    values_mm[rank, sample, part] = min(known_mm, value_mm)
+                    found[index] = max(known_mm, value_mm)
 
 
 @compiled
@@ -102,32 +96,40 @@ def count(
     view: int,
     labels: Grey,
 ) -> None:
-    """Add 1 to the samples (PARTS, HALVES) whose nearest pixel is inside or unknown in a view."""
+    """Add 1 to the samples (HALVES, PARTS) whose nearest pixel is inside or unknown in a view."""
     height, width = labels.shape
+    flat = labels.reshape(-1)
     seen = np.empty((HALVES, 4, CHUNK), np.float32)
-    half = np.float32(0.5)
+    at = np.empty(CHUNK, np.int32)
+    zero, half, columns, rows = np.float32(0), np.float32(0.5), np.float32(width), np.float32(height)
     for begin in range(0, len(parts), CHUNK):
         chunk = parts[begin : begin + CHUNK]
         look_at_samples(leaves, chunk, n, pitch_mm, pinholes, view, seen)
-        for index in range(len(chunk)):
-            for sample in range(HALVES):
+        for sample in range(HALVES):
+            for index in range(len(chunk)):
                 u, v = seen[sample, 0, index] + half, seen[sample, 1, index] + half
-                if u >= 0 and u < width and v >= 0 and v < height and seen[sample, 2, index] > 0:
-                    counts[chunk[index], sample] += labels[np.uint64(int(v)), np.uint64(int(u))] >= UNKNOWN
+                is_seen = (
+                    (u >= zero) & (u < columns) & (v >= zero) & (v < rows) & (seen[sample, 2, index] > zero)
+                )
+                column, row = np.int32(u if is_seen else zero), np.int32(v if is_seen else zero)
+                at[index] = np.int32(row * np.int32(width)) + column if is_seen else np.int32(-1)
+            for index in range(len(chunk)):
+                label = flat[np.uint64(max(at[index], 0))]
+                counts[sample, np.uint64(chunk[index])] += (label >= UNKNOWN) & (at[index] >= 0)
 
 
 @compiled
 def count_within(within: Halves) -> Array:
-    """How many views (PARTS, HALVES) the samples' part lies within."""
+    """How many views (HALVES, PARTS) the samples' part lies within."""
     n_leaves, n_views = within.shape
-    counts = np.empty((HALVES * n_leaves, HALVES), np.float32)
+    counts = np.empty((HALVES, HALVES * n_leaves), np.float32)
     for leaf in range(n_leaves):
         for part in range(HALVES):
             n_within = 0
             for view in range(n_views):
                 n_within += within[leaf, view] >> part & 1
             for sample in range(HALVES):
-                counts[HALVES * leaf + part, sample] = n_within
+                counts[sample, HALVES * leaf + part] = n_within
     return counts
 
 
@@ -154,7 +156,7 @@ def place(
     inside: float,
     outside: float,
 ) -> bool:
-    """Write the values (PARTS, HALVES) of leaves into a field that begins at voxel `corner`.
+    """Write the values (HALVES, PARTS) of leaves into a field that begins at voxel `corner`.
 
     Of a part that cannot be cut, and what is inside at the border of the grid, becomes `outside`; whether there is
     any of the latter is returned.
@@ -170,7 +172,7 @@ def place(
                 i = i0 + 2 * (part >> 2 & 1) + (sample >> 2 & 1)
                 j = j0 + 2 * (part >> 1 & 1) + (sample >> 1 & 1)
                 k = k0 + 2 * (part & 1) + (sample & 1)
-                value = min(values[HALVES * leaf + part, sample], np.float32(inside))
+                value = min(values[sample, HALVES * leaf + part], np.float32(inside))
                 if not is_left:
                     value = np.float32(outside)
                 elif value == level:  # would make triangles without area

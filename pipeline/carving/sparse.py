@@ -72,9 +72,9 @@ def warm_up(parameters: CarvingParameters) -> VisualHull:
 def _distances_mm(
     views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
 ) -> Array:
-    """Signed distances (PARTS, HALVES) to the viewing cones' intersection, cut off at about a voxel."""
+    """Signed distances (HALVES, PARTS) to the viewing cones' intersection, cut off at about a voxel."""
     n_parts = HALVES * len(octree.leaves)
-    smallest_mm = np.full((parameters.max_disagreeing_views + 1, n_parts, HALVES), np.inf, np.float32)
+    smallest_mm = np.full((parameters.max_disagreeing_views + 1, HALVES, n_parts), np.inf, np.float32)
     grid = (parameters.n, parameters.pitch_mm)
     for view, (_, silhouette) in enumerate(views):
         parts = undecided(octree.within, octree.parts, view)
@@ -85,7 +85,7 @@ def _distances_mm(
 def _counts(
     views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
 ) -> Array:
-    """The paper's S (PARTS, HALVES): how many silhouettes contain the nearest pixel of each sample's projection."""
+    """The paper's S (HALVES, PARTS): how many silhouettes contain the nearest pixel of each sample's projection."""
     counts = count_within(octree.within)
     grid = (parameters.n, parameters.pitch_mm)
     for view, (_, silhouette) in enumerate(views):
