@@ -82,7 +82,7 @@ def delineate(
     """
     rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
     height, width = rows.stop - rows.start, columns.stop - columns.start
-    open_cells, twice = spread(limits)
+    open_ends, twice = spread(limits)
     view = GreyLevels(
         image=_read_only(image),
         left=columns.start,
@@ -92,7 +92,7 @@ def delineate(
         expected_top=expected_from_uv[1],
         gain=np.float32(gain),
         limits=limits,
-        open_cells=open_cells,
+        open_ends=open_ends,
     )
     labels = np.ascontiguousarray(twice.view(np.uint8)[:height, :width])
     levels = carried(view)

@@ -14,6 +14,7 @@ from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Cells = NDArray[np.int32]
 
 OPEN = np.uint8(64)
 """Beside INSIDE, UNKNOWN and OUTSIDE: what is to be decided."""
@@ -42,7 +43,9 @@ class GreyLevels(NamedTuple):
     expected_top: int
     gain: np.float32  # factor on `expected`
     limits: Grey  # (h / 2, w / 2) INSIDE, UNKNOWN, OUTSIDE, or OPEN
-    open_cells: NDArray[np.int32]  # (N, 2) row and column of the open ones
+    open_ends: (
+        Cells  # (2 N, 2) row and column: where a run of open ones begins, and the one after it, in turn
+    )
 
 
 def limits_from(core: Mask, possible: Mask, unknown: Mask) -> Grey:
@@ -51,40 +54,41 @@ def limits_from(core: Mask, possible: Mask, unknown: Mask) -> Grey:
 
 
 @compiled
-def spread(limits: Grey) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
-    """Row and column of the open cells (N, 2) of limits (h, w), and every other label twice in two rows (2 h, w)."""
+def spread(limits: Grey) -> tuple[Cells, NDArray[np.uint16]]:
+    """The open runs of limits (h, w), and every other label twice in two rows (2 h, w)."""
     height, width = limits.shape
     twice = np.empty((2 * height, width), np.uint16)
-    cells, n_cells = np.empty((height * width + 1, 2), np.int32), 0
-    # the open ones are few: eight at a time are skipped
-    eights = np.zeros(-(-width // 8), np.uint64)
-    is_open = eights.view(np.uint8)
+    ends, n_ends = np.empty((height * (width + 1) + 1, 2), np.int32), 0
+    # ends are few: eight cells at a time are skipped
+    is_open, eights = np.zeros(width + 2, np.uint8), np.zeros(width // 8 + 1, np.uint64)
+    is_end = eights.view(np.uint8)
     for row in range(height):
-        here, upper, lower = limits[row], twice[2 * row], twice[2 * row + 1]
+        here, upper, lower, within = limits[row], twice[2 * row], twice[2 * row + 1], is_open[1:]
         for column in range(width):
-            is_open[column] = here[column] == OPEN
+            within[column] = here[column] == OPEN
             label = OUTSIDE if here[column] == OPEN else here[column]
             upper[column] = lower[column] = label * np.uint16(0x0101)
+        for column in range(width + 1):
+            is_end[column] = is_open[column] ^ within[column]
         for eight in range(len(eights)):
             if eights[eight] == 0:
                 continue
             for column in range(8 * eight, 8 * eight + 8):
-                cells[n_cells, 0], cells[n_cells, 1] = row, column
-                n_cells += is_open[column]
-    return cells[:n_cells], twice
+                ends[n_ends, 0], ends[n_ends, 1] = row, column
+                n_ends += is_end[column]
+    return ends[:n_ends], twice
 
 
 @compiled
 def carried(view: GreyLevels) -> Array:
     """Grey level of the body in each block (h / BLOCK_PX, w / BLOCK_PX), NaN where nothing is to be decided."""
     levels = _means(view)
-    n_rows, n_columns = levels.shape
     typical = np.float32(np.nan)
-    for i in range(len(view.open_cells)):
-        v, u = FINE * view.open_cells[i, 0], FINE * view.open_cells[i, 1]
-        # and for the pixels next to it, between which the edge may run
-        for y in range(max(v - 1, 0) // BLOCK_PX, min((v + FINE) // BLOCK_PX + 1, n_rows)):
-            for x in range(max(u - 1, 0) // BLOCK_PX, min((u + FINE) // BLOCK_PX + 1, n_columns)):
+    for i in range(0, len(view.open_ends), 2):
+        row, first, last = view.open_ends[i, 0], view.open_ends[i, 1], view.open_ends[i + 1, 1]
+        # the blocks of its pixels and of those next to it, between which the edge may run
+        for y in range(max(row - 1, 0) // CELLS, (row + 1) // CELLS + 1):
+            for x in range(max(first - 1, 0) // CELLS, last // CELLS + 1):
                 if np.isnan(levels[y, x]):
                     levels[y, x] = _mean_far_around(view, y, x)
                 if np.isnan(levels[y, x]):  # no core far and wide: what may be body, its edge included
@@ -149,11 +153,13 @@ def _mean_far_around(view: GreyLevels, y: int, x: int) -> np.float32:
 @compiled
 def _mean_of_open(view: GreyLevels) -> np.float32:
     """Mean of what is to be decided."""
-    total = np.float32(0)
-    for i in range(len(view.open_cells)):
-        row, column = view.open_cells[i, 0], view.open_cells[i, 1]
-        total += np.float32(view.image[FINE * row + view.top, FINE * column + view.left])
-    return total / np.float32(len(view.open_cells))
+    total, n = np.float32(0), 0
+    for i in range(0, len(view.open_ends), 2):
+        row = FINE * view.open_ends[i, 0]
+        for column in range(FINE * view.open_ends[i, 1], FINE * view.open_ends[i + 1, 1], FINE):
+            total += np.float32(view.image[row + view.top, column + view.left])
+            n += 1
+    return total / np.float32(n)
 
 
 @compiled
@@ -161,19 +167,20 @@ def decide(view: GreyLevels, levels: Array, min_contrast: np.float32, labels: Gr
     """Label what is open (h, w); whether any of it is inside."""
     height, width = labels.shape
     is_inside = False
-    for i in range(len(view.open_cells)):
-        row, column = view.open_cells[i, 0], view.open_cells[i, 1]
-        level = levels[row // CELLS, column // CELLS]
+    for i in range(0, len(view.open_ends), 2):
+        row, first = view.open_ends[i, 0], FINE * view.open_ends[i, 1]
+        last, levels_here = min(FINE * view.open_ends[i + 1, 1], width), levels[row // CELLS]
         for v in range(FINE * row, min(FINE * (row + 1), height)):
-            for u in range(FINE * column, min(FINE * (column + 1), width)):
-                behind = view.gain * np.float32(view.expected[v + view.expected_top, u + view.expected_left])
-                contrast = behind - level
-                covered = behind - np.float32(view.image[v + view.top, u + view.left])
-                if abs(contrast) < min_contrast * behind:
-                    labels[v, u] = UNKNOWN
-                elif (covered - np.float32(0.5) * contrast) * contrast > 0:
-                    labels[v, u] = INSIDE
-                    is_inside = True
+            behinds = view.expected[v + view.expected_top, first + view.expected_left :]
+            pixels, here = view.image[v + view.top, first + view.left :], labels[v, first:last]
+            for k in range(len(here)):
+                behind = view.gain * np.float32(behinds[k])
+                contrast = behind - levels_here[(first + k) // BLOCK_PX]
+                covered = behind - np.float32(pixels[k])
+                is_body = (covered - np.float32(0.5) * contrast) * contrast > 0
+                is_unclear = abs(contrast) < min_contrast * behind
+                here[k] = UNKNOWN if is_unclear else (INSIDE if is_body else OUTSIDE)
+                is_inside |= is_body and not is_unclear
     return is_inside
 
 

@@ -70,8 +70,8 @@ def to_steepest(
             near = near if seen[near] else i
             for k in range(LANES):
                 smooth[k] += WEIGHTS[j] * slopes[near, k]
-        best = 1
-        for k in range(2, N_SLOPES - 1):
+        best = N_SLOPES // 2  # of equals: without noise several are, where an edge runs between pixels
+        for k in range(1, N_SLOPES - 1):
             if abs(smooth[k]) > abs(smooth[best]):
                 best = k
         before, highest, after = abs(smooth[best - 1]), abs(smooth[best]), abs(smooth[best + 1])

@@ -19,8 +19,8 @@ GROWTH = ((1, EVERY), (1, BODY | COVERED | REST), (1, BODY | REST), (2, BODY), (
 So the surroundings of a body begin 2 blocks beside it, further out than motion blurs it, and end after 8, within
 the margin that a silhouette has. Its rim begins 1 block within, beyond the blur of the edge, and ends after 3,
 no further than the body's grey level is carried."""
-BORDER = 3
-"""Blocks around an array that the widest step reads."""
+BORDER = 8
+"""Blocks beside a row, so that nothing grows into the next one."""
 
 
 @compiled
@@ -43,7 +43,7 @@ def errors_beside(
     first_row, first_column = -(-top // COARSE), -(-left // COARSE)
     height = (top + labels.shape[0]) // COARSE - first_row
     width = (left + labels.shape[1]) // COARSE - first_column
-    around, beside = np.empty(height * width, np.float32), np.empty(height * width, np.float32)
+    around, beside = np.empty(height * width + 1, np.float32), np.empty(height * width + 1, np.float32)
     n_around = n_beside = 0
     bits = _grown(
         labels[COARSE * first_row + COARSE // 2 - top :, COARSE * first_column + COARSE // 2 - left :],
@@ -51,53 +51,59 @@ def errors_beside(
         width,
     )
     last_row, last_column = seen.shape[0] - 1, seen.shape[1] - 1
+    threes, errors = np.empty(width + 2, np.uint16), np.empty(width, np.float32)
+    # most blocks are neither: eight at a time are skipped
+    eights = np.zeros(-(-width // 8), np.uint64)
+    places = eights.view(np.uint8)
     for row in range(height):
         v = first_row + row
-        a, b, c = seen[max(v - 1, 0)], seen[v], seen[min(v + 1, last_row)]
+        above, below = max(v - 1, 0), min(v + 1, last_row)
+        a, b, c = seen[above, first_column:], seen[v, first_column:], seen[below, first_column:]
+        inner = threes[1:]
         for column in range(width):
-            here = bits[row, column]
-            is_around, is_rim = here & (BODY | COVERED) == BODY, here & (REST | BARE) == REST
-            u = first_column + column
-            if wall[v, u] < least or not (is_around or is_rim):
-                continue
-            before, after = max(u - 1, 0), min(u + 1, last_column)
+            inner[column] = np.uint16(a[column]) + b[column] + c[column]
+        for column, u in ((0, max(first_column - 1, 0)), (width + 1, min(first_column + width, last_column))):
+            threes[column] = np.uint16(seen[above, u]) + seen[v, u] + seen[below, u]
+        here, wall_here, empty_here = bits[row], wall[v, first_column:], empty[v, first_column:]
+        for column in range(width):
+            is_around = here[column] & (BODY | COVERED) == BODY
+            is_rim = here[column] & (REST | BARE) == REST
+            place = np.uint8(is_around) | np.uint8(is_rim) << 1
+            places[column] = place if wall_here[column] >= least else np.uint8(0)
             # the mean of nine has a third of the noise
-            total = np.float32(
-                a[before] + a[u] + a[after] + b[before] + b[u] + b[after] + c[before] + c[u] + c[after]
-            )
-            error = abs(total / (np.float32(9) * gain * np.float32(empty[v, u])) - np.float32(1))
-            if is_around:
-                around[n_around] = error
-                n_around += 1
-            else:
-                beside[n_beside] = error
-                n_beside += 1
+            nine = np.uint16(threes[column] + threes[column + 1] + threes[column + 2])
+            expected = np.float32(9) * gain * np.float32(empty_here[column])
+            errors[column] = abs(np.float32(nine) / expected - np.float32(1))
+        for eight in range(len(eights)):
+            if eights[eight] == 0:
+                continue
+            for column in range(8 * eight, 8 * eight + 8):
+                around[n_around] = beside[n_beside] = errors[column]
+                n_around += places[column] & 1
+                n_beside += places[column] >> 1
     return around[:n_around], beside[:n_beside]
 
 
 @compiled
 def _grown(labels: Grey, height: int, width: int) -> Grey:
     """The bits (height, width) of blocks whose first pixels are labelled (h, w), grown by squares."""
-    bits = np.zeros((height + 2 * BORDER, width + 2 * BORDER), np.uint8)
-    wider = np.zeros_like(bits)
+    line_length = width + 2 * BORDER
+    bits = np.zeros((height + 2 * BORDER, line_length), np.uint8)
     for row in range(height):
         line, here = labels[COARSE * row], bits[BORDER + row, BORDER:]
         for column in range(width):
             label = line[COARSE * column]
             here[column] = (BODY if label == INSIDE else REST) | (BARE if label == OUTSIDE else COVERED)
+    flat, wider = bits.ravel(), np.zeros(bits.size, np.uint8)
     for blocks, growing in GROWTH:
-        for row in range(BORDER, BORDER + height):
-            before, line, after = (
-                bits[row, BORDER - blocks :],
-                bits[row, BORDER:],
-                bits[row, BORDER + blocks :],
-            )
-            here = wider[row, BORDER:]
-            for column in range(width):
-                here[column] = line[column] | ((before[column] | after[column]) & growing)
-        for row in range(BORDER, BORDER + height):
-            before, line, after = wider[row - blocks], wider[row], wider[row + blocks]
-            here = bits[row]
-            for column in range(BORDER, BORDER + width):
-                here[column] = line[column] | ((before[column] | after[column]) & growing)
+        _grow(flat, blocks, growing, wider)
+        _grow(wider, blocks * line_length, growing, flat)
     return bits[BORDER:-BORDER, BORDER:-BORDER]
+
+
+@compiled
+def _grow(bits: Grey, step: int, growing: np.uint8, result: Grey) -> None:
+    """Write bits (N,), the growing ones also where they are a step before or after."""
+    before, here, after, grown = bits, bits[step:], bits[2 * step :], result[step:]
+    for i in range(len(after)):
+        grown[i] = here[i] | ((before[i] | after[i]) & growing)

@@ -84,7 +84,8 @@ def test_the_core_is_eroded_and_the_possible_dilated(
 @settings(max_examples=30)
 def test_limits_are_spread_over_pixels(height: int, width: int, seed: int) -> None:
     limits = np.random.default_rng(seed).choice([INSIDE, UNKNOWN, OUTSIDE, OPEN], (height, width))
-    cells, twice = spread(limits)
+    ends, twice = spread(limits)
     labels = np.where(limits == OPEN, OUTSIDE, limits)
-    np.testing.assert_array_equal(cells, np.argwhere(limits == OPEN))
+    is_open = np.pad(limits == OPEN, ((0, 0), (1, 1)))
+    np.testing.assert_array_equal(ends, np.argwhere(is_open[:, 1:] != is_open[:, :-1]))
     np.testing.assert_array_equal(twice.view(np.uint8), labels.repeat(2, axis=0).repeat(2, axis=1))

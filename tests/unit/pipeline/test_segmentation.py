@@ -183,7 +183,7 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     coverage = ndtr(true_px / blur_px)
     image, expected = np.rint(200 - 180 * coverage).astype(np.uint8), np.full(coverage.shape, 200, np.uint8)
     few_px = true_px[::2, ::2]
-    edge = delineate(image, expected, limits_from(few_px > 5.5, few_px > -5.5, few_px > 99)).edge
+    edge = delineate(image, expected, limits_from(few_px > 4.5, few_px > -4.5, few_px > 99)).edge
     assert edge is not None
     distance_px, outline = edge.fine_px(edge.coarse_px()), edge.outline_uv
     within = (np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25)
