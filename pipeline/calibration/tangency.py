@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
-from pipeline.outline_hull import hull_corners
+from pipeline.outline_hull import hull_corners, is_closed
 from pipeline.rig import RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
 
@@ -45,6 +45,7 @@ class OutlineHulls:
     cameras: tuple[CameraId, ...]  # V
     rays: Array  # (V, H, 3) in each camera's own frame, 1 along the optical axis; short hulls repeat their first
     is_trusted: NDArray[np.bool_]  # (V, H) the edge was seen on both sides of the corner
+    is_closed: NDArray[np.bool_]  # (V,) the edge was seen all around
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +88,12 @@ def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
     for view, (points, flags) in enumerate(zip(corners, trusted, strict=True)):
         rays[view, : len(points), :2], rays[view, len(points) :, :2] = points, points[0]
         is_trusted[view, : len(flags)], is_trusted[view, len(flags) :] = flags, flags[0]
-    return OutlineHulls(cameras=tuple(camera.id for camera in views), rays=rays, is_trusted=is_trusted)
+    return OutlineHulls(
+        cameras=tuple(camera.id for camera in views),
+        rays=rays,
+        is_trusted=is_trusted,
+        is_closed=np.array([is_closed(outlines[camera.id]) for camera in views], bool),
+    )
 
 
 def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
@@ -99,10 +105,9 @@ def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
     rays = hulls.rays @ R
     pairs = np.column_stack(np.triu_indices(len(views), 1))
     frames = _frames(centers_mm, rays.mean(axis=1), pairs)
-    sides = [_touching(rays, hulls.is_trusted, side, frames) for side in np.ascontiguousarray(pairs.T)]
-    angles, trusted, touching, by_ray = (np.stack(values, axis=1) for values in zip(*sides, strict=True))
-    by_ray[:, 1] *= -1
-    by_pixel = (by_ray @ R[pairs, :2].swapaxes(-1, -2)) / focal_px[pairs][:, :, None]
+    angles, trusted, touching, by_ray, by_pixel = _touching(
+        rays, hulls.is_trusted, pairs, frames, R, focal_px
+    )
     scale = np.maximum(np.sqrt((by_pixel**2).sum(axis=(1, 3)) / 2), 1e-12)  # of the angle, rad/px
     residuals_px = (angles[:, 0] - angles[:, 1]) / scale
     residuals_px[~trusted.all(axis=1)] = np.nan
@@ -155,26 +160,48 @@ def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, f
     n_cameras = len(tangents.cameras)
     if n_cameras <= MIN_PAIRS:
         return {}
-    pair = np.array([np.flatnonzero((tangents.pairs == index).any(axis=1)) for index in range(n_cameras)])
-    side = (tangents.pairs[pair, 1] == np.arange(n_cameras)[:, None]).astype(int)  # (V, V - 1) like `pair`
-    gradients = tangents.gradients[pair, side].reshape(n_cameras, -1, 2)
-    residuals_px = tangents.residuals_px[pair].reshape(n_cameras, -1)
-    known = ~np.isnan(residuals_px)
-    residuals_px = np.where(known, residuals_px, 0)
-    shifts_px, weights = np.zeros((n_cameras, 2, 1)), known.astype(np.float64)
-    for _ in range(REWEIGHTINGS):
-        weighted = (gradients * weights[..., None]).transpose(0, 2, 1)
-        normal = weighted @ gradients + 1e-9 * np.eye(2)
-        shifts_px = np.linalg.solve(normal, weighted @ residuals_px[..., None])
-        left_px = np.abs(residuals_px - (gradients @ shifts_px)[..., 0])
-        weights = known / np.maximum(left_px, LEAST_RESIDUAL_PX)
+    shifts_px, counts = _least_shifts(
+        tangents.pairs, tangents.gradients, tangents.residuals_px, np.zeros((n_cameras, 2))
+    )
     return {
-        camera: (float(du), float(dv))
-        for camera, (du, dv), count in zip(
-            tangents.cameras, shifts_px[..., 0], known.sum(axis=1), strict=True
-        )
+        camera: (du, dv)
+        for camera, (du, dv), count in zip(tangents.cameras, shifts_px.tolist(), counts.tolist(), strict=True)
         if count >= 2 * MIN_PAIRS
     }
+
+
+@compiled
+def _least_shifts(
+    pairs: NDArray[np.int64], gradients: Array, residuals_px: Array, shifts_px: Array
+) -> tuple[Array, NDArray[np.int64]]:
+    """The shifts (V, 2) of `image_shifts_px`, found from those given, and of how many residuals (V,)."""
+    counts = np.zeros(len(shifts_px), np.int64)
+    for camera in range(len(shifts_px)):
+        for weighting in range(REWEIGHTINGS):
+            uu, uv, vv, u, v, count = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0
+            for pair in range(len(pairs)):
+                if pairs[pair, 0] != camera and pairs[pair, 1] != camera:
+                    continue
+                side = int(pairs[pair, 1] == camera)
+                for plane in range(2):
+                    residual_px = residuals_px[pair, plane]
+                    if np.isnan(residual_px):
+                        continue
+                    by_u, by_v = gradients[pair, side, plane, 0], gradients[pair, side, plane, 1]
+                    left_px = residual_px - by_u * shifts_px[camera, 0] - by_v * shifts_px[camera, 1]
+                    weight = 1.0 if weighting == 0 else 1 / max(abs(left_px), LEAST_RESIDUAL_PX)
+                    uu, uv, vv = (
+                        uu + weight * by_u * by_u,
+                        uv + weight * by_u * by_v,
+                        vv + weight * by_v * by_v,
+                    )
+                    u, v = u + weight * by_u * residual_px, v + weight * by_v * residual_px
+                    count += 1
+            determinant = uu * vv - uv * uv
+            shifts_px[camera, 0] = (vv * u - uv * v) / determinant
+            shifts_px[camera, 1] = (uu * v - uv * u) / determinant
+            counts[camera] = count
+    return shifts_px, counts
 
 
 def _frames(centers_mm: Array, middles: Array, pairs: NDArray[np.int64]) -> Array:
@@ -190,42 +217,54 @@ def _frames(centers_mm: Array, middles: Array, pairs: NDArray[np.int64]) -> Arra
 
 @compiled
 def _touching(
-    rays: Array, is_trusted: NDArray[np.bool_], views: NDArray[np.int64], frames: Array
-) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-    """The two extreme planes of one camera of each pair: rays (V, H, 3), cameras `views` (P,), frames (P, 3, 2).
+    rays: Array,
+    is_trusted: NDArray[np.bool_],
+    pairs: NDArray[np.int64],
+    frames: Array,
+    R: Array,
+    focal_px: Array,
+) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
+    """The two extreme planes of both cameras of each pair (P, 2) among rays (V, H, 3), by the pairs' frames (P, 3, 2).
 
-    Returns their angles (P, 2), whether they can be trusted (P, 2), the rays (P, 2, 3) that touch,
-    and the gradient (P, 2, 3) of each angle by its ray.
+    Returns their angles (P, 2, 2), whether they can be trusted (P, 2, 2), the rays (P, 2, 2, 3) that touch, and the
+    gradients of the first camera's angle minus the second's: by ray (P, 2, 2, 3) and by pixel (P, 2, 2, 2).
     """
-    n_pairs = len(views)
-    angles, trusted = np.empty((n_pairs, 2)), np.empty((n_pairs, 2), np.bool_)
-    touching, gradients = np.empty((n_pairs, 2, 3)), np.empty((n_pairs, 2, 3))
-    for pair in range(n_pairs):
-        view, frame = views[pair], frames[pair]
-        least, greatest, is_pierced = np.inf, -np.inf, False
-        first = last = 0
-        for corner in range(rays.shape[1]):
-            ray = rays[view, corner]
-            towards = ray[0] * frame[0, 0] + ray[1] * frame[1, 0] + ray[2] * frame[2, 0]
-            across = ray[0] * frame[0, 1] + ray[1] * frame[1, 1] + ray[2] * frame[2, 1]
-            is_pierced |= towards <= 0
-            slope = across / towards
-            if slope < least:
-                least, first = slope, corner
-            if slope > greatest:
-                greatest, last = slope, corner
-        for plane, corner in enumerate((first, last)):
-            x = y = 0.0
-            for axis in range(3):
-                touching[pair, plane, axis] = rays[view, corner, axis]
-                x += rays[view, corner, axis] * frame[axis, 0]
-                y += rays[view, corner, axis] * frame[axis, 1]
-            trusted[pair, plane] = is_trusted[view, corner] and not is_pierced and abs(y) <= MAX_SLOPE * x
-            angles[pair, plane] = np.arctan2(y, x)
-            for axis in range(3):
-                turn = x * frame[axis, 1] - y * frame[axis, 0]
-                gradients[pair, plane, axis] = turn / max(x * x + y * y, 1e-12)
-    return angles, trusted, touching, gradients
+    shape = (len(pairs), 2, 2)
+    angles, trusted = np.empty(shape), np.empty(shape, np.bool_)
+    touching, by_ray, by_pixel = np.empty((*shape, 3)), np.empty((*shape, 3)), np.zeros((*shape, 2))
+    for pair in range(len(pairs)):
+        frame = frames[pair]
+        for side in range(2):
+            view, sign = pairs[pair, side], 1 - 2 * side
+            least, greatest, is_pierced = np.inf, -np.inf, False
+            first = last = 0
+            for corner in range(rays.shape[1]):
+                ray = rays[view, corner]
+                towards = ray[0] * frame[0, 0] + ray[1] * frame[1, 0] + ray[2] * frame[2, 0]
+                across = ray[0] * frame[0, 1] + ray[1] * frame[1, 1] + ray[2] * frame[2, 1]
+                is_pierced |= towards <= 0
+                slope = across / towards
+                if slope < least:
+                    least, first = slope, corner
+                if slope > greatest:
+                    greatest, last = slope, corner
+            for plane, corner in enumerate((first, last)):
+                at = (pair, side, plane)
+                x = y = 0.0
+                for axis in range(3):
+                    touching[at][axis] = rays[view, corner, axis]
+                    x += rays[view, corner, axis] * frame[axis, 0]
+                    y += rays[view, corner, axis] * frame[axis, 1]
+                trusted[at] = is_trusted[view, corner] and not is_pierced and abs(y) <= MAX_SLOPE * x
+                angles[at] = np.arctan2(y, x)
+                for axis in range(3):
+                    turn = sign * (x * frame[axis, 1] - y * frame[axis, 0]) / max(x * x + y * y, 1e-12)
+                    by_ray[at][axis] = turn
+                    for image_axis in range(2):
+                        by_pixel[at][image_axis] += (
+                            turn * R[view, image_axis, axis] / focal_px[view, image_axis]
+                        )
+    return angles, trusted, touching, by_ray, by_pixel
 
 
 def _unit(vectors: Array) -> Array:

@@ -96,6 +96,27 @@ def test_the_shift_of_an_outline_is_found(seed: int, camera: CameraId, du: float
     assert np.abs(list(shifts_px.values())).max() < 0.3
 
 
+@settings(max_examples=10)
+@given(seeds)
+def test_no_other_shift_of_a_camera_leaves_less(seed: int) -> None:
+    """The sum of absolute residuals, all but quadratic near zero, is least."""
+    rng = np.random.default_rng(seed)
+    outlines = {
+        camera: outline + rng.normal(size=2) for camera, outline in stone_outlines(RIG, rng, 0.05).items()
+    }
+    tangents = epipolar_tangents(outlines, RIG)
+    for index, (camera, shift_px) in enumerate(image_shifts_px(tangents).items()):
+        assert camera == RIG.camera_ids[index]
+        pair, side = np.nonzero(tangents.pairs == index)
+        gradients, residuals_px = tangents.gradients[pair, side], tangents.residuals_px[pair]
+
+        def left(shift_px: np.ndarray, gradients=gradients, residuals_px=residuals_px) -> float:
+            return float(np.nansum(np.abs(residuals_px - gradients @ shift_px)))
+
+        least_px = min(left(np.array(shift_px) + step) for step in 0.3 * rng.normal(size=(30, 2)))
+        assert left(np.array(shift_px)) < least_px * 1.02
+
+
 def test_two_bad_cameras_are_both_named_and_no_other() -> None:
     judged_by = bumped(bumped(RIG, "c02", np.array([0.2, 0, 0])), "c11", np.array([0, 0.3, 0]))
     found = scores_px(stone_outlines(RIG, np.random.default_rng(1), noise_px=0.05), judged_by)
