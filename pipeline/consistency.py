@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from pipeline.calibration.tangency import (
     EpipolarTangents,
-    epipolar_tangents,
     image_shifts_px,
+    outline_hulls,
     outlines_of,
     tangency_scores_px,
+    tangents_of,
 )
 from pipeline.carving import View, usable_views
+from pipeline.claims import claims_px
 from pipeline.clearance import Sphere, body_sphere, clearances_px
 from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
@@ -85,21 +87,24 @@ def check_consistency(
     Views that tangency names are dropped first. Where the tangents of the rest agree, all of their votes are
     counted: if nothing contradicts even then, that is all. If something does, they are judged carefully.
     """
-    tangents = epipolar_tangents(outlines_of(silhouettes), rig)
+    hulls = outline_hulls(outlines_of(silhouettes), rig)
+    tangents = tangents_of(hulls, rig)
     tangency_px = tangency_scores_px(tangents)
     agreeing = {camera for camera, score_px in tangency_px.items() if score_px <= parameters.max_tangency_px}
     suspects, is_consistent = displaced_views(tangents, parameters)
     views = [view for view in usable_views(silhouettes, rig) if view[0].id not in suspects]
-    judgement = None
+    residuals_px: dict[CameraId, float] = {}
     if all(camera.id in agreeing for camera, _ in views):
-        judgement = _judgement(views, 0, agreeing, parameters)
-    if judgement is None or judgement.worst is not None:
+        residuals_px = _residuals_px(views, claims_px(views, hulls))
+    if max(residuals_px.values(), default=np.inf) > parameters.max_residual_px:
         judgement, contradicting = _careful_judgement(views, len(suspects), agreeing, parameters)
         suspects |= contradicting
+        is_consistent &= judgement is not None and judgement.worst is None
+        residuals_px = {} if judgement is None else _residuals_px(judgement.views, judgement.clearances_px)
     return Consistency(
-        residuals_px={} if judgement is None else _residuals_px(judgement),
+        residuals_px=residuals_px,
         suspects=suspects,
-        is_consistent=is_consistent and judgement is not None and judgement.worst is None,
+        is_consistent=is_consistent,
         tangency_px=tangency_px,
         image_shifts_px=image_shifts_px(tangents),
     )
@@ -184,10 +189,11 @@ def _denied(
     return float(np.median(clearance_px)) / min(parameters.max_denied_share * diameter_px, 0.7 * MARGIN_PX)
 
 
-def _residuals_px(judgement: _Judgement) -> dict[CameraId, float]:
+def _residuals_px(views: Sequence[View], found_px: Sequence[Array]) -> dict[CameraId, float]:
+    """Of each view, by the clearances of its rays."""
     return {
         camera.id: _rms_outside(clearance_px)
-        for (camera, _), clearance_px in zip(judgement.views, judgement.clearances_px, strict=True)
+        for (camera, _), clearance_px in zip(views, found_px, strict=True)
     }
 
 

@@ -9,7 +9,8 @@ from support.forms import form, silhouettes_of
 from support.silhouettes import sphere_silhouettes
 
 from pipeline.carving import View, usable_views
-from pipeline.clearance import HALF_MM, N_RAYS, body_sphere, clearances_px
+from pipeline.clearance import N_RAYS, body_sphere, clearances_px
+from pipeline.ray_field import HALF_MM
 from pipeline.rig_design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import MARGIN_PX
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from support.forms import silhouettes_of
 from support.silhouettes import sphere_silhouette, sphere_silhouettes
 
-from pipeline import clearance, lens, outline_hull
+from pipeline import clearance, lens, outline_hull, ray_field, tangent_planes
 from pipeline.calibration import tangency
 from pipeline.consistency import ConsistencyParameters, check_consistency, warm_up
 from pipeline.frames import CameraId
@@ -27,7 +27,15 @@ def seen_instead(camera: CameraId, center_mm: tuple[float, float, float], radius
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> None:
-    kernels = [clearance._ask, tangency._touching, outline_hull._corners, lens.undistorted]
+    kernels = [
+        ray_field._lower,
+        ray_field._narrow,
+        clearance._cast,
+        tangent_planes._left_by,
+        tangency._touching,
+        outline_hull._corners,
+        lens.undistorted,
+    ]
     assert warm_up().is_consistent
     compiled = [kernel.signatures for kernel in kernels]
     assert all(compiled)

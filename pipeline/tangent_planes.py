@@ -1,0 +1,102 @@
+"""Where along a viewing ray the body can be: on the inner side of the planes that touch it.
+
+A line that touches a silhouette's outline from outside, and the camera's centre, span a plane; the silhouette,
+hence the body, is on one side of it. Where the edge was not seen all around, the silhouette may reach further than
+its outline: there the planes are those around the view's whole region.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.calibration.tangency import OutlineHulls
+from pipeline.carving import View
+from pipeline.compiled import compiled
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+N_ANGLES = 24
+"""Planes a view."""
+MOST_MM = 100.0
+"""Of a ray is looked at to either side of its point, even if no plane ends it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Planes:
+    """P planes in the world frame: the body satisfies `normals @ x <= offsets_mm`."""
+
+    normals: Array  # (P, 3) unit, outwards
+    offsets_mm: Array  # (P,)
+    mm_per_px: Array  # (P,) in the view's image, near the origin
+
+
+def planes_around(views: Sequence[View], hulls: OutlineHulls) -> Planes:
+    """`N_ANGLES` planes through each camera's centre that touch the silhouette, or else its region."""
+    angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
+    outwards = np.array([np.cos(angles), np.sin(angles)])
+    corners = {
+        camera: rays[:, :2]
+        for camera, rays, is_closed in zip(hulls.cameras, hulls.rays, hulls.is_closed, strict=True)
+        if is_closed
+    }
+    heights = [
+        ((corners[view[0].id] if view[0].id in corners else _region_corners(view)) @ outwards).max(axis=0)
+        for view in views
+    ]
+    R = np.array([camera.R for camera, _ in views])
+    eyes_mm = np.array([camera.center_mm for camera, _ in views])
+    normals = np.empty((len(views), N_ANGLES, 3))
+    normals[:, :, :2], normals[:, :, 2] = outwards.T, -np.array(heights)
+    normals = normals @ R / np.linalg.norm(normals, axis=2, keepdims=True)
+    mm_per_px = np.linalg.norm(eyes_mm, axis=1) / [camera.focal_px for camera, _ in views]
+    return Planes(
+        normals=normals.reshape(-1, 3),
+        offsets_mm=(normals @ eyes_mm[:, :, None]).reshape(-1),
+        mm_per_px=np.repeat(mm_per_px, N_ANGLES),
+    )
+
+
+def _region_corners(view: View) -> Array:
+    """Where the viewing rays (4, 2) through the corners of the silhouette's region meet the plane at depth 1."""
+    camera, silhouette = view
+    height, width = silhouette.labels.shape
+    return camera.flat_rays(
+        silhouette.offset_uv + np.array([[0, 0], [width, 0], [0, height], [width, height]])
+    )
+
+
+def stretches_mm(
+    planes: Planes, points_mm: Single, directions: Single, slack_px: float
+) -> tuple[Array, Array]:
+    """From where to where (R,) planes, moved outwards, leave something of rays: points and unit directions (3, R).
+
+    Of a ray of which they leave nothing it is the stretch between the planes that pass each other.
+    """
+    moved_mm = planes.offsets_mm + slack_px * planes.mm_per_px
+    columns = np.column_stack([planes.normals, moved_mm]).astype(np.float32)
+    ends_mm = np.sort(_left_by(columns, np.concatenate([points_mm, directions])), axis=0)
+    low_mm, high_mm = np.clip(ends_mm, -MOST_MM, MOST_MM).astype(np.float64)
+    return low_mm, high_mm
+
+
+@compiled
+def _left_by(planes: Single, rays: Single) -> Single:
+    """Ends (2, R) of what planes (P, 4), normals and offsets, leave of rays (6, R), points and directions.
+
+    Rays in the inner loop: unlike the search for the least of all planes it runs in vectors.
+    """
+    ends_mm = np.empty((2, rays.shape[1]), np.float32)
+    ends_mm[0], ends_mm[1] = -np.inf, np.inf
+    zero, infinite = np.float32(0), np.float32(np.inf)
+    for plane in range(len(planes)):
+        x, y, z, offset_mm = planes[plane, 0], planes[plane, 1], planes[plane, 2], planes[plane, 3]
+        for ray in range(rays.shape[1]):
+            slope = rays[3, ray] * x + rays[4, ray] * y + rays[5, ray] * z
+            reach_mm = offset_mm - (rays[0, ray] * x + rays[1, ray] * y + rays[2, ray] * z)
+            end_mm = reach_mm / slope
+            ends_mm[0, ray] = max(ends_mm[0, ray], end_mm if slope < zero else -infinite)
+            ends_mm[1, ray] = min(ends_mm[1, ray], end_mm if slope > zero else infinite)
+    return ends_mm
