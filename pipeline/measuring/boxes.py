@@ -23,9 +23,9 @@ Indices = NDArray[np.int32]
 
 N_RANKED = 200
 """Coarse frames among which the starts are chosen."""
-N_STARTS = 30
+N_STARTS = 40
 START_SPACING_RAD = 0.1
-BEAM = 12
+BEAM = 16
 """Frames followed while a turn may still lead from one local minimum to another."""
 NARROW_BEAM = 5
 """Frames followed at turns of less than `NARROW_RAD`."""

@@ -71,7 +71,7 @@ def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
     Volume and area are exactly those of the polyhedron. All else is taken from its convex hull, or from one
     without points that stand out by less than 3e-5 of the extent (`quickhull.TOLERANCE`): the D4791 triple is
     exact, the least Feret diameter within 1e-4. Sieve size and least box come from searches that on 186 hulls
-    in three poses each missed the best value known by 5e-4 at most, by 5e-6 in the mean. The mesh may be turned
+    in three poses each missed the best value known by 1e-3 at most, by 7e-6 in the mean. The mesh may be turned
     inside out as a whole.
 
     Raises

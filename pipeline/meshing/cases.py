@@ -28,22 +28,27 @@ EDGES = tuple(
 class CubeCases:
     """Bit c of a case tells that corner c is inside."""
 
-    triangles: NDArray[np.int8]  # (256, 5, 3) edges, counter-clockwise seen from outside
-    n_triangles: NDArray[np.int8]  # (256,)
+    edges: NDArray[np.uint8]  # (256, 12) that the surface crosses
+    n_edges: NDArray[np.uint8]  # (256,)
+    triangles: NDArray[np.uint8]  # (256, 5, 3) edges, counter-clockwise seen from outside
+    n_triangles: NDArray[np.uint8]  # (256,)
 
 
 @cache
 def cube_cases() -> CubeCases:
     """The triangles of every case. No diagonal of a loop lies on a face, where the next cube could have it too."""
-    triangles = np.zeros((256, 5, 3), np.int8)
-    n_triangles = np.zeros(256, np.int8)
+    edges, n_edges = np.zeros((256, len(EDGES)), np.uint8), np.zeros(256, np.uint8)
+    triangles, n_triangles = np.zeros((256, 5, 3), np.uint8), np.zeros(256, np.uint8)
     for case in range(256):
+        crossed = [edge for edge, (low, high) in enumerate(EDGES) if (case >> low ^ case >> high) & 1]
+        n_edges[case] = len(crossed)
+        edges[case, : len(crossed)] = crossed
         for loop in _loops(case):
             first, *others = next(turned for turned in _turned(loop) if _spans_no_face(turned))
             for second, third in pairwise(others):
                 triangles[case, n_triangles[case]] = first, second, third
                 n_triangles[case] += 1
-    return CubeCases(triangles=triangles, n_triangles=n_triangles)
+    return CubeCases(edges=edges, n_edges=n_edges, triangles=triangles, n_triangles=n_triangles)
 
 
 def _faces() -> list[Loop]:

@@ -50,7 +50,19 @@ def march(field: Field, level: float, leaves: Leaves) -> tuple[Array, Faces]:
         ids = np.empty((len(leaves) + 1, 3 * SAMPLES), np.int32)
         ids[-1] = -1
         _place(field, level, leaves, cases, vertices, ids)
-        if not _connect(cases, ids, _neighbors(leaves), _owners(), table.triangles, table.n_triangles, faces):
+        is_closed = _connect(
+            cases,
+            ids,
+            _neighbors(leaves),
+            _owners(),
+            table.edges,
+            table.n_edges,
+            table.triangles,
+            table.n_triangles,
+            np.empty(len(EDGES), np.int32),
+            faces,
+        )
+        if not is_closed:
             raise ValueError("the surface goes on where there is no leaf")
     return vertices, faces
 
@@ -63,23 +75,23 @@ def _reaching(field: Field, leaves: Leaves) -> Field:
     return np.pad(field, [(0, n) for n in beyond], constant_values=-np.inf)
 
 
-def _neighbors(leaves: Leaves) -> NDArray[np.int32]:
+def _neighbors(leaves: Leaves) -> NDArray[np.uint32]:
     """Rows (L, 8) of the leaves around the upper corner of each leaf, itself first; L where there is none."""
     blocks = (leaves - leaves.min(axis=0)) // LEAF
     shape = tuple(blocks.max(axis=0) + 2)
     first = np.ravel_multi_index(tuple(blocks.T), shape)
-    rows = np.full(np.prod(shape), len(leaves), np.int32)
-    rows[first] = np.arange(len(leaves))
+    rows = np.full(np.prod(shape), len(leaves), np.uint32)
+    rows[first] = np.arange(len(leaves), dtype=np.uint32)
     return rows[first[:, None] + np.ravel_multi_index(tuple(np.transpose(CORNERS)), shape)]
 
 
 @cache
-def _owners() -> NDArray[np.int16]:
+def _owners() -> NDArray[np.uint8]:
     """Where each edge of each cube of a leaf begins (64, 12, 2): in which neighbour, and 3 sample + axis there.
 
     Neighbour 4 dx + 2 dy + dz lies that many leaves further along the axes.
     """
-    owners = np.empty((SAMPLES, len(EDGES), 2), np.int16)
+    owners = np.empty((SAMPLES, len(EDGES), 2), np.uint8)
     for cube, first in enumerate(np.ndindex((LEAF,) * 3)):
         for edge, (begin, end) in enumerate(EDGES):
             leaf, sample = np.divmod(np.add(first, CORNERS[begin]), LEAF)
@@ -93,7 +105,7 @@ def _classify(
     field: Field,
     level: float,
     leaves: Leaves,
-    n_triangles: NDArray[np.int8],
+    n_triangles: NDArray[np.uint8],
     rows: NDArray[np.int64],
     is_cut: NDArray[np.bool_],
     cases: Cases,
@@ -166,22 +178,30 @@ def _place(
 def _connect(
     cases: Cases,
     ids: NDArray[np.int32],
-    neighbors: NDArray[np.int32],
-    owners: NDArray[np.int16],
-    triangles: NDArray[np.int8],
-    n_triangles: NDArray[np.int8],
+    neighbors: NDArray[np.uint32],
+    owners: NDArray[np.uint8],
+    edges: NDArray[np.uint8],
+    n_edges: NDArray[np.uint8],
+    triangles: NDArray[np.uint8],
+    n_triangles: NDArray[np.uint8],
+    vertex_on: NDArray[np.int32],
     faces: Faces,
 ) -> bool:
-    """Set the faces (M, 3), as rows of the vertices; tells whether all of these are there."""
+    """Set the faces (M, 3), as rows of the vertices; tells whether all of these are there.
+
+    `vertex_on` (12,) is room for the vertices on a cube's edges.
+    """
     n = lowest = 0
     for leaf in range(len(cases)):
         for cube in range(SAMPLES):
             case = cases[leaf, cube]
+            for k in range(n_edges[case]):
+                edge = edges[case, k]
+                vertex = ids[neighbors[leaf, owners[cube, edge, 0]], owners[cube, edge, 1]]
+                lowest = min(lowest, vertex)
+                vertex_on[edge] = vertex
             for triangle in range(n_triangles[case]):
                 for corner in range(3):
-                    edge = triangles[case, triangle, corner]
-                    vertex = ids[neighbors[leaf, owners[cube, edge, 0]], owners[cube, edge, 1]]
-                    lowest = min(lowest, vertex)
-                    faces[n, corner] = vertex
+                    faces[n, corner] = vertex_on[triangles[case, triangle, corner]]
                 n += 1
     return lowest >= 0

@@ -11,7 +11,7 @@ Faces = NDArray[np.int64]
 
 def largest_part(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Vertices (N, 3) and faces (M, 3) of the connected surface with most faces: islands are left out."""
-    part_of = np.arange(len(vertices))
+    part_of = np.arange(len(vertices), dtype=np.int32)
     _unite(part_of, faces)
     if not part_of.any():
         return vertices, faces
@@ -22,12 +22,15 @@ def largest_part(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 @compiled
-def _unite(parent: NDArray[np.int64], faces: Faces) -> None:
+def _unite(parent: NDArray[np.int32], faces: Faces) -> None:
     """Set for each vertex (N,), at first its own parent, the first vertex of its part (union-find)."""
     for face in range(len(faces)):
-        first = _root(parent, faces[face, 0])
-        for corner in (1, 2):
-            other = _root(parent, faces[face, corner])
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        if parent[a] == parent[b] == parent[c]:
+            continue
+        first = _root(parent, a)
+        for corner in (b, c):
+            other = _root(parent, corner)
             first, last = min(first, other), max(first, other)
             parent[last] = first
     for vertex in range(len(parent)):
@@ -35,7 +38,7 @@ def _unite(parent: NDArray[np.int64], faces: Faces) -> None:
 
 
 @compiled
-def _root(parent: NDArray[np.int64], vertex: int) -> int:
+def _root(parent: NDArray[np.int32], vertex: int) -> int:
     while parent[vertex] != vertex:
         parent[vertex] = parent[parent[vertex]]  # the way is half as long next time
         vertex = parent[vertex]
