@@ -22,6 +22,8 @@ Faces = NDArray[np.int64]
 
 SAMPLES = LEAF**3
 """In a leaf, by rows: sample (LEAF i + j) LEAF + k is (i, j, k) from the first one."""
+NO_LEAF = -16
+"""Instead of what `_place` tells of a sample: its vertices' rows are all negative."""
 FULL_ROW = 2 ** (LEAF + 1) - 1
 """Bits of a row of samples that are all inside, that of the next leaf too."""
 
@@ -47,8 +49,8 @@ def march(field: Field, level: float, leaves: Leaves) -> tuple[Array, Faces]:
     vertices, faces = np.empty((n_vertices, 3)), np.empty((n_faces, 3), np.int64)
     if n_faces:
         leaves, cases = leaves[is_cut], cases[is_cut]
-        ids = np.empty((len(leaves) + 1, 3 * SAMPLES), np.int32)
-        ids[-1] = -1
+        ids = np.empty((len(leaves) + 1, SAMPLES), np.int32)
+        ids[-1] = NO_LEAF
         _place(field, level, leaves, cases, vertices, ids)
         is_closed = _connect(
             cases,
@@ -87,16 +89,16 @@ def _neighbors(leaves: Leaves) -> NDArray[np.uint32]:
 
 @cache
 def _owners() -> NDArray[np.uint8]:
-    """Where each edge of each cube of a leaf begins (64, 12, 2): in which neighbour, and 3 sample + axis there.
+    """Where each edge of each cube of a leaf begins (64, 12, 3): neighbour, sample there, and axis of the edge.
 
     Neighbour 4 dx + 2 dy + dz lies that many leaves further along the axes.
     """
-    owners = np.empty((SAMPLES, len(EDGES), 2), np.uint8)
+    owners = np.empty((SAMPLES, len(EDGES), 3), np.uint8)
     for cube, first in enumerate(np.ndindex((LEAF,) * 3)):
         for edge, (begin, end) in enumerate(EDGES):
             leaf, sample = np.divmod(np.add(first, CORNERS[begin]), LEAF)
             axis = np.argmax(np.subtract(CORNERS[end], CORNERS[begin]))
-            owners[cube, edge] = leaf @ (4, 2, 1), 3 * np.ravel_multi_index(sample, (LEAF,) * 3) + axis
+            owners[cube, edge] = leaf @ (4, 2, 1), np.ravel_multi_index(sample, (LEAF,) * 3), axis
     return owners
 
 
@@ -151,9 +153,10 @@ def _is_cut(case: int, axis: int) -> int:
 def _place(
     field: Field, level: float, leaves: Leaves, cases: Cases, vertices: Array, ids: NDArray[np.int32]
 ) -> None:
-    """Set the vertices (N, 3), and which of them is on the edge along an axis from a sample: (L, 3 sample + axis).
+    """Set the vertices (N, 3), and for samples (L, 64) that have any 4 n + cut: the first is n, and which follow.
 
-    Edges that are not cut are left as they are.
+    A sample's vertices are in the order of the axes; bits of `cut` tell whether there is one along the first axis and
+    along the second. Samples without vertices are left as they are.
     """
     n = 0
     for leaf in range(len(leaves)):
@@ -165,12 +168,12 @@ def _place(
             y = leaves[leaf, 1] + sample // LEAF % LEAF
             z = leaves[leaf, 2] + sample % LEAF
             here = float(field[x, y, z])
+            ids[leaf, sample] = 4 * n + _is_cut(case, 0) + 2 * _is_cut(case, 1)
             for axis in range(3):
                 if _is_cut(case, axis):
                     there = float(field[x + (axis == 0), y + (axis == 1), z + (axis == 2)])
                     vertices[n, 0], vertices[n, 1], vertices[n, 2] = x, y, z
                     vertices[n, axis] += (level - here) / (there - here)
-                    ids[leaf, 3 * sample + axis] = n
                     n += 1
 
 
@@ -197,7 +200,9 @@ def _connect(
             case = cases[leaf, cube]
             for k in range(n_edges[case]):
                 edge = edges[case, k]
-                vertex = ids[neighbors[leaf, owners[cube, edge, 0]], owners[cube, edge, 1]]
+                own = ids[neighbors[leaf, owners[cube, edge, 0]], owners[cube, edge, 1]]
+                axis = owners[cube, edge, 2]
+                vertex = (own >> 2) + (axis > 0) * (own & 1) + (axis > 1) * (own >> 1 & 1)
                 lowest = min(lowest, vertex)
                 vertex_on[edge] = vertex
             for triangle in range(n_triangles[case]):
