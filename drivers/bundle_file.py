@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 
 from drivers.bundle_header import BundleHeader, FrameEntry, crc32, described, parsed
 from drivers.errors import RecordingError
@@ -140,16 +141,12 @@ def read_bundle(path: Path, camera_ids: Sequence[CameraId], *, mapped: bool = Fa
         header = _header(path, tiff)
         require_cameras_of(header, camera_ids)
         tiff.pages.useframes = True  # all pages are alike: only where each one lies is read
-        mapping = (
-            mmap.mmap(tiff.filehandle.fileno(), 0, access=mmap.ACCESS_READ)
-            if mapped and tiff.pages.first.compression == tifffile.COMPRESSION.NONE
-            else None
-        )
+        pixels = _mapped_pixels(tiff) if mapped else None
         missing = {camera: ABSENT for camera in camera_ids if camera not in header.frames} | dict(
             header.missing
         )
         for camera, entry in header.frames.items():
-            image = _image(tiff, mapping, entry, header.image_size_px)
+            image = _image(tiff, pixels, entry, header.image_size_px)
             if image is None:
                 missing[camera] = DAMAGED
                 continue
@@ -180,21 +177,33 @@ def _open(path: Path) -> tifffile.TiffFile:
         raise RecordingError(path, f"is not a readable TIFF: {err}") from err
 
 
+def _mapped_pixels(tiff: tifffile.TiffFile) -> NDArray[np.uint8] | None:
+    """A view of the file from the first page's pixels on, those of the others follow; nothing of a compressed one."""
+    try:
+        first = tiff.pages.first
+        if first.compression != tifffile.COMPRESSION.NONE:
+            return None
+        mapping = mmap.mmap(tiff.filehandle.fileno(), 0, access=mmap.ACCESS_READ)
+        return np.frombuffer(mapping, np.uint8, offset=first.dataoffsets[0])
+    except TIFF_DAMAGE:
+        return None
+
+
 def _image(
-    tiff: tifffile.TiffFile, mapping: mmap.mmap | None, entry: FrameEntry, size_px: tuple[int, int]
+    tiff: tifffile.TiffFile, pixels: NDArray[np.uint8] | None, entry: FrameEntry, size_px: tuple[int, int]
 ) -> Image | None:
     """Image (H, W) of a page, or nothing when it is not what was written."""
     width_px, height_px = size_px
+    n_pixels = width_px * height_px
     try:
-        page = tiff.pages[entry.page]
-        if page.shape != (height_px, width_px) or page.dtype != "uint8":
-            return None
         image: Image
-        if mapping is None:
+        if pixels is None:
+            page = tiff.pages[entry.page]
+            if page.shape != (height_px, width_px) or page.dtype != "uint8":
+                return None
             image = page.asarray()
-        else:
-            image = np.frombuffer(mapping, np.uint8, width_px * height_px, page.dataoffsets[0])
-            image = image.reshape(height_px, width_px)
+        else:  # to look for each page takes as long as to check its pixels
+            image = pixels[entry.page * n_pixels :][:n_pixels].reshape(height_px, width_px)
     except TIFF_DAMAGE:
         return None
     return image if image.shape == (height_px, width_px) and crc32(image.data) == entry.crc32 else None

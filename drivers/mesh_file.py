@@ -17,13 +17,13 @@ element face {n_faces}
 property list uchar int vertex_indices
 end_header
 """
-FACE = np.dtype([("n_corners", "u1"), ("corners", "<i4", 3)])
+FACE = np.dtype([("n_corners", "u1"), ("a", "<i4"), ("b", "<i4"), ("c", "<i4")])
 
 
 def write_mesh(path: Path, vertices_mm: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
     """Write vertices (N, 3), in single precision, and faces (M, 3)."""
     rows = np.empty(len(faces), FACE)
-    rows["n_corners"], rows["corners"] = 3, faces
+    rows["n_corners"], (rows["a"], rows["b"], rows["c"]) = 3, faces.T
     with path.open("wb") as file:
         file.write(HEADER.format(n_vertices=len(vertices_mm), n_faces=len(faces)).encode("ascii"))
         vertices_mm.astype("<f4").tofile(file)
