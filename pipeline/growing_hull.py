@@ -23,8 +23,15 @@ ROUNDING = 1e-13
 """A point so little above a facet, as a share of the extent, does not see it."""
 FLAT = 1e-7
 """A tetrahedron that is lower, as a share of the extent, is none."""
+FACES = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
+"""Corners of a tetrahedron's facets."""
+BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
+"""The facets across their edges."""
 
 NONE, NO_FACET = -1, -2
+HIGHEST, SEEN_BY = 6, 7
+TOP = 4
+VISIBLE, ENTERED, LOOKED, PATH, WAITING, NEW, VACANT, EDGE = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 class Facets(NamedTuple):
@@ -38,89 +45,61 @@ class Facets(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """Facets in K places that are used again, and the horizon of the latest vertex."""
+    """Facets in K places that are used again; few arrays, as each takes numba half a second."""
 
-    corners: Indices  # (K, 3) as in `Facets`
-    across: Indices  # (K, 3)
-    planes: Array  # (K, 4)
-    top: Array  # (K,) the greatest height of the points above
-    highest: Indices  # (K,) the point that has it
-    seen_by: Indices  # (K,) the last vertex that saw the facet
+    facets: Indices  # (K, 8) as in `Facets` corners and across, the HIGHEST point above, and the last SEEN_BY
+    planes: Array  # (K, 5) as in `Facets`, and the height of that point, TOP
     above: Indices  # (K,) the first of the points above; NONE, or NO_FACET
     following: Indices  # (N,) for each point the next one above the same facet
 
-    visible: Indices  # (K,) facets that the latest vertex sees
-    entered: Indices  # (K, 2) through which side each of them was, and how many sides of it were looked at
-    path: Indices  # (K,) from the first of them to the latest, as their numbers
-    horizon: Indices  # (K, 3) the edges around them, in order: start, facet beyond, its side
-    lists: Indices  # (K,) the first of the points above each of them
-    new: Indices  # (K,) the facet from each edge to the latest vertex
-    vacant: Indices  # (K,) places without a facet
+    lists: Indices
+    """(K, 10) in its columns: facets VISIBLE to the latest vertex, the side through which each was ENTERED, how many
+    of its sides were LOOKED at; the PATH to the latest, of their numbers; the first of the points WAITING above each;
+    the NEW facets; VACANT places; and, from EDGE on, the horizon: start of each edge, facet beyond, its side."""
     counts: Indices  # (2,) places in use, and how many of them are vacant
+    extent: float
     tolerance: float  # points no higher above the hull are left out
-    rounding: float
+    rounding: float  # and those that are do not see a facet that they are no higher above
 
 
 def growth_for(n_points: int, extent: float, tolerance: float) -> Growth:
     """Room for the hull of N points; `tolerance` is a share of their extent."""
     capacity = 3 * n_points + 100
-    # what belongs to a facet is in one place of the memory
-    topology = np.empty((capacity, 8), np.int32)
-    geometry = np.empty((capacity, 5))
     return Growth(
-        corners=topology[:, :3],
-        across=topology[:, 3:6],
-        planes=geometry[:, :4],
-        top=geometry[:, 4],
-        highest=topology[:, 6],
-        seen_by=topology[:, 7],
+        facets=np.empty((capacity, 8), np.int32),
+        planes=np.empty((capacity, 5)),
         above=np.empty(capacity, np.int32),
         following=np.empty(n_points, np.int32),
-        visible=np.empty(capacity, np.int32),
-        entered=np.empty((capacity, 2), np.int32),
-        path=np.empty(capacity, np.int32),
-        horizon=np.empty((capacity, 3), np.int32),
-        lists=np.empty(capacity, np.int32),
-        new=np.empty(capacity, np.int32),
-        vacant=np.empty(capacity, np.int32),
+        lists=np.empty((capacity, 10), np.int32),
         counts=np.zeros(2, np.int32),
+        extent=extent,
         tolerance=tolerance * extent,
         rounding=ROUNDING * extent,
     )
 
 
-@compiled
 def facets_of(growth: Growth) -> Facets:
     """What has grown."""
-    n_places, n_facets = growth.counts[0], growth.counts[0] - growth.counts[1]
-    facets = Facets(
-        np.empty((n_facets, 3), np.int32), np.empty((n_facets, 3), np.int32), np.empty((n_facets, 4))
-    )
-    number, n = np.empty(n_places, np.int32), 0
-    for place in range(n_places):
-        if growth.above[place] != NO_FACET:
-            number[place] = n
-            n += 1
-    for place in range(n_places):
-        if growth.above[place] != NO_FACET:
-            for k in range(3):
-                facets.corners[number[place], k] = growth.corners[place, k]
-                facets.across[number[place], k] = number[growth.across[place, k]]
-            for k in range(4):
-                facets.planes[number[place], k] = growth.planes[place, k]
+    is_facet = growth.above[: growth.counts[0]] != NO_FACET
+    number = np.cumsum(is_facet, dtype=np.int32)
+    n = number[-1]
+    facets = Facets(np.empty((n, 3), np.int32), np.empty((n, 3), np.int32), np.empty((n, 4)))
+    _copy(growth, number, facets)
     return facets
 
 
-def grow_surely(points: Array, added: Indices, growth: Growth) -> None:
-    """Add the points that wait above facets; where rounding defeats `grow`, by qhull from all points `added`.
-
-    Raises
-    ------
-    scipy.spatial.QhullError
-        The points lie in one plane.
-    """
-    if not grow(points, growth):
-        restart_by_qhull(points, added, growth)
+@compiled
+def _copy(growth: Growth, number: Indices, facets: Facets) -> None:
+    """Fill in facets, of which the places up to each hold a `number`."""
+    for place in range(len(number)):
+        if growth.above[place] == NO_FACET:
+            continue
+        facet = number[place] - 1
+        for k in range(3):
+            facets.corners[facet, k] = growth.facets[place, k]
+            facets.across[facet, k] = number[growth.facets[place, 3 + k]] - 1
+        for k in range(4):
+            facets.planes[facet, k] = growth.planes[place, k]
 
 
 def restart_by_qhull(points: Array, added: Indices, growth: Growth) -> None:
@@ -136,46 +115,49 @@ def restart_by_qhull(points: Array, added: Indices, growth: Growth) -> None:
     is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])[:, None] < 0
     opposite = np.where(is_inward, hull.neighbors[:, [0, 2, 1]], hull.neighbors)
     n = len(hull.simplices)
-    growth.corners[:n] = added[np.where(is_inward, hull.simplices[:, [0, 2, 1]], hull.simplices)]
-    growth.across[:n] = opposite[:, [2, 0, 1]]
-    growth.planes[:n] = hull.equations
-    growth.above[:n] = growth.seen_by[:n] = NONE
+    growth.facets[:n, :3] = added[np.where(is_inward, hull.simplices[:, [0, 2, 1]], hull.simplices)]
+    growth.facets[:n, 3:6] = opposite[:, [2, 0, 1]]
+    growth.facets[:n, SEEN_BY] = growth.above[:n] = NONE
+    growth.planes[:n, :4] = hull.equations
     growth.counts[:] = n, 0
 
 
-@compiled
 def start(points: Array, which: Indices, growth: Growth) -> bool:
-    """Make a tetrahedron of some points, and the others of them wait above it; False when they lie in a plane."""
-    a = b = c = d = which[0]
-    for point in which:
-        if points[point, 0] < points[a, 0]:
-            a = point
-    farthest = 0.0
-    for point in which:
-        x, y, z = _from(points, a, point)
-        if x * x + y * y + z * z > farthest:
-            farthest, b = x * x + y * y + z * z, point
-    ux, uy, uz = _from(points, a, b)
-    farthest = 0.0
-    for point in which:
-        x, y, z = _cross(ux, uy, uz, *_from(points, a, point))
-        if x * x + y * y + z * z > farthest:
-            farthest, c = x * x + y * y + z * z, point
-    _span(points, growth, 0, a, b, c)
-    farthest = 0.0
-    for point in which:
-        height = height_above(growth, 0, points[point, 0], points[point, 1], points[point, 2])
-        if abs(height) > abs(farthest):
-            farthest, d = height, point
-    if not abs(farthest) * ROUNDING > FLAT * growth.rounding:
+    """Make a tetrahedron of some points and have the others of them wait above it; False when they lie in a plane."""
+    return _start(points, which, growth, np.zeros((4, 3)), np.full(4, which[0]))
+
+
+@compiled
+def _start(points: Array, which: Indices, growth: Growth, axes: Array, corners: Indices) -> bool:
+    """Begin at the first corner; the next is each time what is farthest from the point, line, plane of those before.
+
+    `axes` (4, 3) become unit vectors from each to the next, square to those before.
+    """
+    first, farthest = points[which[0]], 0.0
+    for n in range(1, 4):
+        farthest = 0.0
+        for point in which:
+            x, y, z = points[point, 0] - first[0], points[point, 1] - first[1], points[point, 2] - first[2]
+            for k in range(1, n):
+                along = x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2]
+                x, y, z = x - along * axes[k, 0], y - along * axes[k, 1], z - along * axes[k, 2]
+            distance = np.sqrt(x * x + y * y + z * z)
+            if distance > farthest:
+                farthest, corners[n] = distance, point
+                axes[n, 0], axes[n, 1], axes[n, 2] = x / distance, y / distance, z / distance
+    if not farthest > FLAT * growth.extent:
         return False
-    if farthest > 0:
-        b, c = c, b
-    for facet, (p, q, r) in enumerate(((a, b, c), (a, d, b), (b, d, c), (c, d, a))):
-        _span(points, growth, facet, p, q, r)
-        growth.new[facet] = facet
-    for facet, (p, q, r) in enumerate(((1, 2, 3), (3, 2, 0), (1, 3, 0), (2, 1, 0))):
-        growth.across[facet, 0], growth.across[facet, 1], growth.across[facet, 2] = p, q, r
+    _span(points, growth.facets, growth.planes, 0, corners[0], corners[1], corners[2])
+    top = corners[3]
+    if height_above(growth.planes, 0, points[top, 0], points[top, 1], points[top, 2]) > 0:
+        corners[1], corners[2] = corners[2], corners[1]
+    for facet in range(4):
+        a, b, c = corners[FACES[facet, 0]], corners[FACES[facet, 1]], corners[FACES[facet, 2]]
+        _span(points, growth.facets, growth.planes, facet, a, b, c)
+        for side in range(3):
+            growth.facets[facet, 3 + side] = BESIDE[facet, side]
+        growth.above[facet] = NONE
+        growth.lists[facet, NEW] = facet
     growth.counts[0] = 4
     for point in which:
         _give(points, growth, point, 4)
@@ -185,7 +167,8 @@ def start(points: Array, which: Indices, growth: Growth) -> bool:
 @compiled
 def grow(points: Array, growth: Growth) -> bool:
     """Add the points that wait above facets; False when rounding defeats the method."""
-    n_places, n_vacant = growth.counts
+    lists = growth.lists
+    n_places, n_vacant = growth.counts[0], growth.counts[1]
     facet = 0
     for _ in range(len(points)):
         n_passed = 0
@@ -198,22 +181,23 @@ def grow(points: Array, growth: Growth) -> bool:
         n_visible, n_new = _look(points, growth, facet)
         if n_new == 0:
             return False
-        apex = growth.highest[facet]
+        apex = growth.facets[facet, HIGHEST]
         for k in range(n_visible):
-            growth.lists[k] = growth.above[growth.visible[k]]
-            growth.above[growth.visible[k]] = NO_FACET
-            growth.vacant[n_vacant] = growth.visible[k]
+            place = lists[k, VISIBLE]
+            lists[k, WAITING] = growth.above[place]
+            growth.above[place] = NO_FACET
+            lists[n_vacant, VACANT] = place
             n_vacant += 1
         for k in range(n_new):
             if n_vacant > 0:
                 n_vacant -= 1
-                growth.new[k] = growth.vacant[n_vacant]
+                lists[k, NEW] = lists[n_vacant, VACANT]
             else:
-                growth.new[k] = n_places
+                lists[k, NEW] = n_places
                 n_places += 1
         _build_cone(points, growth, apex, n_new)
         for k in range(n_visible):
-            point = growth.lists[k]
+            point = lists[k, WAITING]
             while point >= 0:
                 following = growth.following[point]
                 _give(points, growth, point, n_new)
@@ -222,18 +206,17 @@ def grow(points: Array, growth: Growth) -> bool:
 
 
 @compiled
-def height_above(growth: Growth, facet: int, x: float, y: float, z: float) -> float:
+def height_above(planes: Array, facet: int, x: float, y: float, z: float) -> float:
     """Of a point above the plane of a facet."""
-    planes = growth.planes
     return planes[facet, 0] * x + planes[facet, 1] * y + planes[facet, 2] * z + planes[facet, 3]
 
 
 @compiled
 def put_above(growth: Growth, facet: int, point: int, height: float) -> None:
     """Have a point wait above a facet."""
-    if growth.above[facet] < 0 or height > growth.top[facet]:
-        growth.top[facet] = height
-        growth.highest[facet] = point
+    if growth.above[facet] < 0 or height > growth.planes[facet, TOP]:
+        growth.planes[facet, TOP] = height
+        growth.facets[facet, HIGHEST] = point
     growth.following[point] = growth.above[facet]
     growth.above[facet] = point
 
@@ -243,8 +226,8 @@ def _give(points: Array, growth: Growth, point: int, n_new: int) -> None:
     """Have a point wait above the first of the new facets that it is above, if any."""
     x, y, z = points[point, 0], points[point, 1], points[point, 2]
     for k in range(n_new):
-        facet = growth.new[k]
-        height = height_above(growth, facet, x, y, z)
+        facet = growth.lists[k, NEW]
+        height = height_above(growth.planes, facet, x, y, z)
         if height > growth.tolerance:
             put_above(growth, facet, point, height)
             break
@@ -257,81 +240,65 @@ def _look(points: Array, growth: Growth, first: int) -> tuple[int, int]:
     Every facet is entered from another and its other sides are looked at in turn, so that the edges of the horizon
     come in order. No edges: it is no ring.
     """
-    across, corners, seen_by = growth.across, growth.corners, growth.seen_by
-    visible, entered, path, horizon = growth.visible, growth.entered, growth.path, growth.horizon
-    apex = growth.highest[first]
+    facets, lists = growth.facets, growth.lists
+    apex = facets[first, HIGHEST]
     x, y, z = points[apex, 0], points[apex, 1], points[apex, 2]
-    visible[0], entered[0, 0], entered[0, 1], path[0] = first, 2, 0, 0
-    seen_by[first] = apex
-    n_visible, n_edges, depth = 1, 0, 0
+    lists[0, VISIBLE], lists[0, ENTERED], lists[0, LOOKED], lists[0, PATH] = first, 2, 0, 0
+    facets[first, SEEN_BY] = apex
+    n_visible, n_edges, depth, last = 1, 0, 0, NONE
     while depth >= 0:
-        at = path[depth]
-        facet = visible[at]
-        entered[at, 1] += 1
-        if entered[at, 1] > 3 or (entered[at, 1] == 3 and depth > 0):
+        at = lists[depth, PATH]
+        facet = lists[at, VISIBLE]
+        lists[at, LOOKED] += 1
+        if lists[at, LOOKED] > 3 or (lists[at, LOOKED] == 3 and depth > 0):
             depth -= 1
             continue
-        side = (entered[at, 0] + entered[at, 1]) % 3
-        beyond = across[facet, side]
-        if seen_by[beyond] == apex:
+        side = (lists[at, ENTERED] + lists[at, LOOKED]) % 3
+        beyond = facets[facet, 3 + side]
+        if facets[beyond, SEEN_BY] == apex:
             continue
-        start = corners[facet, side]
+        start = facets[facet, side]
         # both facets have the edge, in opposite directions
-        back = 2 if corners[beyond, 0] == start else 0 if corners[beyond, 1] == start else 1
-        if height_above(growth, beyond, x, y, z) > growth.rounding:
+        back = 2 if facets[beyond, 0] == start else 0 if facets[beyond, 1] == start else 1
+        if height_above(growth.planes, beyond, x, y, z) > growth.rounding:
             depth += 1
-            visible[n_visible], entered[n_visible, 0], entered[n_visible, 1] = beyond, back, 0
-            path[depth] = n_visible
-            seen_by[beyond] = apex
+            lists[depth, PATH] = n_visible
+            lists[n_visible, VISIBLE], lists[n_visible, ENTERED], lists[n_visible, LOOKED] = beyond, back, 0
+            facets[beyond, SEEN_BY] = apex
             n_visible += 1
             continue
-        if n_edges > 0 and corners[horizon[n_edges - 1, 1], horizon[n_edges - 1, 2]] != start:
+        if n_edges > 0 and start != last:
             return n_visible, 0
-        horizon[n_edges, 0], horizon[n_edges, 1], horizon[n_edges, 2] = start, beyond, back
+        last = facets[facet, (side + 1) % 3]
+        lists[n_edges, EDGE], lists[n_edges, EDGE + 1], lists[n_edges, EDGE + 2] = start, beyond, back
         n_edges += 1
-    if n_edges < 3 or corners[horizon[n_edges - 1, 1], horizon[n_edges - 1, 2]] != horizon[0, 0]:
-        return n_visible, 0
-    return n_visible, n_edges
+    return n_visible, n_edges if n_edges > 2 and last == lists[0, EDGE] else 0
 
 
 @compiled
 def _build_cone(points: Array, growth: Growth, apex: int, n_edges: int) -> None:
     """A new facet from each edge of the horizon to the apex."""
-    before = growth.new[n_edges - 1]
+    facets, lists = growth.facets, growth.lists
+    before = lists[n_edges - 1, NEW]
     for k in range(n_edges):
-        facet = growth.new[k]
-        start, beyond, back = growth.horizon[k, 0], growth.horizon[k, 1], growth.horizon[k, 2]
-        end = growth.horizon[k + 1 if k + 1 < n_edges else 0, 0]
-        _span(points, growth, facet, start, end, apex)
-        growth.across[beyond, back] = facet
-        growth.across[facet, 0] = beyond
-        growth.across[facet, 2] = before
-        growth.across[before, 1] = facet
+        facet = lists[k, NEW]
+        start, beyond, back = lists[k, EDGE], lists[k, EDGE + 1], lists[k, EDGE + 2]
+        end = lists[k + 1 if k + 1 < n_edges else 0, EDGE]
+        _span(points, facets, growth.planes, facet, start, end, apex)
+        growth.above[facet] = NONE
+        facets[beyond, 3 + back] = facet
+        facets[facet, 3], facets[facet, 5], facets[before, 4] = beyond, before, facet
         before = facet
 
 
 @compiled
-def _span(points: Array, growth: Growth, facet: int, a: int, b: int, c: int) -> None:
+def _span(points: Array, facets: Indices, planes: Array, facet: int, a: int, b: int, c: int) -> None:
     """Make a facet of three points."""
-    corners, planes = growth.corners, growth.planes
-    corners[facet, 0], corners[facet, 1], corners[facet, 2] = a, b, c
-    x, y, z = _cross(*_from(points, c, a), *_from(points, c, b))
-    scale = 1 / np.sqrt(x * x + y * y + z * z)
-    planes[facet, 0], planes[facet, 1], planes[facet, 2] = x * scale, y * scale, z * scale
-    planes[facet, 3] = -(x * points[c, 0] + y * points[c, 1] + z * points[c, 2]) * scale
-    growth.above[facet] = NONE
-    growth.seen_by[facet] = NONE
-
-
-@compiled
-def _from(points: Array, start: int, end: int) -> tuple[float, float, float]:
-    return (
-        points[end, 0] - points[start, 0],
-        points[end, 1] - points[start, 1],
-        points[end, 2] - points[start, 2],
-    )
-
-
-@compiled
-def _cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    facets[facet, 0], facets[facet, 1], facets[facet, 2], facets[facet, SEEN_BY] = a, b, c, NONE
+    x, y, z = points[c, 0], points[c, 1], points[c, 2]
+    ux, uy, uz = points[a, 0] - x, points[a, 1] - y, points[a, 2] - z
+    vx, vy, vz = points[b, 0] - x, points[b, 1] - y, points[b, 2] - z
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    scale = 1 / np.sqrt(nx * nx + ny * ny + nz * nz)
+    planes[facet, 0], planes[facet, 1], planes[facet, 2] = nx * scale, ny * scale, nz * scale
+    planes[facet, 3] = -(nx * x + ny * y + nz * z) * scale

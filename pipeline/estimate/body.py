@@ -60,7 +60,7 @@ def estimate_body(
     ValueError
         A silhouette of a camera that the rig does not know.
     """
-    center_mm = _middle_mm(hull.vertices_mm)
+    center_mm = np.array([(column.min() + column.max()) / 2 for column in hull.vertices_mm.T])
     inner = inner_surface(usable_views(silhouettes, rig), center_mm, hull.vertices_mm)
     if isinstance(inner, str):
         hull_volume_mm3, _ = _volumes_mm3(
@@ -69,9 +69,9 @@ def estimate_body(
         return BodyEstimate(
             mesh=hull, volume_mm3=hull_volume_mm3, hull_volume_mm3=hull_volume_mm3, fallback=inner
         )
-    vertices_mm, shares = _pulled(
-        hull.vertices_mm, center_mm, inner, bulge_share(inner.half_heights, inner.radii)
-    )
+    bulge = bulge_share(inner.half_heights, inner.radii)
+    vertices_mm, shares = np.empty(hull.vertices_mm.shape), np.empty(len(hull.vertices_mm))
+    _pull(hull.vertices_mm, center_mm, inner, bulge, shares, vertices_mm)
     hull_volume_mm3, volume_mm3 = _volumes_mm3(hull.vertices_mm, hull.faces, center_mm, shares)
     return BodyEstimate(
         mesh=ParticleMesh(vertices_mm, hull.faces), volume_mm3=volume_mm3, hull_volume_mm3=hull_volume_mm3
@@ -79,26 +79,16 @@ def estimate_body(
 
 
 @compiled
-def _middle_mm(points_mm: Array) -> Array:
-    """Of the box around points (N, 3)."""
-    low_mm, high_mm = points_mm[0].copy(), points_mm[0].copy()
-    for i in range(len(points_mm)):
-        for k in range(3):
-            low_mm[k], high_mm[k] = min(low_mm[k], points_mm[i, k]), max(high_mm[k], points_mm[i, k])
-    return (low_mm + high_mm) / 2
-
-
-@compiled
-def _pulled(points_mm: Array, center_mm: Array, inner: InnerSurface, bulge: float) -> tuple[Array, Array]:
-    """Points (N, 3) pulled towards the centre, to the estimated surface, and to which share (N,) of the way."""
-    moved_mm, shares = np.empty(points_mm.shape), np.empty(len(points_mm))
+def _pull(
+    points_mm: Array, center_mm: Array, inner: InnerSurface, bulge: float, shares: Array, moved_mm: Array
+) -> None:
+    """Pull points (N, 3) towards the centre, to the estimated surface: to `shares` (N,) of the way from there."""
     for i in range(len(points_mm)):
         excess = max(1 - inner.radii[i], 0.0)
         kept = smoothness(inner.local_share[i], bulge) * min(inner.half_heights[i], excess)
         shares[i] = 1 - PULL * (excess - kept)
         for k in range(3):
             moved_mm[i, k] = center_mm[k] + shares[i] * (points_mm[i, k] - center_mm[k])
-    return moved_mm, shares
 
 
 @compiled

@@ -19,13 +19,15 @@ from pipeline.growing_hull import (
     Facets,
     Growth,
     facets_of,
-    grow_surely,
+    grow,
     growth_for,
     put_above,
+    restart_by_qhull,
     start,
 )
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 Indices = NDArray[np.int32]
 
 SHARES = (0.1, 0.3, 0.55, 0.8)
@@ -35,6 +37,7 @@ TOUCH_MM = 0.01
 CUTS = 4
 TOLERANCE = 1e-8
 """Points so little above the body, as a share of its extent, are no corners of it."""
+FALLING, RISING, T, BEST_T = 0, 2, 4, 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,94 +46,131 @@ class InnerBody:
 
     points_mm: Array  # (N, 3) of each tangent; at the corners, where it touches
     facets: Facets  # their corners are tangents
+    solvers: Array  # (F, 3, 3) turn a direction into its weights, up to scale, of a facet's corners
     volume_mm3: float
 
 
 def inner_body(tangents: Tangents) -> InnerBody | None:
     """The convex body that touches all segments; `None` when they do not span one."""
+    lines = np.column_stack([tangents.points_mm, tangents.directions, tangents.low_mm, tangents.high_mm])
+    points_mm = lines[:, :3] + lines[:, 6:].mean(axis=1, keepdims=True) * lines[:, 3:6]
     order = np.argsort(tangents.lengths_mm).astype(np.int32)
     first, *batches = np.split(order, (np.array(SHARES) * len(order)).astype(int))
     if len(first) == 0:
         return None
-    points_mm = tangents.points_mm + (tangents.low_mm + tangents.high_mm)[:, None] / 2 * tangents.directions
-    extent_mm = float(np.ptp(points_mm[first], axis=0).max())
-    growth = growth_for(len(order), extent_mm, TOLERANCE)
+    growth = growth_for(len(order), float(np.ptp(points_mm[first], axis=0).max()), TOLERANCE)
     if not start(points_mm, first, growth):
         return None
     added = first
     try:
-        grow_surely(points_mm, added, growth)
-        for batch in batches:
-            added = np.concatenate([added, _approach(tangents.lines(), batch, growth, points_mm)])
-            grow_surely(points_mm, added, growth)
+        for batch in (first[:0], *batches):
+            added = np.concatenate([added, _approach(lines, batch, growth, points_mm)])
+            if not grow(points_mm, growth):
+                restart_by_qhull(points_mm, added, growth)
     except scipy.spatial.QhullError:  # flat but for rounding
         return None
     facets = facets_of(growth)
-    a, b, c = (points_mm[facets.corners[:, k]] for k in range(3))
-    volume_mm3 = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
-    return InnerBody(points_mm=points_mm, facets=facets, volume_mm3=volume_mm3)
+    solvers = np.empty((len(facets.corners), 3, 3))
+    volume_mm3 = _solve(points_mm, facets.corners, solvers)
+    return InnerBody(points_mm=points_mm, facets=facets, solvers=solvers, volume_mm3=volume_mm3)
 
 
-@compiled
 def _approach(lines: Array, rays: Indices, growth: Growth, points_mm: Array) -> Indices:
     """Those of some rays that a convex body does not touch; their points nearest to it wait above its facets.
 
     `lines` (N, 8) are points, directions, and ends of the segments; the points found are put into `points_mm`.
-    Along a ray the greatest height above a facet is convex and piecewise linear: two planes, one rising and one
-    falling, meet below its minimum, and each step replaces one of them by the plane that is greatest there
-    (Kelley's cutting planes in one dimension).
     """
-    n, planes = len(rays), growth.planes
-    at_mm = np.empty((3, n))
-    t_mm, best_mm, best_t_mm = np.empty(n), np.full(n, np.inf), np.empty(n)
-    best_facet = np.zeros(n, np.int32)
-    # falling and rising plane of each ray: slope, and height where t is 0
-    slopes, heights_mm = np.empty((2, n)), np.empty((2, n))
-    for step in range(-2, CUTS):
-        for i in range(n):
-            line = lines[rays[i]]
-            if step < 0:
-                t_mm[i] = line[8 + step]
-            elif slopes[0, i] >= 0:  # all rising: the minimum is at the near end
-                t_mm[i] = line[6]
-            elif slopes[1, i] <= 0:  # all falling
-                t_mm[i] = line[7]
-            else:
-                cut_mm = (heights_mm[0, i] - heights_mm[1, i]) / (slopes[1, i] - slopes[0, i])
-                t_mm[i] = min(max(cut_mm, line[6]), line[7])
-            for k in range(3):
-                at_mm[k, i] = line[k] + t_mm[i] * line[3 + k]
-        height_mm, facet = _highest(at_mm, growth)
-        for i in range(n):
-            line = lines[rays[i]]
-            plane = planes[facet[i]]
-            slope = plane[0] * line[3] + plane[1] * line[4] + plane[2] * line[5]
-            which = 2 + step if step < 0 else int(slope > 0)
-            slopes[which, i] = slope
-            heights_mm[which, i] = height_mm[i] - slope * t_mm[i]
-            if step >= 0 and height_mm[i] < best_mm[i]:
-                best_mm[i], best_t_mm[i], best_facet[i] = height_mm[i], t_mm[i], facet[i]
-    missed = rays[best_mm > TOUCH_MM]
-    for i in range(n):
-        if best_mm[i] > TOUCH_MM:
-            for k in range(3):
-                points_mm[rays[i], k] = lines[rays[i], k] + best_t_mm[i] * lines[rays[i], 3 + k]
-            put_above(growth, best_facet[i], rays[i], best_mm[i])
-    return missed
+    n = len(rays)
+    state, height_mm = np.empty((n, 6)), np.full(n, np.inf)
+    search = (
+        np.empty((3, n), np.float32),
+        np.empty(n, np.float32),
+        np.empty(n, np.int32),
+        np.empty(n, np.int32),
+    )
+    _descend(lines, rays, growth, points_mm, state, height_mm, search)
+    return rays[height_mm > TOUCH_MM]
 
 
 @compiled
-def _highest(points_mm: Array, growth: Growth) -> tuple[Array, NDArray[np.int64]]:
-    """The greatest height of points (3, R) above a facet, and above which; in vectors, as the points are last."""
-    n, planes = points_mm.shape[1], growth.planes
-    highest_mm, index = np.full(n, -np.inf), np.zeros(n, np.int64)
+def _descend(
+    lines: Array,
+    rays: Indices,
+    growth: Growth,
+    points_mm: Array,
+    state: Array,
+    least_mm: Array,
+    search: tuple[Single, Single, Indices, Indices],
+) -> None:
+    """Find the least heights (R,) of rays above a convex body, and have the points of those that miss it wait.
+
+    Along a ray the greatest height above a facet is convex and piecewise linear: two planes, one rising and one
+    falling, meet below its minimum, and each step replaces one of them by the plane that is greatest there
+    (Kelley's cutting planes in one dimension). Columns of the `state` (R, 6) are slopes of the FALLING and of the
+    RISING plane, each with its height where t is 0; T; and the best of all T so far.
+    """
+    planes, (at_mm, highest_mm, facets, best) = growth.planes, search
+    for step in range(2 + CUTS):
+        for i in range(len(rays)):
+            ray = rays[i]
+            t_mm = lines[ray, 7] if step == 1 or (step > 1 and state[i, RISING] <= 0) else lines[ray, 6]
+            if step > 1 and state[i, FALLING] < 0 < state[i, RISING]:
+                cut_mm = (state[i, FALLING + 1] - state[i, RISING + 1]) / (
+                    state[i, RISING] - state[i, FALLING]
+                )
+                t_mm = min(max(cut_mm, lines[ray, 6]), lines[ray, 7])
+            state[i, T] = t_mm
+            for k in range(3):
+                at_mm[k, i] = lines[ray, k] + t_mm * lines[ray, 3 + k]
+        _find_highest(at_mm, growth, highest_mm, facets)
+        for i in range(len(rays)):
+            ray, facet, t_mm = rays[i], facets[i], state[i, T]
+            slope = height_mm = 0.0
+            for k in range(3):
+                slope += planes[facet, k] * lines[ray, 3 + k]
+                height_mm += planes[facet, k] * lines[ray, k]
+            height_mm += planes[facet, 3]
+            which = RISING if step == 1 or (step > 1 and slope > 0) else FALLING
+            state[i, which], state[i, which + 1] = slope, height_mm
+            if step > 1 and height_mm + t_mm * slope < least_mm[i]:
+                least_mm[i], state[i, BEST_T] = height_mm + t_mm * slope, t_mm
+                best[i] = facet
+    for i in range(len(rays)):
+        if least_mm[i] > TOUCH_MM:
+            for k in range(3):
+                points_mm[rays[i], k] = lines[rays[i], k] + state[i, BEST_T] * lines[rays[i], 3 + k]
+            put_above(growth, best[i], rays[i], least_mm[i])
+
+
+@compiled
+def _find_highest(points_mm: Single, growth: Growth, highest_mm: Single, index: Indices) -> None:
+    """The greatest height (R,) of points (3, R) above a facet, and which it is; in vectors, as the points are last."""
+    planes = growth.planes
+    highest_mm[:] = -np.inf
     for facet in range(growth.counts[0]):
         if growth.above[facet] == NO_FACET:
             continue
-        x, y, z, offset_mm = planes[facet, 0], planes[facet, 1], planes[facet, 2], planes[facet, 3]
-        for i in range(n):
+        x, y = np.float32(planes[facet, 0]), np.float32(planes[facet, 1])
+        z, offset_mm = np.float32(planes[facet, 2]), np.float32(planes[facet, 3])
+        for i in range(len(index)):
             height_mm = x * points_mm[0, i] + y * points_mm[1, i] + z * points_mm[2, i] + offset_mm
             is_higher = height_mm > highest_mm[i]
             highest_mm[i] = height_mm if is_higher else highest_mm[i]
             index[i] = facet if is_higher else index[i]
-    return highest_mm, index
+
+
+@compiled
+def _solve(points_mm: Array, corners: Indices, solvers: Array) -> float:
+    """Fill in `InnerBody.solvers`: the cross products of a facet's corners; returns the volume in mm3."""
+    sixfold_mm3 = 0.0
+    for facet in range(len(corners)):
+        for k in range(3):
+            b, c = corners[facet, (k + 1) % 3], corners[facet, (k + 2) % 3]
+            bx, by, bz = points_mm[b, 0], points_mm[b, 1], points_mm[b, 2]
+            cx, cy, cz = points_mm[c, 0], points_mm[c, 1], points_mm[c, 2]
+            solvers[facet, k, 0] = by * cz - bz * cy
+            solvers[facet, k, 1] = bz * cx - bx * cz
+            solvers[facet, k, 2] = bx * cy - by * cx
+        for k in range(3):
+            sixfold_mm3 += points_mm[corners[facet, 0], k] * solvers[facet, 0, k]
+    return sixfold_mm3 / 6

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.estimate.tangents import N_ANGLES, Tangents, segments_mm
+from pipeline.estimate.tangents import N_ANGLES, OUTWARDS, Tangents, segments_mm
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 
 REACH_DEG = 37.5
 """Planes whose normals are further apart do not count; up to there the weight falls with the cosine."""
@@ -35,21 +36,23 @@ def segment_shares(tangents: Tangents, sphere_mm: float) -> Array:
     return np.minimum(tangents.lengths_mm / sphere_mm, 1)
 
 
-@compiled
 def local_share(normals: Array, shares: Array) -> Array:
-    """Mean (N,) of `segment_shares` (N,) of the planes that look like each of those with these normals (N, 3).
+    """Mean (N,) of `segment_shares` (N,) of the planes that look like each of those with these normals (N, 3)."""
+    sums = np.zeros((2, len(shares)), np.float32)
+    _share_out(np.ascontiguousarray(normals.T, np.float32), shares.astype(np.float32), sums)
+    return (sums[1] / sums[0]).astype(np.float64)
 
-    Each plane gives to all others: unlike the mean of one after the other this runs in vectors.
-    """
-    x, y, z = normals[:, 0].copy(), normals[:, 1].copy(), normals[:, 2].copy()
-    limit = np.cos(np.deg2rad(REACH_DEG))
-    weights, weighted = np.zeros(len(x)), np.zeros(len(x))
-    for j in range(len(x)):
-        for i in range(len(x)):
-            weight = max(x[i] * x[j] + y[i] * y[j] + z[i] * z[j] - limit, 0.0)
-            weights[i] += weight
-            weighted[i] += weight * shares[j]
-    return weighted / weights
+
+@compiled
+def _share_out(normals: Single, shares: Single, sums: Single) -> None:
+    """Add each plane's weight, and that times its share, to the sums (2, N) of all: in vectors, as these are last."""
+    limit = np.float32(np.cos(np.deg2rad(REACH_DEG)))
+    for j in range(len(shares)):
+        x, y, z, share = normals[0, j], normals[1, j], normals[2, j], shares[j]
+        for i in range(len(shares)):
+            weight = max(x * normals[0, i] + y * normals[1, i] + z * normals[2, i] - limit, np.float32(0))
+            sums[0, i] += weight
+            sums[1, i] += weight * share
 
 
 @compiled
@@ -75,16 +78,20 @@ def smoothness(local: float, bulge: float) -> float:
 
 def sphere_segment_mm(views: Sequence[View], center_mm: Array, radius_mm: float) -> float:
     """Median segment of the tangent rays of a sphere seen by these cameras; infinite if they bound none."""
-    angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
     eyes_mm = np.array([camera.center_mm - center_mm for camera, _ in views])
-    distances_mm = np.linalg.norm(eyes_mm, axis=1)[:, None, None]
+    distances_mm = np.sqrt((eyes_mm**2).sum(axis=1, keepdims=True))
     sines = np.minimum(radius_mm / distances_mm, 1.0)
-    right, down = np.moveaxis(np.linalg.svd(eyes_mm[:, None])[2][:, 1:], 1, 0)
-    around = np.cos(angles)[:, None] * right[:, None] + np.sin(angles)[:, None] * down[:, None]
+    cosines = np.sqrt(1 - sines**2)
+    # rows of Householder's matrices: along the first of each the camera lies, before or behind
+    sides = np.copysign(1.0, eyes_mm[:, :1])
+    mirrors = eyes_mm + sides * distances_mm * np.array([1.0, 0.0, 0.0])
+    mirrors /= np.sqrt((mirrors**2).sum(axis=1, keepdims=True))
+    axes = np.eye(3) - 2 * mirrors[:, :, None] * mirrors[:, None]
     # the normal of a tangent plane points to where it touches
-    planes = (np.sqrt(1 - sines**2) * around + sines * eyes_mm[:, None] / distances_mm).reshape(-1, 3)
+    axes *= np.concatenate([-sides * sines, cosines, cosines], axis=1)[:, :, None]
+    planes = (np.column_stack([np.ones(N_ANGLES), *OUTWARDS]) @ axes).reshape(-1, 3)
     touching_mm = radius_mm * planes[::SPHERE_STEP]
-    along = touching_mm - np.repeat(eyes_mm, N_ANGLES, axis=0)[::SPHERE_STEP]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = touching_mm - eyes_mm[np.arange(0, len(planes), SPHERE_STEP) // N_ANGLES]
+    along /= np.sqrt((along**2).sum(axis=1, keepdims=True))
     low_mm, high_mm = segments_mm(planes, np.full(len(planes), radius_mm), touching_mm, along)
     return float(np.median(high_mm - low_mm))

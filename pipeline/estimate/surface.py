@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.estimate.inner import InnerBody, inner_body
+from pipeline.estimate.inner import inner_body
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
 from pipeline.estimate.tangents import tangents_of
 from pipeline.growing_hull import Facets
@@ -31,7 +31,10 @@ def inner_surface(views: Sequence[View], center_mm: Array, points_mm: Array) -> 
     """The inner body along the rays from `center_mm` through points (N, 3); or why there is none."""
     if len(views) < 3:
         return f"{len(views)} views are too few for an inner body"
-    tangents = tangents_of(views, center_mm)
+    outlined = [(camera, silhouette) for camera, silhouette in views if len(silhouette.outline_uv) > 2]
+    if not outlined:
+        return "no outline was seen"
+    tangents = tangents_of(outlined, center_mm)
     inner = inner_body(tangents)
     if inner is None:
         return "the outlines that were seen do not span a body"
@@ -41,34 +44,23 @@ def inner_surface(views: Sequence[View], center_mm: Array, points_mm: Array) -> 
     if not np.isfinite(sphere_mm):
         return "the views leave the hull of a sphere open"
     shares = local_share(tangents.normals, segment_shares(tangents, sphere_mm))
-    return InnerSurface(
-        *_along(
-            points_mm,
-            center_mm,
-            inner.facets,
-            _corner_solver(inner),
-            np.column_stack([tangents.normals, tangents.offsets_mm, shares]),
-            np.zeros((2, 2, 2), np.int32),
-        )
-    )
-
-
-def _corner_solver(inner: InnerBody) -> Array:
-    """Matrices (F, 3, 3) that turn a direction into its weights, up to scale, of a face's corners."""
-    a, b, c = inner.points_mm[inner.facets.corners.T]
-    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    surface = InnerSurface(*np.empty((3, len(points_mm))))
+    planes = np.column_stack([tangents.normals, tangents.offsets_mm, shares])
+    _follow(points_mm, center_mm, inner.facets, inner.solvers, planes, np.zeros((2, 2, 2), np.int32), surface)
+    return surface
 
 
 @compiled
-def _along(
+def _follow(
     points_mm: Array,
     center_mm: Array,
     facets: Facets,
     solvers: Array,
     tangents: Array,
     last: NDArray[np.int32],
-) -> tuple[Array, Array, Array]:
-    """The three arrays (N,) of `InnerSurface` for the rays from the centre through points (N, 3).
+    surface: InnerSurface,
+) -> None:
+    """Fill in the surface along the rays from the centre through points (N, 3).
 
     `tangents` (T, 5) are normals, offsets and shares of the planes that touch at the corners. A face that the ray
     misses is left for its neighbour on the ray's side: seen from within, the faces of a convex body tile a sphere
@@ -76,15 +68,10 @@ def _along(
     (2, 2, 2) ended, at first anywhere: a mesh's vertices come in rows that cross the body, so that this is less
     than one step away.
     """
-    n = len(points_mm)
     corners, across, planes = facets
-    radii, half_heights, local_share = np.empty(n), np.empty(n), np.empty(n)
-    for i in range(n):
-        x, y, z = (
-            points_mm[i, 0] - center_mm[0],
-            points_mm[i, 1] - center_mm[1],
-            points_mm[i, 2] - center_mm[2],
-        )
+    center_x, center_y, center_z = center_mm[0], center_mm[1], center_mm[2]
+    for i in range(len(points_mm)):
+        x, y, z = points_mm[i, 0] - center_x, points_mm[i, 1] - center_y, points_mm[i, 2] - center_z
         octant = (int(x > 0), int(y > 0), int(z > 0))
         face = last[octant]
         a, b, c = _weights(solvers, face, x, y, z)
@@ -106,11 +93,12 @@ def _along(
             + b * (tangents[second, 3] - radius * _height(tangents, second, x, y, z))
             + c * (tangents[third, 3] - radius * _height(tangents, third, x, y, z))
         )
-        radii[i] = radius
+        surface.radii[i] = radius
         # square to the face h, along the ray h / cos, and cos is `own_mm` over the point's distance
-        half_heights[i] = max(bulge_mm, 0.0) / (2 * own_mm)
-        local_share[i] = scale * (a * tangents[first, 4] + b * tangents[second, 4] + c * tangents[third, 4])
-    return radii, half_heights, local_share
+        surface.half_heights[i] = max(bulge_mm, 0.0) / (2 * own_mm)
+        surface.local_share[i] = scale * (
+            a * tangents[first, 4] + b * tangents[second, 4] + c * tangents[third, 4]
+        )
 
 
 @compiled
