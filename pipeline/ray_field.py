@@ -152,8 +152,12 @@ def _lower(smallest_mm: Single, search: _Search, pinholes: Pinholes, view: int, 
     zero, last_u, last_v = np.float32(0), np.float32(width - 1), np.float32(height - 1)
     lens, focal_px = lens_of(pinholes, view), pinholes.focals_px[view]
     rays, places = np.empty(BLOCK, np.int64), room_for(BLOCK)
-    samples_mm, steps_mm = np.zeros((2, 3, BLOCK), np.float32)
-    u, v, values, least_mm = np.empty((4, BLOCK), np.float32)
+    samples_mm, steps_mm = np.zeros((3, BLOCK), np.float32), np.zeros((3, BLOCK), np.float32)
+    seen, values, least_mm = (
+        np.empty((2, BLOCK), np.float32),
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.float32),
+    )
     ray = 0
     while ray < n_rays:
         n = 0
@@ -164,11 +168,12 @@ def _lower(smallest_mm: Single, search: _Search, pinholes: Pinholes, view: int, 
         _start(search, view, n_samples, rays[:n], samples_mm, steps_mm)
         least_mm[:] = np.inf
         for sample in range(n_samples):
-            _project(samples_mm, lens, u, v)
-            interpolate(flat_px, 0, height, width, u, v, n, places, values)
+            _project(samples_mm, lens, seen)
+            interpolate(flat_px, 0, height, width, seen, n, places, values)
             for i in range(n):  # not min and max, here and below: these are not put into vectors
-                is_seen = (u[i] >= zero) & (u[i] <= last_u) & (v[i] >= zero) & (v[i] <= last_v)
-                value_mm = (values[i] if is_seen else beyond_px) * samples_mm[2, i] / focal_px
+                u, v = seen[0, i], seen[1, i]
+                is_within = (u >= zero) & (u <= last_u) & (v >= zero) & (v <= last_v)
+                value_mm = (values[i] if is_within else beyond_px) * samples_mm[2, i] / focal_px
                 values[i] = value_mm
                 least_mm[i] = value_mm if value_mm < least_mm[i] else least_mm[i]
             for rank in range(n_ranks):
@@ -200,7 +205,8 @@ def _start(
 
 
 @compiled
-def _project(points_mm: Single, lens: Lens, u: Single, v: Single) -> None:
-    """Region pixels u, v (N,) of points (3, N) in the camera's frame."""
-    for i in range(len(u)):
-        u[i], v[i] = pixel_of(lens, points_mm[0, i] / points_mm[2, i], points_mm[1, i] / points_mm[2, i])
+def _project(points_mm: Single, lens: Lens, seen: Single) -> None:
+    """Region pixels u, v (2, N) of points (3, N) in the camera's frame."""
+    for i in range(seen.shape[1]):
+        slope_x, slope_y = points_mm[0, i] / points_mm[2, i], points_mm[1, i] / points_mm[2, i]
+        seen[0, i], seen[1, i] = pixel_of(lens, slope_x, slope_y)
