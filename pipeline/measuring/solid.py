@@ -1,4 +1,4 @@
-"""Volume, area and centre of mass of a closed mesh, and whether it is closed, in one pass over its faces.
+"""Volume, area, centre of mass and inertia of a closed mesh, and whether it is closed, in one pass over its faces.
 
 A mesh bounds a solid when every directed edge (a, b) of a face meets its opposite (b, a) in another
 face: then the signed tetrahedra below add up to the volume, whatever their common apex.
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 First = tuple[float, float, float]
 """Integrals of x, y, z."""
+Second = tuple[float, float, float, float, float, float]
+"""Integrals of xx, yy, zz, xy, yz, zx."""
 
 MIN_FILLING = 1e-9
 """Volume over the cube of the extent below which a surface encloses nothing but rounding errors."""
@@ -36,6 +38,7 @@ class Solid:
     volume_mm3: float
     surface_area_mm2: float
     center_mm: Array  # (3,) centre of mass at uniform density
+    inertia_mm5: Array  # (3, 3) about the centre of mass, at density 1
     vertices_mm: Array  # (N, 3) the vertices that belong to a face
 
 
@@ -66,10 +69,15 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
         raise MeshError(_defect(corners, len(points_mm)))
     if not abs(sums.volume_mm3) > MIN_FILLING * sums.extent_mm**3:
         raise MeshError("the mesh encloses no volume")
+    center_mm = np.array(sums.first_mm4) / sums.volume_mm3
+    xx, yy, zz, xy, yz, zx = sums.second_mm5
+    second_mm5 = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    second_mm5 -= sums.volume_mm3 * np.outer(center_mm, center_mm)
     return Solid(
         volume_mm3=abs(sums.volume_mm3),
         surface_area_mm2=sums.area_mm2,
-        center_mm=np.array(sums.first_mm4) / sums.volume_mm3 + apex_mm,
+        center_mm=center_mm + apex_mm,
+        inertia_mm5=(np.trace(second_mm5) * np.eye(3) - second_mm5) * np.sign(sums.volume_mm3),
         vertices_mm=points_mm if sums.n_used == len(points_mm) else points_mm[is_used],
     )
 
@@ -83,6 +91,7 @@ class _Sums(NamedTuple):
     area_mm2: float
     volume_mm3: float  # signed
     first_mm4: First  # moments about the origin given
+    second_mm5: Second
 
 
 @compiled
@@ -94,7 +103,8 @@ def _sums(
     Each face adds (p - q) (q - r) (r - p) of its corners' numbers to the fingerprint. That is a sum over its edges,
     q p^2 - p q^2 for the one from p to q: edges and their opposites cancel, and nothing else does but by chance.
 
-    The tetrahedron of the origin and a face (a, b, c) with volume V has the first moment V (a + b + c) / 4.
+    The tetrahedron of the origin and a face (a, b, c) with volume V has the moments V (a + b + c) / 4 and
+    V / 20 (a a' + b b' + c c' + (a + b + c) (a + b + c)').
     """
     n_vertices = len(vertices_mm)
     for vertex in range(n_vertices):
@@ -103,12 +113,12 @@ def _sums(
         mixed = (mixed ^ (mixed >> np.uint64(27))) * MIX_3
         tags[vertex] = mixed ^ (mixed >> np.uint64(31))
     fingerprint = np.uint64(0)
-    area = volume = mx = my = mz = 0.0
+    area = volume = mx = my = mz = xx = yy = zz = xy = yz = zx = 0.0
     ox, oy, oz = origin_mm[0], origin_mm[1], origin_mm[2]
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         if min(a, b, c) < 0 or max(a, b, c) >= n_vertices:
-            return _Sums(-1, fingerprint, 0.0, area, volume, (mx, my, mz))
+            return _Sums(-1, fingerprint, 0.0, area, volume, (mx, my, mz), (xx, yy, zz, xy, yz, zx))
         is_used[a] = is_used[b] = is_used[c] = True
         fingerprint += (tags[a] - tags[b]) * (tags[b] - tags[c]) * (tags[c] - tags[a])
         ax, ay, az = vertices_mm[a, 0] - ox, vertices_mm[a, 1] - oy, vertices_mm[a, 2] - oz
@@ -120,7 +130,14 @@ def _sums(
         area += np.sqrt(nx * nx + ny * ny + nz * nz)
         part = ax * nx + ay * ny + az * nz
         volume += part
-        mx, my, mz = mx + part * (ax + bx + cx), my + part * (ay + by + cy), mz + part * (az + bz + cz)
+        sx, sy, sz = ax + bx + cx, ay + by + cy, az + bz + cz
+        mx, my, mz = mx + part * sx, my + part * sy, mz + part * sz
+        xx += part * (ax * ax + bx * bx + cx * cx + sx * sx)
+        yy += part * (ay * ay + by * by + cy * cy + sy * sy)
+        zz += part * (az * az + bz * bz + cz * cz + sz * sz)
+        xy += part * (ax * ay + bx * by + cx * cy + sx * sy)
+        yz += part * (ay * az + by * bz + cy * cz + sy * sz)
+        zx += part * (az * ax + bz * bx + cz * cx + sz * sx)
 
     n_used = 0
     low_x = low_y = low_z = np.inf
@@ -132,7 +149,9 @@ def _sums(
             low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
             high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
     extent = max(high_x - low_x, high_y - low_y, high_z - low_z)
-    return _Sums(n_used, fingerprint, extent, area / 2, volume / 6, (mx / 24, my / 24, mz / 24))
+    first = mx / 24, my / 24, mz / 24
+    second = xx / 120, yy / 120, zz / 120, xy / 120, yz / 120, zx / 120
+    return _Sums(n_used, fingerprint, extent, area / 2, volume / 6, first, second)
 
 
 @compiled

@@ -188,12 +188,12 @@ def pymcubes_cropped(task: Task) -> Work:
 
 
 def trimesh_integrals(task: Task) -> Work:
-    """Volume, area, centroid and whether the mesh is closed."""
+    """Volume, area, centroid, inertia and whether the mesh is closed."""
     vertices, faces = skimage_cropped(task)()
 
     def work() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         mesh = trimesh.Trimesh(vertices, faces, process=False)
-        _ = mesh.volume, mesh.area, mesh.center_mass, mesh.is_watertight
+        _ = mesh.volume, mesh.area, mesh.center_mass, mesh.moment_inertia, mesh.is_watertight
         return vertices, faces
 
     return work
