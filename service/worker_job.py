@@ -102,7 +102,7 @@ class Worker:
         if path is None:
             return {}
         if self.background is None or path != self.background_path:
-            self.background, self.background_path = read_background(path), path
+            self.background, self.background_path = read_background(path, mapped=True), path
         return self.background
 
     def rig_in(self, file: RigFile) -> RigCalibration:
