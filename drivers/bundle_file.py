@@ -202,7 +202,7 @@ def _image(
             if page.shape != (height_px, width_px) or page.dtype != "uint8":
                 return None
             image = page.asarray()
-        else:  # to look for each page takes as long as to check its pixels
+        else:  # to look for the pages takes nearly as long as to check their pixels
             image = pixels[entry.page * n_pixels :][:n_pixels].reshape(height_px, width_px)
     except TIFF_DAMAGE:
         return None
