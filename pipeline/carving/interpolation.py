@@ -1,7 +1,5 @@
 """Distances of many pixels at once, between those of the pixels around them."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,41 +8,39 @@ from pipeline.compiled import compiled
 Array = NDArray[np.float32]
 
 
-class Places(NamedTuple):
-    """Room for N places in an image."""
-
-    at: NDArray[np.int32]  # (N,) flat indices of the pixels to the upper left
-    right: Array  # (N,) from there
-    below: Array  # (N,)
-
-
-@compiled
-def room_for(n: int) -> Any:
-    """`Places`."""
-    return Places(np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32))
-
-
 @compiled
 def interpolate(
-    flat: Array, first: int, height: int, width: int, seen: Array, n: int, places: Places, found: Array
+    flat: Array,
+    height: int,
+    width: int,
+    per_px: np.float32,
+    seen: Array,
+    n: int,
+    at: NDArray[np.int32],
+    weights: Array,
+    found: Array,
 ) -> None:
-    """Values (N,) of an image, one of several in `flat`, at the first `n` places u, v in `seen`; beyond, at its border.
+    """Values (N,) at the first `n` places u, v in `seen` of the image that `flat` begins with; beyond, at its border.
 
-    Two loops are faster than one: without indirect access the first is done for 8 places at a time.
+    The image has so many pixels per px.
+
+    Two loops are faster than one: without indirect access the first is done for 8 places at a time. What it leaves
+    to the second is in `at` (N,), the pixels to the upper left, and `weights` (2, N).
     """
     zero, last_u, last_v = np.float32(0), np.float32(width - 1), np.float32(height - 1)
+    stride = np.int32(width)
     most_column, most_row = np.int32(width - 2), np.int32(height - 2)
-    at, right, below = places
-    start, stride = np.int32(first), np.int32(width)
     for place in range(n):
-        near_u, near_v = min(max(seen[0, place], zero), last_u), min(max(seen[1, place], zero), last_v)
-        column, row = min(np.int32(near_u), most_column), min(np.int32(near_v), most_row)
-        at[place] = np.int32(start + np.int32(row * stride) + column)
-        right[place], below[place] = near_u - np.float32(column), near_v - np.float32(row)
-    down = np.uint64(width)
+        u = min(max(per_px * seen[0, place], zero), last_u)
+        v = min(max(per_px * seen[1, place], zero), last_v)
+        column, row = min(np.int32(u), most_column), min(np.int32(v), most_row)
+        at[place] = np.int32(row * stride) + column
+        weights[0, place], weights[1, place] = u - np.float32(column), v - np.float32(row)
+    down, one = np.uint64(width), np.uint64(1)
     for place in range(n):
+        right, below = weights[0, place], weights[1, place]
         above = np.uint64(at[place])
-        under, one = above + down, np.uint64(1)
-        upper = flat[above] + right[place] * (flat[above + one] - flat[above])
-        lower = flat[under] + right[place] * (flat[under + one] - flat[under])
-        found[place] = upper + below[place] * (lower - upper)
+        under = above + down
+        upper = flat[above] + right * (flat[above + one] - flat[above])
+        lower = flat[under] + right * (flat[under + one] - flat[under])
+        found[place] = upper + below * (lower - upper)

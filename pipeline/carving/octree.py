@@ -13,15 +13,14 @@ lens bends.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.carving.interpolation import interpolate, room_for
+from pipeline.carving.interpolation import interpolate
 from pipeline.carving.views import HALVES, Pinholes, View, look
 from pipeline.compiled import compiled
-from pipeline.segmentation.silhouette import SPACING_PX, Silhouette
+from pipeline.segmentation.silhouette import SPACING_PX
 
 Array = NDArray[np.float32]
 Blocks = NDArray[np.int32]
@@ -53,110 +52,90 @@ class Octree:
     solid: tuple[tuple[Blocks, int], ...]  # within the hull, with their edges in voxels
 
 
-class Coarse(NamedTuple):
-    """Distances of V views at every `SPACING_PX`-th pixel."""
-
-    flat_px: Array  # one view's after the other's
-    shapes: NDArray[np.int32]  # (V, 2)
-    firsts: NDArray[np.int32]  # (V,) of each view
-
-
-class Reach(NamedTuple):
-    """How far a block reaches from its centre."""
-
-    across_mm: Array  # (V,) at right angles to each view's optical axis
-    along_mm: Array  # (V,) along it
-
-
 def octree_of(views: Sequence[View], pinholes: Pinholes, n: int, size_mm: float, overruled: int) -> Octree:
     """The blocks of n^3 voxels in a cube around the origin; `overruled` views may exclude what is not carved."""
-    coarse, pitch_mm = _coarse_of([silhouette for _, silhouette in views]), size_mm / n
+    pitch_mm = size_mm / n
+    coarse_px = [silhouette.coarse_px for _, silhouette in views]
+    shapes = np.array([image.shape for image in coarse_px])
+    nodes = np.column_stack([shapes, np.cumsum(shapes.prod(axis=1)) - shapes.prod(axis=1)])
+    looked_at = pinholes, np.concatenate([image.reshape(-1) for image in coarse_px]), nodes
     first = 2 * EDGES[0] * np.indices((-(-n // (2 * EDGES[0])),) * 3, np.int32).reshape(3, -1).T
     blocks, known = np.ascontiguousarray(first), np.zeros((len(first), len(views)), np.uint8)
     solid = []
     for edge in EDGES:
-        half_mm = np.float32((edge + 1) / 2 * pitch_mm)
-        reach = Reach(half_mm * pinholes.across, half_mm * pinholes.along)
-        within, left, inside = _judged(blocks, known, edge, n, pitch_mm, pinholes, reach, coarse, overruled)
-        blocks, known, whole = _halved(blocks, within, left, inside, edge, n)
+        half_mm = (edge + 1) / 2 * pitch_mm
+        reach_mm = half_mm * pinholes.across, half_mm * pinholes.along
+        centres_mm = centres_of(blocks, 2 * edge, n, pitch_mm)
+        found = _judged(centres_mm, known, edge / 2 * pitch_mm, *looked_at, *reach_mm, overruled)
+        blocks, known, whole = _halved(blocks, *found, edge, n)
         solid.append((whole, edge))
-    reach = Reach(*np.full((2, len(views)), BESIDE_PART * pitch_mm, np.float32))
-    within, left, _ = _judged(blocks, known, LEAF // 2, n, pitch_mm, pinholes, reach, coarse, overruled)
-    return Octree(leaves=blocks, parts=left, within=within, solid=tuple(solid))
+    reach_mm = (np.full(len(views), BESIDE_PART * pitch_mm, np.float32),) * 2
+    centres_mm = centres_of(blocks, LEAF, n, pitch_mm)
+    within, excluded, _ = _judged(centres_mm, known, LEAF / 4 * pitch_mm, *looked_at, *reach_mm, overruled)
+    return Octree(leaves=blocks, parts=~excluded, within=within, solid=tuple(solid))
 
 
-def _coarse_of(silhouettes: Sequence[Silhouette]) -> Coarse:
-    images = [silhouette.coarse_px for silhouette in silhouettes]
-    shapes = np.array([image.shape for image in images], np.int32)
-    sizes = shapes.prod(axis=1)
-    return Coarse(
-        flat_px=np.concatenate([image.reshape(-1) for image in images]),
-        shapes=shapes,
-        firsts=(sizes.cumsum() - sizes).astype(np.int32),
-    )
+def centres_of(blocks: Blocks, edge: int, n: int, pitch_mm: float) -> Array:
+    """Centres (3, B) of blocks with this edge in a grid of n^3 voxels."""
+    return np.ascontiguousarray((pitch_mm * (blocks + (edge - n) / 2)).T, np.float32)
 
 
 @compiled
 def _judged(
-    blocks: Blocks,
+    centres_mm: Array,
     known: Flags,
-    edge: int,
-    n: int,
-    pitch_mm: float,
+    half_mm: float,
     pinholes: Pinholes,
-    reach: Reach,
-    coarse: Coarse,
+    distances_px: Array,
+    nodes: NDArray[np.int64],
+    across_mm: Array,
+    along_mm: Array,
     overruled: int,
 ) -> tuple[Halves, Halves, Halves]:
-    """Halves of blocks, with this edge, that lie within each view (B, V); that are left (B,); and inside (B,).
+    """Halves of blocks around `centres_mm` (3, B) that lie within each view (B, V), and two more kinds (B,).
 
-    `known` (B, V) is not 0 where all of a block is within a view.
+    Those that more than `overruled` views exclude, and those that lie not within more than so many views. `half_mm`
+    is half of a half's edge; a half reaches `across_mm` (V,) at right angles to each view's optical axis, `along_mm`
+    (V,) along it. `known` (B, V) is not 0 where all of a block is within a view. `nodes` (V, 3) are the heights and
+    widths of the views' coarse distances and where they begin.
     """
     n_blocks, n_views = known.shape
-    within = np.zeros((n_blocks, n_views), np.uint8)
-    excluded, undecided = np.zeros((2, overruled + 1, n_blocks), np.uint8)
-    asked = np.empty(n_blocks + 1, np.int32)
-    centres_mm, seen = np.empty((3, CHUNK), np.float32), np.empty((HALVES, 4, CHUNK), np.float32)
-    places, inwards_px = room_for(CHUNK), np.empty(CHUNK, np.float32)
-    is_within, is_outside = np.empty((2, CHUNK), np.uint8)
-    to_centre, pitch = np.float32(edge - n / 2), np.float32(pitch_mm)
+    within = np.empty((n_blocks, n_views), np.uint8)
+    excluded = np.empty((overruled + 1, n_blocks), np.uint8)
+    unsure = np.empty((overruled + 1, n_blocks), np.uint8)
+    for row in range(overruled + 1):
+        for block in range(n_blocks):
+            excluded[row, block], unsure[row, block] = 0, 0
+    asked, at = np.empty(n_blocks + 1, np.int32), np.empty(CHUNK, np.int32)
+    seen, weights = np.empty((HALVES, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
+    inwards_px, per_px = np.empty(CHUNK, np.float32), np.float32(1 / SPACING_PX)
+    is_within, is_outside = np.empty(CHUNK, np.uint8), np.empty(CHUNK, np.uint8)
     for view in range(n_views):
         n_asked = 0
         for block in range(n_blocks):
             asked[n_asked] = block
             within[block, view] = ALL if known[block, view] else 0
             n_asked += (known[block, view] == 0) & (excluded[overruled, block] != ALL)
-        height, width, first = coarse.shapes[view, 0], coarse.shapes[view, 1], coarse.firsts[view]
+        height, width = nodes[view, 0], nodes[view, 1]
+        image_px = distances_px[nodes[view, 2] :]
+        reach_mm = across_mm[view], along_mm[view]
         for begin in range(0, n_asked, CHUNK):
             chunk = asked[begin : min(begin + CHUNK, n_asked)]
+            look(pinholes, view, centres_mm, chunk, half_mm, seen)
             for cube in range(len(chunk)):
-                for axis in range(3):
-                    centres_mm[axis, cube] = pitch * (np.float32(blocks[chunk[cube], axis]) + to_centre)
                 is_within[cube], is_outside[cube] = 0, 0
-            look(pinholes, view, centres_mm, len(chunk), edge / 2 * pitch_mm, seen)
             for half in range(HALVES):
-                _to_nodes(seen[half], len(chunk), pinholes, view, reach)
-                interpolate(coarse.flat_px, first, height, width, seen[half], len(chunk), places, inwards_px)
-                _decide(seen[half], inwards_px, len(chunk), height, width, half, is_within, is_outside)
+                places, n = seen[half], len(chunk)
+                interpolate(image_px, height, width, per_px, places, n, at, weights, inwards_px)
+                _decide(
+                    *(places, inwards_px, n, height, width, pinholes.stretches_px[view], reach_mm),
+                    *(half, is_within, is_outside),
+                )
             for cube in range(len(chunk)):
                 within[chunk[cube], view] = is_within[cube]
                 _count(excluded, chunk[cube], is_outside[cube])
-                _count(undecided, chunk[cube], ALL ^ is_within[cube])
-    left = ~excluded[overruled]
-    return within, left, left & ~undecided[overruled]
-
-
-@compiled
-def _to_nodes(seen: Array, n_cubes: int, pinholes: Pinholes, view: int, reach: Reach) -> None:
-    """Pixels become nodes, and depths the distances (C,) in px up to which parts of cubes may be from their centres."""
-    per_px, slack_px, unbounded = np.float32(1 / SPACING_PX), np.float32(SLACK_PX), np.float32(np.inf)
-    stretch_px, across_mm, along_mm = pinholes.stretches_px[view], reach.across_mm[view], reach.along_mm[view]
-    for cube in range(n_cubes):
-        nearest_mm = seen[2, cube] - along_mm
-        reach_px = stretch_px * (across_mm + along_mm * seen[3, cube]) / nearest_mm + slack_px
-        seen[0, cube] *= per_px
-        seen[1, cube] *= per_px
-        seen[2, cube] = reach_px if nearest_mm > 0 else unbounded  # the camera may be within
+                _count(unsure, chunk[cube], np.uint8(~is_within[cube]))
+    return within, excluded[overruled], unsure[overruled]
 
 
 @compiled
@@ -166,18 +145,24 @@ def _decide(
     n_cubes: int,
     height: int,
     width: int,
+    stretch_px: np.float32,
+    reach_mm: tuple[np.float32, np.float32],
     half: int,
     is_within: Halves,
     is_outside: Halves,
 ) -> None:
     """Set the bit of this half where it is within the silhouette, and where outside."""
-    scale, last_u, last_v = np.float32(SPACING_PX), np.float32(width - 1), np.float32(height - 1)
+    across_mm, along_mm = reach_mm
+    slack_px, unbounded, spacing_px = np.float32(SLACK_PX), np.float32(np.inf), np.float32(SPACING_PX)
+    last_u, last_v = spacing_px * np.float32(width - 1), spacing_px * np.float32(height - 1)
     for cube in range(n_cubes):
-        u, v, reach_px = seen[0, cube], seen[1, cube], seen[2, cube]
+        u, v, depth_mm, slope = seen[0, cube], seen[1, cube], seen[2, cube], seen[3, cube]
+        reach_px = stretch_px * (across_mm + along_mm * slope) / (depth_mm - along_mm) + slack_px
+        reach_px = reach_px if depth_mm > along_mm else unbounded  # the camera may be within
         # the region ends at the last nodes, and a node further the silhouette
-        to_end_px = scale * min(min(u, last_u - u), min(v, last_v - v))
+        to_end_px = min(min(u, last_u - u), min(v, last_v - v))
         is_in = min(inwards_px[cube], to_end_px) > reach_px
-        is_out = max(-inwards_px[cube], -to_end_px - scale) > reach_px
+        is_out = max(-inwards_px[cube], -to_end_px - spacing_px) > reach_px
         is_within[cube] |= np.uint8(np.uint8(is_in) << half)
         is_outside[cube] |= np.uint8(np.uint8(is_out) << half)
 
@@ -193,7 +178,7 @@ def _count(counted: Halves, block: int, halves: np.uint8) -> None:
 
 @compiled
 def _halved(
-    blocks: Blocks, within: Halves, left: Halves, inside: Halves, edge: int, n: int
+    blocks: Blocks, within: Halves, excluded: Halves, unsure: Halves, edge: int, n: int
 ) -> tuple[Blocks, Flags, Blocks]:
     """Of the halves of blocks, with this edge, those that may be cut, which views they lie within, and solid ones.
 
@@ -208,9 +193,9 @@ def _halved(
             i = blocks[block, 0] + edge * (half >> 2 & 1)
             j = blocks[block, 1] + edge * (half >> 1 & 1)
             k = blocks[block, 2] + edge * (half & 1)
-            if max(i, j, k) >= n or not left[block] >> half & 1:
+            if max(i, j, k) >= n or excluded[block] >> half & 1:
                 continue
-            if inside[block] >> half & 1 and min(i, j, k) > 0 and max(i, j, k) + edge < n:
+            if not unsure[block] >> half & 1 and min(i, j, k) > 0 and max(i, j, k) + edge < n:
                 solid[n_solid, 0], solid[n_solid, 1], solid[n_solid, 2] = i, j, k
                 n_solid += 1
             else:

@@ -8,8 +8,8 @@ interpolates, and none once all are outside by more than a voxel.
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.carving.interpolation import interpolate, room_for
-from pipeline.carving.octree import CHUNK, LEAF, Blocks, Halves
+from pipeline.carving.interpolation import interpolate
+from pipeline.carving.octree import CHUNK, Blocks, Halves
 from pipeline.carving.views import HALVES, Pinholes, look
 from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN
@@ -35,44 +35,31 @@ def undecided(within: Halves, parts: Halves, view: int) -> Parts:
 
 
 @compiled
-def look_at_samples(
-    leaves: Blocks, parts: Parts, n: int, pitch_mm: float, pinholes: Pinholes, view: int, seen: Array
-) -> None:
-    """How a camera sees the samples of at most CHUNK parts: as `look`."""
-    centres_mm = np.empty((3, CHUNK), np.float32)
-    to_centre = np.float32(1 - n / 2)
-    pitch = np.float32(pitch_mm)
-    for index in range(len(parts)):
-        leaf, part = parts[index] // HALVES, parts[index] % HALVES
-        for axis in range(3):
-            first = leaves[leaf, axis] + 2 * (part >> 2 - axis & 1)
-            centres_mm[axis, index] = pitch * (np.float32(first) + to_centre)
-    look(pinholes, view, centres_mm, len(parts), pitch_mm / 2, seen)
-
-
-@compiled
 def lower(
     values_mm: Array,
-    leaves: Blocks,
+    centres_mm: Array,
     parts: Parts,
-    n: int,
-    pitch_mm: float,
+    half_mm: float,
     pinholes: Pinholes,
     view: int,
     distance_px: Array,
 ) -> None:
-    """Enter a view's signed distances to its viewing cone into the smallest so far (M, HALVES, PARTS), in order."""
+    """Enter a view's signed distances to its viewing cone into the smallest so far (M, HALVES, PARTS), in order.
+
+    Only those of some parts, of all with their centres (3, PARTS) and half the pitch.
+    """
     height, width = distance_px.shape
     flat_px = distance_px.reshape(-1)
     last_u, last_v = np.float32(width - 1), np.float32(height - 1)
     per_focal, beyond_px = np.float32(1) / pinholes.focals_px[view], np.float32(-MARGIN_PX)
     seen = np.empty((HALVES, 4, CHUNK), np.float32)
-    places, found = room_for(CHUNK), np.empty(CHUNK, np.float32)
+    at, weights = np.empty(CHUNK, np.int32), np.empty((2, CHUNK), np.float32)
+    found, per_px = np.empty(CHUNK, np.float32), np.float32(1)
     for begin in range(0, len(parts), CHUNK):
         chunk = parts[begin : begin + CHUNK]
-        look_at_samples(leaves, chunk, n, pitch_mm, pinholes, view, seen)
+        look(pinholes, view, centres_mm, chunk, half_mm, seen)
         for sample in range(HALVES):
-            interpolate(flat_px, 0, height, width, seen[sample], len(chunk), places, found)
+            interpolate(flat_px, height, width, per_px, seen[sample], len(chunk), at, weights, found)
             for index in range(len(chunk)):
                 u, v, depth_mm = seen[sample, 0, index], seen[sample, 1, index], seen[sample, 2, index]
                 is_seen = (u >= 0) & (u <= last_u) & (v >= 0) & (v <= last_v) & (depth_mm > 0)
@@ -88,15 +75,14 @@ def lower(
 @compiled
 def count(
     counts: Array,
-    leaves: Blocks,
+    centres_mm: Array,
     parts: Parts,
-    n: int,
-    pitch_mm: float,
+    half_mm: float,
     pinholes: Pinholes,
     view: int,
     labels: Grey,
 ) -> None:
-    """Add 1 to the samples (HALVES, PARTS) whose nearest pixel is inside or unknown in a view."""
+    """Add 1 to the samples (HALVES, PARTS) of parts, as in `lower`, whose nearest pixel is not outside in a view."""
     height, width = labels.shape
     flat = labels.reshape(-1)
     seen = np.empty((HALVES, 4, CHUNK), np.float32)
@@ -104,7 +90,7 @@ def count(
     zero, half, columns, rows = np.float32(0), np.float32(0.5), np.float32(width), np.float32(height)
     for begin in range(0, len(parts), CHUNK):
         chunk = parts[begin : begin + CHUNK]
-        look_at_samples(leaves, chunk, n, pitch_mm, pinholes, view, seen)
+        look(pinholes, view, centres_mm, chunk, half_mm, seen)
         for sample in range(HALVES):
             for index in range(len(chunk)):
                 u, v = seen[sample, 0, index] + half, seen[sample, 1, index] + half
@@ -151,34 +137,24 @@ def place(
     leaves: Blocks,
     parts: Halves,
     values: Array,
-    n: int,
     level: float,
     inside: float,
     outside: float,
-) -> bool:
+) -> None:
     """Write the values (HALVES, PARTS) of leaves into a field that begins at voxel `corner`.
 
-    Of a part that cannot be cut, and what is inside at the border of the grid, becomes `outside`; whether there is
-    any of the latter is returned.
+    Parts that cannot be cut become `outside`.
     """
     flat, row, plane = field.reshape(-1), field.shape[2], field.shape[1] * field.shape[2]
-    touches_border = False
+    highest, lowest, on_level = np.float32(inside), np.float32(outside), np.float32(level)
     for leaf in range(len(leaves)):
-        i0, j0, k0 = leaves[leaf, 0], leaves[leaf, 1], leaves[leaf, 2]
-        is_at_border = min(i0, j0, k0) == 0 or max(i0, j0, k0) + LEAF == n
+        i, j, k = leaves[leaf, 0] - corner[0], leaves[leaf, 1] - corner[1], leaves[leaf, 2] - corner[2]
         for part in range(HALVES):
+            first = plane * (i + (part >> 1 & 2)) + row * (j + (part & 2)) + k + 2 * (part & 1)
             is_left = parts[leaf] >> part & 1
             for sample in range(HALVES):
-                i = i0 + 2 * (part >> 2 & 1) + (sample >> 2 & 1)
-                j = j0 + 2 * (part >> 1 & 1) + (sample >> 1 & 1)
-                k = k0 + 2 * (part & 1) + (sample & 1)
-                value = min(values[sample, HALVES * leaf + part], np.float32(inside))
-                if not is_left:
-                    value = np.float32(outside)
-                elif value == level:  # would make triangles without area
+                value = min(values[sample, HALVES * leaf + part], highest)
+                if value == on_level:  # would make triangles without area
                     value += np.float32(1e-4)
-                if is_at_border and value > level and (min(i, j, k) == 0 or max(i, j, k) == n - 1):
-                    touches_border, value = True, np.float32(outside)
-                at = plane * (i - corner[0]) + row * (j - corner[1]) + k - corner[2]
-                flat[np.uint64(at)] = value
-    return touches_border
+                at = first + plane * (sample >> 2) + row * (sample >> 1 & 1) + (sample & 1)
+                flat[np.uint64(at)] = value if is_left else lowest

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving.hull import CarvingParameters, VisualHull
-from pipeline.carving.octree import LEAF, Octree, octree_of
+from pipeline.carving.octree import LEAF, Octree, centres_of, octree_of
 from pipeline.carving.samples import count, count_within, fill, lower, place, undecided
 from pipeline.carving.views import HALVES, Pinholes, View, pinholes_of, usable_views
 from pipeline.frames import CameraId
@@ -52,14 +52,14 @@ def carve(
     field = np.zeros(shape, np.float32)
     for blocks, edge in octree.solid:
         fill(field, corner, blocks, edge, inside)
-    touches_border = place(field, corner, octree.leaves, octree.parts, values, n, level, inside, outside)
+    place(field, corner, octree.leaves, octree.parts, values, level, inside, outside)
     return VisualHull(
         field=field,
         leaves=octree.leaves - corner.astype(np.int32),
         level=level,
         origin_mm=np.asarray(pitch_mm * (corner + (1 - n) / 2), np.float64),
         pitch_mm=pitch_mm,
-        touches_border=touches_border,
+        touches_border=_close(field, corner, n, level, outside),
     )
 
 
@@ -75,10 +75,10 @@ def _distances_mm(
     """Signed distances (HALVES, PARTS) to the viewing cones' intersection, cut off at about a voxel."""
     n_parts = HALVES * len(octree.leaves)
     smallest_mm = np.full((parameters.max_disagreeing_views + 1, HALVES, n_parts), np.inf, np.float32)
-    grid = (parameters.n, parameters.pitch_mm)
+    centres_mm, half_mm = _part_centres(octree, parameters), parameters.pitch_mm / 2
     for view, (_, silhouette) in enumerate(views):
         parts = undecided(octree.within, octree.parts, view)
-        lower(smallest_mm, octree.leaves, parts, *grid, pinholes, view, silhouette.distance_px)
+        lower(smallest_mm, centres_mm, parts, half_mm, pinholes, view, silhouette.distance_px)
     return smallest_mm[-1]
 
 
@@ -87,8 +87,29 @@ def _counts(
 ) -> Array:
     """The paper's S (HALVES, PARTS): how many silhouettes contain the nearest pixel of each sample's projection."""
     counts = count_within(octree.within)
-    grid = (parameters.n, parameters.pitch_mm)
+    centres_mm, half_mm = _part_centres(octree, parameters), parameters.pitch_mm / 2
     for view, (_, silhouette) in enumerate(views):
         parts = undecided(octree.within, octree.parts, view)
-        count(counts, octree.leaves, parts, *grid, pinholes, view, silhouette.labels)
+        count(counts, centres_mm, parts, half_mm, pinholes, view, silhouette.labels)
     return counts
+
+
+def _part_centres(octree: Octree, parameters: CarvingParameters) -> Array:
+    """(3, PARTS) in the world frame."""
+    steps = LEAF // 2 * np.indices((2, 2, 2), np.int32).reshape(3, HALVES).T
+    firsts = (octree.leaves[:, None] + steps).reshape(-1, 3)
+    return centres_of(firsts, LEAF // 2, parameters.n, parameters.pitch_mm)
+
+
+def _close(field: Array, corner: NDArray[np.int64], n: int, level: float, outside: float) -> bool:
+    """Whether a field that begins at voxel `corner` is inside anywhere at the border of the grid; it no longer is."""
+    touches_border = False
+    for axis in range(3):
+        for border in (0, n - 1):
+            at = border - corner[axis]
+            if 0 <= at < field.shape[axis]:
+                samples = np.moveaxis(field, axis, 0)[at]
+                is_inside = samples > level
+                samples[is_inside] = outside
+                touches_border |= bool(is_inside.any())
+    return touches_border

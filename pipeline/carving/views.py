@@ -104,29 +104,39 @@ def pixel_of(lens: Lens, x: float, y: float) -> tuple[float, float]:
 
 
 @compiled
-def look(pinholes: Pinholes, view: int, centres_mm: Array, n_cubes: int, half_mm: float, seen: Array) -> None:
+def look(
+    pinholes: Pinholes,
+    view: int,
+    centres_mm: Array,
+    which: NDArray[np.int32],
+    half_mm: float,
+    seen: Array,
+) -> None:
     """How a camera sees the centres of the halves of cubes: region pixels u, v, depth and slope to the optical axis.
 
-    Of the cubes around `centres_mm` (3, C) the first `n_cubes` are looked at; `half_mm` is half of a half's edge, and
-    `seen` (HALVES, 4, C).
+    Of the cubes around `centres_mm` (3, N) these (C,) are looked at, into `seen` (HALVES, 4, at least C); `half_mm` is
+    half of a half's edge.
     """
     R, t = pinholes.R, pinholes.t_mm  # rows of arrays would be counted references
     xx, xy, xz = R[view, 0, 0], R[view, 0, 1], R[view, 0, 2]
     yx, yy, yz = R[view, 1, 0], R[view, 1, 1], R[view, 1, 2]
     zx, zy, zz = R[view, 2, 0], R[view, 2, 1], R[view, 2, 2]
     lens = lens_of(pinholes, view)
+    n = len(which)
+    turned_mm = np.empty((3, n), np.float32)
+    for cube in range(n):
+        at = np.uint64(which[cube])
+        x, y, z = centres_mm[0, at], centres_mm[1, at], centres_mm[2, at]
+        turned_mm[0, cube] = t[view, 0] + (xx * x + xy * y + xz * z)
+        turned_mm[1, cube] = t[view, 1] + (yx * x + yy * y + yz * z)
+        turned_mm[2, cube] = t[view, 2] + (zx * x + zy * y + zz * z)
     for half in range(HALVES):
         i = np.float32(half_mm if half & 4 else -half_mm)
         j = np.float32(half_mm if half & 2 else -half_mm)
         k = np.float32(half_mm if half & 1 else -half_mm)
-        from_x = t[view, 0] + (xx * i + xy * j + xz * k)
-        from_y = t[view, 1] + (yx * i + yy * j + yz * k)
-        from_z = t[view, 2] + (zx * i + zy * j + zz * k)
-        for cube in range(n_cubes):
-            x, y, z = centres_mm[0, cube], centres_mm[1, cube], centres_mm[2, cube]
-            depth_mm = from_z + (zx * x + zy * y + zz * z)
-            slope_x = (from_x + (xx * x + xy * y + xz * z)) / depth_mm
-            slope_y = (from_y + (yx * x + yy * y + yz * z)) / depth_mm
-            u, v = pixel_of(lens, slope_x, slope_y)
-            seen[half, 0, cube], seen[half, 1, cube], seen[half, 2, cube] = u, v, depth_mm
-            seen[half, 3, cube] = np.sqrt(slope_x * slope_x + slope_y * slope_y)
+        to_x, to_y, to_z = xx * i + xy * j + xz * k, yx * i + yy * j + yz * k, zx * i + zy * j + zz * k
+        for cube in range(n):
+            depth_mm = turned_mm[2, cube] + to_z
+            x, y = (turned_mm[0, cube] + to_x) / depth_mm, (turned_mm[1, cube] + to_y) / depth_mm
+            seen[half, 0, cube], seen[half, 1, cube] = pixel_of(lens, x, y)
+            seen[half, 2, cube], seen[half, 3, cube] = depth_mm, np.sqrt(x * x + y * y)

@@ -51,32 +51,21 @@ class Edge:
 
         They are rough: up to 3 px too small, hardly ever too large.
         """
-        distances = _sides(self.body)
-        _keep_nearest(distances, SPACING_PX, self.points_uv, self._lengths, SPACING_PX)
+        is_within = self.body[::SPACING_PX, ::SPACING_PX]
+        distances = np.where(is_within, np.float32(MARGIN_PX), np.float32(-MARGIN_PX))
+        _keep_nearest(distances, SPACING_PX, self.points_uv, self._ends, SPACING_PX)
         return distances
 
     def fine_px(self, coarse_px: Array) -> Array:
         """Signed distances (h, w), up to `NEAR_PX` those to the sub-pixel edge, beyond as rough as the coarse ones."""
         distances = _between(coarse_px, self.body)
-        _keep_nearest(distances, 1, self.points_uv, self._lengths, FINE)
+        _keep_nearest(distances, 1, self.points_uv, self._ends, FINE)
         return distances
 
     @property
-    def _lengths(self) -> NDArray[np.int64]:
-        """Points (C,) of each contour."""
-        return np.array([len(contour) for contour in self.contours])
-
-
-@compiled
-def _sides(body: Grey) -> Array:
-    """+-`MARGIN_PX` for every `SPACING_PX`-th pixel, positive within the body."""
-    height, width = body.shape
-    sides = np.empty(((height - 1) // SPACING_PX + 1, (width - 1) // SPACING_PX + 1), np.float32)
-    for row in range(sides.shape[0]):
-        for column in range(sides.shape[1]):
-            is_within = body[SPACING_PX * row, SPACING_PX * column]
-            sides[row, column] = MARGIN_PX if is_within else -MARGIN_PX
-    return sides
+    def _ends(self) -> NDArray[np.int64]:
+        """Where the points of each contour begin, and after the last one (C + 1,)."""
+        return np.cumsum([0, *(len(contour) for contour in self.contours)])
 
 
 @compiled
@@ -85,20 +74,21 @@ def _between(nodes: Array, body: Grey) -> Array:
     height, width = body.shape
     n_rows, n_columns = nodes.shape
     distances = np.empty((height, width), np.float32)
-    line, rough = np.empty(n_columns + 1, np.float32), np.empty(SPACING_PX * n_columns, np.float32)
-    for v in range(height):
-        above, below = v // SPACING_PX, min(v // SPACING_PX + 1, n_rows - 1)
-        down = np.float32(v % SPACING_PX) / np.float32(SPACING_PX)
-        for column in range(n_columns):
-            line[column] = nodes[above, column] + down * (nodes[below, column] - nodes[above, column])
-        line[n_columns] = line[n_columns - 1]
-        for column in range(n_columns):
-            step = (line[column + 1] - line[column]) / np.float32(SPACING_PX)
-            for right in range(SPACING_PX):
-                rough[SPACING_PX * column + right] = line[column] + np.float32(right) * step
-        for u in range(width):
-            distance = max(abs(rough[u]), np.float32(NEAR_PX))
-            distances[v, u] = distance if body[v, u] else -distance
+    lines = np.empty((2, SPACING_PX * n_columns), np.float32)  # above and below
+    for row in range(n_rows):
+        for line in range(2):
+            at = min(row + line, n_rows - 1)
+            for column in range(n_columns):
+                left, right = nodes[at, column], nodes[at, min(column + 1, n_columns - 1)]
+                for u in range(SPACING_PX):
+                    share = np.float32(u) / np.float32(SPACING_PX)
+                    lines[line, SPACING_PX * column + u] = left + share * (right - left)
+        for v in range(SPACING_PX * row, min(SPACING_PX * row + SPACING_PX, height)):
+            share = np.float32(v - SPACING_PX * row) / np.float32(SPACING_PX)
+            for u in range(width):
+                rough = abs(lines[0, u] + share * (lines[1, u] - lines[0, u]))
+                distance = max(rough, np.float32(NEAR_PX))
+                distances[v, u] = distance if body[v, u] else -distance
     return distances
 
 
@@ -134,18 +124,18 @@ def _piece(points_uv: NDArray[np.float64], first: int, n: int, i: int, half: int
 
 @compiled
 def _keep_nearest(
-    distances: Array, spacing_px: int, points_uv: NDArray[np.float64], lengths: NDArray[np.int64], every: int
+    distances: Array, spacing_px: int, points_uv: NDArray[np.float64], ends: NDArray[np.int64], every: int
 ) -> None:
     """Replace signed distances of every `spacing_px`-th pixel by those to pieces of edge around that are nearer.
 
-    Of the points (N, 2) of contours, each with so many as `lengths` (C,) says, every so many-th has a piece.
+    Of the points (N, 2) of contours, which begin and end at `ends` (C + 1,), every so many-th has a piece.
     """
     height, width = distances.shape
     flat = distances.reshape(-1)
     n_rows, n_columns = min(2 * REACH, height), min(2 * REACH, width)
     spacing = np.float32(spacing_px)
-    first = 0
-    for length in lengths:
+    for contour in range(len(ends) - 1):
+        first, length = ends[contour], ends[contour + 1] - ends[contour]
         for i in range(0, length, every):
             point_u, point_v, inward_u, inward_v, half_px = _piece(points_uv, first, length, i, every // 2)
             left = min(max(int(point_u / spacing) - REACH + 1, 0), width - n_columns)
@@ -167,4 +157,3 @@ def _keep_nearest(
                     known = flat[at]
                     signed = inwards if distance < 1 else (distance if known > 0 else -distance)
                     flat[at] = signed if distance < abs(known) else known
-        first += length

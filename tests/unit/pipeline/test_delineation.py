@@ -215,7 +215,6 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
         grey_levels.decide,
         grey_levels.crossings,
         steepest.to_steepest,
-        edge._sides,
         edge._between,
         edge._keep_nearest,
     ]
