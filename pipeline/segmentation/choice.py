@@ -6,6 +6,7 @@ other's place where it finds nothing, and the silhouette says which of them it i
 """
 
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import Literal, NamedTuple
 
 import cv2
@@ -206,10 +207,10 @@ def _doubt_of_light(
         found.labels,
         left,
         top,
-        empty.seen,
+        np.asarray(cv2.blur(empty.seen, (3, 3)), np.uint8),  # a third of the noise
         empty.levels,
         known.coarse_levels,
-        np.uint8(np.ceil(PLAIN * known.typical)),
+        np.uint8(ceil(PLAIN * known.typical)),
         np.float32(empty.gain),
     )
     if _share(around > parameters.max_light_error) > parameters.max_dim_share:

@@ -103,11 +103,11 @@ def delineate(
         if body is not labels:
             _keep(body, labels)
         points_uv, seen = crossings(view, levels, body, labels, np.concatenate(contours)[:, 0])
-        ends = np.cumsum([len(contour) for contour in contours])
-        n_doubtful = 0
-        for first, last in zip([0, *ends[:-1]], ends, strict=True):
-            along = slice(first, last)
+        n_doubtful = n_done = 0
+        for contour in contours:
+            along = slice(n_done, n_done + len(contour))
             n_doubtful += to_steepest(view, np.float32(min_contrast), labels, points_uv[along], seen[along])
+            n_done += len(contour)
         if n_doubtful == 0:
             break
     if not seen.all():  # the last points before a gap already bend towards what hides the edge

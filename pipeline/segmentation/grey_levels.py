@@ -24,6 +24,8 @@ CELLS = 2
 BLOCK_PX = CELLS * FINE
 """The body's grey level is the same for the pixels of a block of this edge: the mean of the core in it and its
 eight neighbours."""
+NONE, ONE = np.uint32(0), np.uint32(1 << 16)
+"""In the sum of some grey levels, no pixel and one."""
 FAR_PX = 32
 """Slivers too thin for a core, and edges beside the unknown, ask so far around."""
 N_SAMPLES = 3
@@ -103,34 +105,24 @@ def _means(view: GreyLevels) -> Array:
     """Mean grey level of the core in each block and its neighbours, NaN of none: of one pixel of each cell."""
     height, width = view.limits.shape
     n_rows, n_columns = height // CELLS + 1, width // CELLS + 1
-    # with a border of blocks that have none
-    sums = np.zeros((n_rows + 2, n_columns + 2), np.uint16)
-    counts = np.zeros_like(sums)
-    sums_here, counts_here = np.zeros(CELLS * n_columns, np.uint16), np.zeros(CELLS * n_columns, np.uint16)
+    # number and sum in one, with a border of blocks that have none
+    sums, sums_here = np.zeros((n_rows + 2, n_columns + 2), np.uint32), np.empty(CELLS * n_columns, np.uint32)
     for y in range(n_rows):
         sums_here[:] = 0
-        counts_here[:] = 0
         for row in range(CELLS * y, min(CELLS * (y + 1), height)):
             pixels, limits = view.image[view.top + FINE * row, view.left :], view.limits[row]
             for u in range(width):
-                is_core = np.uint8(255) if limits[u] == INSIDE else np.uint8(0)
-                sums_here[u] += is_core & pixels[FINE * u]
-                counts_here[u] += is_core & np.uint8(1)
-        block_sums, block_counts = sums[y + 1, 1:], counts[y + 1, 1:]
+                sums_here[u] += ONE + pixels[FINE * u] if limits[u] == INSIDE else NONE
+        block_sums = sums[y + 1, 1:]
         for x in range(n_columns):
             block_sums[x] = sums_here[CELLS * x] + sums_here[CELLS * x + 1]
-            block_counts[x] = counts_here[CELLS * x] + counts_here[CELLS * x + 1]
-    means = np.empty((n_rows, n_columns), np.float32)
-    totals, numbers = np.empty(n_columns + 2, np.uint16), np.empty(n_columns + 2, np.uint16)
+    means, threes = np.empty((n_rows, n_columns), np.float32), np.empty(n_columns + 2, np.uint32)
     for y in range(n_rows):
         for x in range(n_columns + 2):
-            totals[x] = sums[y, x] + sums[y + 1, x] + sums[y + 2, x]
-            numbers[x] = counts[y, x] + counts[y + 1, x] + counts[y + 2, x]
+            threes[x] = sums[y, x] + sums[y + 1, x] + sums[y + 2, x]
         for x in range(n_columns):
-            total = np.uint16(totals[x] + totals[x + 1] + totals[x + 2])
-            means[y, x] = np.float32(total) / np.float32(
-                np.uint16(numbers[x] + numbers[x + 1] + numbers[x + 2])
-            )
+            nine = np.uint32(threes[x] + threes[x + 1] + threes[x + 2])
+            means[y, x] = np.float32(np.int32(nine % ONE)) / np.float32(np.int32(nine // ONE))
     return means
 
 

@@ -17,8 +17,8 @@ Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SPARSE = (4, 8)
-"""Every so many-th row and column of the blocks is plenty for two quantiles."""
+SPARSE = (slice(None, None, 4), slice(None, None, 8))
+"""Of the blocks, these are plenty for two quantiles."""
 LEAST_GREY = 16
 """A darker wall tells nothing of the flash."""
 LIT = 4
@@ -77,27 +77,15 @@ def flash_gain(coarse: NDArray[np.generic], coarse_background: Array) -> float:
     A dark body covers up to half of the image: the gain is the median of the ratios near their
     upper mode, not of all of them.
     """
-    ratios = np.sort(_ratios(coarse, coarse_background))
+    wall = np.maximum(coarse_background[SPARSE], 1)
+    ratios: Array = np.divide(coarse[SPARSE], wall, dtype=np.float32)
+    ratios = np.sort(ratios[wall > LEAST_GREY])
     if ratios.size == 0:
         return 1.0
     bright = ratios[-(ratios.size // 10) - 1]
     first, last = np.searchsorted(ratios, (np.float32(0.9) * bright, np.float32(1.1) * bright))
     gain = float(ratios[(first + last) // 2]) if first < last else float(bright)
     return gain if gain > 0.05 else 1.0
-
-
-@compiled
-def _ratios(coarse: NDArray[np.generic], background: Array) -> Array:
-    """Of some blocks (h, w) to the background's (N,), where that is bright."""
-    height, width = coarse.shape
-    ratios = np.empty(-(-height // SPARSE[0]) * -(-width // SPARSE[1]), np.float32)
-    n = 0
-    for row in range(0, height, SPARSE[0]):
-        for column in range(0, width, SPARSE[1]):
-            if background[row, column] > LEAST_GREY:
-                ratios[n] = np.float32(coarse[row, column]) / background[row, column]
-                n += 1
-    return ratios[:n]
 
 
 def uneven_light(coarse: Grey, wall: PlainWall, gain: float) -> Array | None:

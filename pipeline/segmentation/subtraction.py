@@ -5,6 +5,7 @@ told apart: those pixels are unknown, and an unknown pixel never carves.
 """
 
 from dataclasses import dataclass
+from math import ceil
 
 import cv2
 import numpy as np
@@ -106,27 +107,30 @@ class BackgroundSegmenter:
         p = self.parameters
         marks = marked(empty.seen, empty.levels, known.coarse_darkest, self._thresholds(empty, known))
         contours, _ = cv2.findContours(marks, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        found = []
-        for contour in contours:
-            u, v, width, height = cv2.boundingRect(contour)
-            if width * height * COARSE**2 < p.min_body_px:
-                continue
+        boxes = [cv2.boundingRect(contour) for contour in contours]
+        largest_px, second_px, largest = 0, 0, (0, 0, 0, 0)
+        for number in sorted(range(len(boxes)), key=lambda i: -boxes[i][2] * boxes[i][3]):
+            u, v, width, height = boxes[number]
+            if width * height * COARSE**2 < max(p.min_body_px, p.second_body_share * largest_px):
+                break  # this one and the smaller ones are dust
             part = np.zeros((height, width), np.uint8)
-            cv2.drawContours(part, [contour], 0, int(DIFFERS), cv2.FILLED, offset=(-u, -v))
-            n_pixels = cv2.countNonZero(part & marks[v : v + height, u : u + width])
-            found.append((n_pixels * COARSE**2, (u, v, width, height)))
-        found.sort(reverse=True)
-        if not found or found[0][0] < p.min_body_px:
+            cv2.drawContours(part, contours, number, int(DIFFERS), cv2.FILLED, offset=(-u, -v))
+            n_px = COARSE**2 * cv2.countNonZero(part & marks[v : v + height, u : u + width])
+            if n_px > largest_px:
+                largest_px, second_px, largest = n_px, largest_px, (u, v, width, height)
+            else:
+                second_px = max(second_px, n_px)
+        if largest_px < p.min_body_px:
             return ViewStatus.EMPTY, None
-        if len(found) > 1 and found[1][0] > max(p.min_body_px, p.second_body_share * found[0][0]):
+        if second_px > max(p.min_body_px, p.second_body_share * largest_px):
             return ViewStatus.MULTIPLE, None
-        return ViewStatus.OK, found[0][1]
+        return ViewStatus.OK, largest
 
     def _thresholds(self, empty: EmptyView, known: CameraBackground) -> Thresholds:
         return Thresholds(
             gain=np.float32(empty.gain),
             min_contrast=np.float32(self.parameters.min_contrast),
-            dark=np.uint8(np.ceil(self.parameters.dark_share * known.typical)),
+            dark=np.uint8(ceil(self.parameters.dark_share * known.typical)),
         )
 
 

@@ -13,7 +13,7 @@ Array = NDArray[np.float32]
 BODY, COVERED, BARE, REST = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
 """Bits of a block: the body, all that is not outside, and their complements."""
 EVERY = np.uint8(BODY | COVERED | BARE | REST)
-GROWTH = ((1, EVERY), (1, BODY | COVERED | REST), (1, BODY | REST), (2, BODY), (3, BODY))
+GROWTH = np.array([(1, EVERY), (1, BODY | COVERED | REST), (1, BODY | REST), (2, BODY), (3, BODY)])
 """Blocks by which bits grow, one step after the other: BARE 1, COVERED 2, REST 3 and BODY 8 in the end.
 
 So the surroundings of a body begin 2 blocks beside it, further out than motion blurs it, and end after 8, within
@@ -34,7 +34,7 @@ def errors_beside(
     labels
         (h, w) of the silhouette, whose pixel (0, 0) is (left, top) of the image.
     seen
-        (H/4, W/4) one pixel of each block of the image.
+        (H/4, W/4) grey levels of the image, of which there may be less noise.
     empty
         (H/4, W/4) what it would show without the body, but for `gain`.
     wall
@@ -43,44 +43,29 @@ def errors_beside(
     first_row, first_column = -(-top // COARSE), -(-left // COARSE)
     height = (top + labels.shape[0]) // COARSE - first_row
     width = (left + labels.shape[1]) // COARSE - first_column
-    around, beside = np.empty(height * width + 1, np.float32), np.empty(height * width + 1, np.float32)
-    n_around = n_beside = 0
     bits = _grown(
         labels[COARSE * first_row + COARSE // 2 - top :, COARSE * first_column + COARSE // 2 - left :],
         height,
         width,
     )
-    last_row, last_column = seen.shape[0] - 1, seen.shape[1] - 1
-    threes, errors = np.empty(width + 2, np.uint16), np.empty(width, np.float32)
-    # most blocks are neither: eight at a time are skipped
-    eights = np.zeros(-(-width // 8), np.uint64)
-    places = eights.view(np.uint8)
+    around, beside = np.empty(height * width + 1, np.float32), np.empty(height * width + 1, np.float32)
+    n_around = n_beside = 0
+    errors = np.empty(width, np.float32)
     for row in range(height):
-        v = first_row + row
-        above, below = max(v - 1, 0), min(v + 1, last_row)
-        a, b, c = seen[above, first_column:], seen[v, first_column:], seen[below, first_column:]
-        inner = threes[1:]
+        v, here = first_row + row, bits[row]
+        seen_here, empty_here, wall_here = (
+            seen[v, first_column:],
+            empty[v, first_column:],
+            wall[v, first_column:],
+        )
         for column in range(width):
-            inner[column] = np.uint16(a[column]) + b[column] + c[column]
-        for column, u in ((0, max(first_column - 1, 0)), (width + 1, min(first_column + width, last_column))):
-            threes[column] = np.uint16(seen[above, u]) + seen[v, u] + seen[below, u]
-        here, wall_here, empty_here = bits[row], wall[v, first_column:], empty[v, first_column:]
-        for column in range(width):
-            is_around = here[column] & (BODY | COVERED) == BODY
-            is_rim = here[column] & (REST | BARE) == REST
-            place = np.uint8(is_around) | np.uint8(is_rim) << 1
-            places[column] = place if wall_here[column] >= least else np.uint8(0)
-            # the mean of nine has a third of the noise
-            nine = np.uint16(threes[column] + threes[column + 1] + threes[column + 2])
-            expected = np.float32(9) * gain * np.float32(empty_here[column])
-            errors[column] = abs(np.float32(nine) / expected - np.float32(1))
-        for eight in range(len(eights)):
-            if eights[eight] == 0:
-                continue
-            for column in range(8 * eight, 8 * eight + 8):
-                around[n_around] = beside[n_beside] = errors[column]
-                n_around += places[column] & 1
-                n_beside += places[column] >> 1
+            expected = gain * np.float32(empty_here[column])
+            errors[column] = abs(np.float32(seen_here[column]) / expected - np.float32(1))
+        for column in range(width):  # each is written, but stays only where it belongs
+            is_wall = wall_here[column] >= least
+            around[n_around] = beside[n_beside] = errors[column]
+            n_around += is_wall & (here[column] & (BODY | COVERED) == BODY)
+            n_beside += is_wall & (here[column] & (REST | BARE) == REST)
     return around[:n_around], beside[:n_beside]
 
 
@@ -95,7 +80,8 @@ def _grown(labels: Grey, height: int, width: int) -> Grey:
             label = line[COARSE * column]
             here[column] = (BODY if label == INSIDE else REST) | (BARE if label == OUTSIDE else COVERED)
     flat, wider = bits.ravel(), np.zeros(bits.size, np.uint8)
-    for blocks, growing in GROWTH:
+    for step in range(len(GROWTH)):
+        blocks, growing = GROWTH[step, 0], np.uint8(GROWTH[step, 1])
         _grow(flat, blocks, growing, wider)
         _grow(wider, blocks * line_length, growing, flat)
     return bits[BORDER:-BORDER, BORDER:-BORDER]

@@ -38,8 +38,7 @@ def test_the_wall_beside_a_body_and_its_rim_are_compared(
     of_blocks = labels[4 * first[0] + 2 - top :: 4, 4 * first[1] + 2 - left :: 4]
     of_blocks = of_blocks[: last[0] - first[0], : last[1] - first[1]]
     inside, covered = of_blocks == INSIDE, of_blocks != OUTSIDE
-    mean = cv2.blur(seen.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)[place]
-    error = np.abs(mean / (np.float32(0.9) * empty[place]) - 1)
+    error = np.abs(seen[place] / (np.float32(0.9) * empty[place]) - 1)
     is_wall = wall[place] >= 90
     is_around = grown(inside, 8) & ~grown(covered, 2) & is_wall
     is_rim = ~grown(~covered, 1) & grown(~inside, 3) & is_wall
