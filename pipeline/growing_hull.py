@@ -39,13 +39,11 @@ class Facets(NamedTuple):
 
     corners: Indices  # (F, 3) points, counter-clockwise seen from outside
     across: Indices  # (F, 3) the facets beyond the edges from corner k to k + 1
-    planes: (
-        Array  # (F, 4) outward unit normal, and what is added to its product with a point to get the height
-    )
+    planes: Array  # (F, 4) outward unit normal, and what its product with a point lacks to the height above
 
 
 class Growth(NamedTuple):
-    """Facets in K places that are used again; few arrays, as each takes numba half a second."""
+    """Facets in K places that are used again; in few arrays, since the time to compile grows with their number."""
 
     facets: Indices  # (K, 8) as in `Facets` corners and across, the HIGHEST point above, and the last SEEN_BY
     planes: Array  # (K, 5) as in `Facets`, and the height of that point, TOP
@@ -90,7 +88,7 @@ def facets_of(growth: Growth) -> Facets:
 
 @compiled
 def _copy(growth: Growth, number: Indices, facets: Facets) -> None:
-    """Fill in facets, of which the places up to each hold a `number`."""
+    """Fill in the facets; up to each place there are as many as its `number` says."""
     for place in range(len(number)):
         if growth.above[place] == NO_FACET:
             continue
@@ -129,9 +127,9 @@ def start(points: Array, which: Indices, growth: Growth) -> bool:
 
 @compiled
 def _start(points: Array, which: Indices, growth: Growth, axes: Array, corners: Indices) -> bool:
-    """Begin at the first corner; the next is each time what is farthest from the point, line, plane of those before.
+    """Each of the corners (4,) is what is farthest from the first one, from their line, from their plane.
 
-    `axes` (4, 3) become unit vectors from each to the next, square to those before.
+    `axes` (4, 3) become unit vectors towards them, square to those before.
     """
     first, farthest = points[which[0]], 0.0
     for n in range(1, 4):

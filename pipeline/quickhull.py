@@ -52,7 +52,7 @@ def hull_facets(points_mm: Array) -> tuple[Indices, Array]:
     if not has_grown:
         restart_by_qhull(points, every, growth)
     facets = facets_of(growth)
-    return facets.corners, facets.planes[:, :3]
+    return facets.corners, facets.planes[:, :3].copy()
 
 
 @compiled
