@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
-from pipeline.carving.interpolation import interpolate, room_for
+from pipeline.carving.interpolation import interpolate
 from pipeline.carving.views import Lens, Pinholes, lens_of, pinholes_of, pixel_of
 from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette
@@ -151,13 +151,11 @@ def _lower(smallest_mm: Single, search: _Search, pinholes: Pinholes, view: int, 
     flat_px, beyond_px = distance_px.reshape(-1), np.float32(-MARGIN_PX)
     zero, last_u, last_v = np.float32(0), np.float32(width - 1), np.float32(height - 1)
     lens, focal_px = lens_of(pinholes, view), pinholes.focals_px[view]
-    rays, places = np.empty(BLOCK, np.int64), room_for(BLOCK)
+    rays = np.empty(BLOCK, np.int64)
     samples_mm, steps_mm = np.zeros((3, BLOCK), np.float32), np.zeros((3, BLOCK), np.float32)
-    seen, values, least_mm = (
-        np.empty((2, BLOCK), np.float32),
-        np.empty(BLOCK, np.float32),
-        np.empty(BLOCK, np.float32),
-    )
+    seen = np.empty((2, BLOCK), np.float32)
+    values, least_mm = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    pixels, weights = np.empty(BLOCK, np.int32), np.empty((2, BLOCK), np.float32)
     ray = 0
     while ray < n_rays:
         n = 0
@@ -169,7 +167,7 @@ def _lower(smallest_mm: Single, search: _Search, pinholes: Pinholes, view: int, 
         least_mm[:] = np.inf
         for sample in range(n_samples):
             _project(samples_mm, lens, seen)
-            interpolate(flat_px, 0, height, width, seen, n, places, values)
+            interpolate(flat_px, height, width, np.float32(1), seen, n, pixels, weights, values)
             for i in range(n):  # not min and max, here and below: these are not put into vectors
                 u, v = seen[0, i], seen[1, i]
                 is_within = (u >= zero) & (u <= last_u) & (v >= zero) & (v <= last_v)
