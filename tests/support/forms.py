@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 BLUR_PX = 0.8
 COVERAGE_NOISE = 0.012
-WALL = 200
+BODY, WALL = 40, 200
 N_BUMPS = 300
 
 
@@ -78,10 +78,10 @@ def _silhouette(
     border_uv = pixels_uv[outline.border(edges, is_front)]
     covered = cv2.GaussianBlur(outline.coverage(border_uv[:, 0], border_uv[:, 1], window), (0, 0), BLUR_PX)
     covered = covered + COVERAGE_NOISE * rng.normal(size=covered.shape)
-    image = np.clip(np.rint(WALL * (1 - covered)), 0, 255).astype(np.uint8)
-    core = cv2.erode((covered > 0.5).astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-    possible, unknown = covered > 0.1, np.zeros(covered.shape, bool)
-    limits = limits_from(*(mask[::2, ::2] for mask in (core, possible, unknown)))
+    image = np.rint(WALL + covered * (BODY - WALL)).astype(np.uint8)
+    core = cv2.erode((covered > 0.5).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    possible = cv2.dilate((covered > 0.1).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    limits = limits_from(core[::2, ::2], possible[::2, ::2], np.zeros_like(core[::2, ::2]))
     found = delineate(image, np.full_like(image, WALL), limits)
     assert found.edge is not None
     return Silhouette(
