@@ -1,9 +1,10 @@
 """Loops over pixels, compiled."""
 
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+import numpy as np
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
@@ -22,3 +23,8 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
         return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no place to keep it
         return numba.njit(**options)(function)
+
+
+def whole(n: int) -> int:
+    """A constant for compiled loops; numba compiles callees anew for each `n` that is written out as an argument."""
+    return cast(int, np.int64(n))

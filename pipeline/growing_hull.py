@@ -14,7 +14,7 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, whole
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
@@ -27,6 +27,9 @@ FACES = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
 """Corners of a tetrahedron's facets."""
 BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
 """The facets across their edges."""
+
+BASE, N_FACES = whole(0), whole(4)
+"""The first of them, and how many there are."""
 
 NONE, NO_FACET = -1, -2
 HIGHEST, SEEN_BY = 6, 7
@@ -145,9 +148,9 @@ def _start(points: Array, which: Indices, growth: Growth, axes: Array, corners: 
                 axes[n, 0], axes[n, 1], axes[n, 2] = x / distance, y / distance, z / distance
     if not farthest > FLAT * growth.extent:
         return False
-    _span(points, growth.facets, growth.planes, 0, corners[0], corners[1], corners[2])
+    _span(points, growth.facets, growth.planes, BASE, corners[0], corners[1], corners[2])
     top = corners[3]
-    if height_above(growth.planes, 0, points[top, 0], points[top, 1], points[top, 2]) > 0:
+    if height_above(growth.planes, BASE, points[top, 0], points[top, 1], points[top, 2]) > 0:
         corners[1], corners[2] = corners[2], corners[1]
     for facet in range(4):
         a, b, c = corners[FACES[facet, 0]], corners[FACES[facet, 1]], corners[FACES[facet, 2]]
@@ -158,7 +161,7 @@ def _start(points: Array, which: Indices, growth: Growth, axes: Array, corners: 
         growth.lists[facet, NEW] = facet
     growth.counts[0] = 4
     for point in which:
-        _give(points, growth, point, 4)
+        _give(points, growth, point, N_FACES)
     return True
 
 

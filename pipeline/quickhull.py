@@ -7,7 +7,7 @@ own, by a walk from where the one before it ended.
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, whole
 from pipeline.growing_hull import (
     NO_FACET,
     Growth,
@@ -25,6 +25,8 @@ Indices = NDArray[np.int32]
 
 TOLERANCE = 3e-5
 """Points less than this share of the extent above the hull are left out."""
+START = whole(0)
+"""The facet from which the first walk begins."""
 RUN = 16
 """Of so many points one is added before all the others, many of which then turn out to be inside."""
 
@@ -75,7 +77,7 @@ def _locate(points: Array, origin: Array, walls: Array, growth: Growth) -> bool:
     """
     facets, planes = growth.facets, growth.planes
     ox, oy, oz = origin[0], origin[1], origin[2]
-    facet = 0
+    facet = START
     for place in range(len(walls)):
         if growth.above[place] == NO_FACET:
             continue

@@ -75,21 +75,36 @@ def stretches_mm(
 
     Of a ray of which they leave nothing it is the stretch between the planes that pass each other.
     """
-    moved_mm = planes.offsets_mm + slack_px * planes.mm_per_px
-    columns = np.column_stack([planes.normals, moved_mm]).astype(np.float32)
-    ends_mm = np.sort(_left_by(columns, np.concatenate([points_mm, directions])), axis=0)
-    low_mm, high_mm = np.clip(ends_mm, -MOST_MM, MOST_MM).astype(np.float64)
+    ends_mm = np.sort(
+        left_by(
+            planes.normals,
+            planes.offsets_mm + slack_px * planes.mm_per_px,
+            np.concatenate([points_mm, directions]),
+        ),
+        axis=0,
+    )
+    low_mm, high_mm = np.clip(ends_mm, -MOST_MM, MOST_MM)
     return low_mm, high_mm
 
 
-@compiled
-def _left_by(planes: Single, rays: Single) -> Single:
-    """Ends (2, R) of what planes (P, 4), normals and offsets, leave of rays (6, R), points and directions.
+def left_by(normals: Array, offsets_mm: Array, rays: Array | Single) -> Array:
+    """Ends (2, R) of what P planes leave of rays (6, R), points and directions; infinite where nothing ends one.
 
-    Rays in the inner loop: unlike the search for the least of all planes it runs in vectors.
+    In single precision: lengths of some ten mm are good to a few micrometres.
     """
     ends_mm = np.empty((2, rays.shape[1]), np.float32)
     ends_mm[0], ends_mm[1] = -np.inf, np.inf
+    planes = np.column_stack([normals, offsets_mm]).astype(np.float32)
+    _cut(planes, np.ascontiguousarray(rays, np.float32), ends_mm)
+    return ends_mm.astype(np.float64)
+
+
+@compiled
+def _cut(planes: Single, rays: Single, ends_mm: Single) -> None:
+    """Move the ends to what planes (P, 4), normals and offsets, leave.
+
+    Rays in the inner loop: unlike the search for the least of all planes it runs in vectors.
+    """
     zero, infinite = np.float32(0), np.float32(np.inf)
     for plane in range(len(planes)):
         x, y, z, offset_mm = planes[plane, 0], planes[plane, 1], planes[plane, 2], planes[plane, 3]
@@ -99,4 +114,3 @@ def _left_by(planes: Single, rays: Single) -> Single:
             end_mm = reach_mm / slope
             ends_mm[0, ray] = max(ends_mm[0, ray], end_mm if slope < zero else -infinite)
             ends_mm[1, ray] = min(ends_mm[1, ray], end_mm if slope > zero else infinite)
-    return ends_mm

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pipeline.carving import View
 from pipeline.compiled import compiled
 from pipeline.outline_hull import goes_on
+from pipeline.tangent_planes import left_by
 
 Array = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 N_ANGLES = 60
 """Tangents an outline: every 6 degrees."""
@@ -120,27 +120,7 @@ def segments_mm(
     normals: Array, offsets_mm: Array, points_mm: Array, directions: Array
 ) -> tuple[Array, Array]:
     """What all planes leave of each ray: from (N,) to (N,), infinite where nothing ends it."""
-    planes = np.column_stack([normals, offsets_mm + SLACK_MM]).astype(np.float32)
-    rays = np.concatenate([points_mm, directions], axis=1).T.astype(np.float32, order="C")
-    ends_mm = np.empty((2, len(points_mm)), np.float32)
-    ends_mm[0], ends_mm[1] = -np.inf, np.inf
-    _cut(planes, rays, ends_mm)
-    low_mm, high_mm = ends_mm.astype(np.float64)
+    low_mm, high_mm = left_by(
+        normals, offsets_mm + SLACK_MM, np.concatenate([points_mm, directions], axis=1).T
+    )
     return low_mm, high_mm
-
-
-@compiled
-def _cut(planes: Single, rays: Single, ends_mm: Single) -> None:
-    """Move the ends (2, N) to what planes (P, 4), normals and offsets, leave of rays (6, N), points and directions.
-
-    Rays in the inner loop: unlike the search for the least of all planes it runs in vectors.
-    """
-    nothing = np.float32(np.inf)
-    for plane in range(len(planes)):
-        x, y, z, offset_mm = planes[plane, 0], planes[plane, 1], planes[plane, 2], planes[plane, 3]
-        for ray in range(rays.shape[1]):
-            slope = rays[3, ray] * x + rays[4, ray] * y + rays[5, ray] * z
-            reach_mm = offset_mm - (rays[0, ray] * x + rays[1, ray] * y + rays[2, ray] * z)
-            end_mm = reach_mm / slope
-            ends_mm[0, ray] = max(ends_mm[0, ray], end_mm if slope < 0 else -nothing)
-            ends_mm[1, ray] = min(ends_mm[1, ray], end_mm if slope > 0 else nothing)

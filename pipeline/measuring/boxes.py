@@ -14,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, whole
 from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere, near_frames
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
+FIRST = whole(0)
+"""Frame of a list."""
 N_RANKED = 200
 """Coarse frames among which the starts are chosen."""
 N_STARTS = 40
@@ -153,7 +155,7 @@ def _choose(
     """Keep the best of some frames, best first, none a near twin of a better one; returns how many."""
     cos_spacing = np.cos(spacing_rad)
     for n_kept in range(n_most):
-        best = 0
+        best = FIRST
         for i in range(n_frames):
             if frames.score[i] < frames.score[best]:
                 best = i

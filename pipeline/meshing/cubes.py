@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import LEAF
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, whole
 from pipeline.meshing.cases import CORNERS, EDGES, cube_cases
 
 Array = NDArray[np.float64]
@@ -24,6 +24,8 @@ SAMPLES = LEAF**3
 """In a leaf, by rows: sample (LEAF i + j) LEAF + k is (i, j, k) from the first one."""
 NO_LEAF = -16
 """Instead of what `_place` tells of a sample: its vertices' rows are all negative."""
+X, Y, Z = whole(0), whole(1), whole(2)
+"""Axes."""
 FULL_ROW = 2 ** (LEAF + 1) - 1
 """Bits of a row of samples that are all inside, that of the next leaf too."""
 
@@ -138,7 +140,7 @@ def _classify(
                         | (rows[i + 1, j + 1] >> k & 3) << 6
                     )
                     cases[leaf, (LEAF * i + j) * LEAF + k] = case
-                    n_vertices += _is_cut(case, 0) + _is_cut(case, 1) + _is_cut(case, 2)
+                    n_vertices += _is_cut(case, X) + _is_cut(case, Y) + _is_cut(case, Z)
                     n_faces += n_triangles[case]
     return n_vertices, n_faces
 
@@ -168,7 +170,7 @@ def _place(
             y = leaves[leaf, 1] + sample // LEAF % LEAF
             z = leaves[leaf, 2] + sample % LEAF
             here = float(field[x, y, z])
-            ids[leaf, sample] = 4 * n + _is_cut(case, 0) + 2 * _is_cut(case, 1)
+            ids[leaf, sample] = 4 * n + _is_cut(case, X) + 2 * _is_cut(case, Y)
             for axis in range(3):
                 if _is_cut(case, axis):
                     there = float(field[x + (axis == 0), y + (axis == 1), z + (axis == 2)])

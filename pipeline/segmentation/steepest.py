@@ -9,7 +9,7 @@ the body's edge the image is what was expected there.
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, whole
 from pipeline.segmentation.grey_levels import GreyLevels
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 
@@ -18,6 +18,8 @@ Array = NDArray[np.float32]
 
 TANGENT_REACH = 3
 """The edge runs from the point so many before to the one so many after."""
+BACK, ON = whole(-1), whole(1)
+"""Steps along it."""
 STEP_PX = np.float32(0.5)
 """Of the profile across the edge."""
 N_SLOPES = 7
@@ -112,7 +114,7 @@ def _inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey)
     for i in range(n_points):
         before = after = i
         for _ in range(TANGENT_REACH):
-            previous, following = _along(before, -1, n_points), _along(after, 1, n_points)
+            previous, following = _along(before, BACK, n_points), _along(after, ON, n_points)
             before = previous if seen[previous] else before
             after = following if seen[following] else after
         du = np.float32(points_uv[after, 0] - points_uv[before, 0])

@@ -55,7 +55,7 @@ def test_planes_leave_of_rays_what_they_leave_one_by_one(seed: int, n_planes: in
     )
     slopes = planes[:, :3].astype(float) @ rays[3:]
     ends_mm = (planes[:, 3:] - planes[:, :3].astype(float) @ rays[:3]) / slopes
-    low_mm, high_mm = tangent_planes._left_by(planes, rays)
+    low_mm, high_mm = tangent_planes.left_by(planes[:, :3], planes[:, 3], rays)
     np.testing.assert_allclose(
         low_mm, np.where(slopes < 0, ends_mm, -np.inf).max(axis=0), rtol=1e-2, atol=1e-3
     )

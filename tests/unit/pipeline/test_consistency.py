@@ -31,7 +31,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> 
         ray_field._lower,
         ray_field._narrow,
         clearance._cast,
-        tangent_planes._left_by,
+        tangent_planes._cut,
         tangency._touching,
         outline_hull._corners,
         lens.undistorted,
