@@ -136,12 +136,17 @@ def _time_one(folder: Path, seed: int, row: int, number: int) -> StoneTimes:
         raise UsageError(
             f"a stone of {SIZES_MM[row]:g} mm cannot be timed: {result.rejection}; try another --seed"
         )
-    hull_ms, _ = measured(bundle, scene, "hull")
+    del result  # a worker keeps none: what is held makes the next one begin in fresh memory
+    hull_ms, result = measured(bundle, scene, "hull")
+    fresh = {camera: replace(silhouette) for camera, silhouette in result.silhouettes.items()}
+    del result
+    to_mesh_ms = mesh_ms(fresh, scene)
+    del fresh
     way_ms, way_cpu_ms = _whole_way(folder, f"{row}-{number}", bundle, scene)
     return StoneTimes(
         stages_ms=stages_ms,
         hull_ms=sum(hull_ms.values()),
-        mesh_ms=mesh_ms(result.silhouettes, scene),
+        mesh_ms=to_mesh_ms,
         way_ms=way_ms,
         way_cpu_ms=way_cpu_ms,
     )
@@ -165,10 +170,9 @@ def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[st
 
 
 def mesh_ms(silhouettes: SilhouetteSet, scene: Scene) -> float:
-    """Processor time from the silhouettes, their distances still unknown, to the hull's mesh and its integrals."""
-    fresh = {camera: replace(silhouette) for camera, silhouette in silhouettes.items()}
+    """Processor time from silhouettes whose distances are still unknown to the hull's mesh and its integrals."""
     start_s = time.process_time()
-    hull = mesh_hull(carve(fresh, scene.true_rig, this_worker().context.parameters.carving))
+    hull = mesh_hull(carve(silhouettes, scene.true_rig, this_worker().context.parameters.carving))
     if hull is not None:
         solid_of(hull.vertices_mm, hull.faces)
     return 1000 * (time.process_time() - start_s)

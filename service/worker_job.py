@@ -241,6 +241,6 @@ def learn_background(job: LearnJob) -> dict[str, Any]:
     """
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
-        previous = {} if job.previous_path is None else read_background(job.previous_path)
+        previous = this_worker().background_at(job.previous_path)
         write_background(job.out_path, learn(previous, bundle.frames))
         return optics_record(observe_all(bundle.frames, previous))

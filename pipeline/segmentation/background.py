@@ -125,9 +125,9 @@ def _begun(image: Array, clean: Array | None = None) -> CameraBackground:
 
 def _learnt(known: CameraBackground, image: Array) -> CameraBackground:
     """The model of one camera after one more image (H, W)."""
-    gain = np.float32(flash_gain(coarsen(image), known.coarse))
-    steady = image / gain
-    coarse = coarsen(steady)
+    coarse = coarsen(image)
+    gain = flash_gain(coarse, known.coarse)
+    coarse /= np.float32(gain)
     changed = _differs(coarse, known.coarse)
     n_refused = 0
     if changed.any():
@@ -144,10 +144,10 @@ def _learnt(known: CameraBackground, image: Array) -> CameraBackground:
         if is_new_wall:  # a model that never settled began with a stone, and its flat field with it
             return _begun(image, clean=None if _is_cleaned(image, known.clean) else known.clean)
         return replace(known, n_refused=n_refused, refused=refused)
-    weight = np.float32(max(1 / (known.n_frames + 1), SLOWEST_WEIGHT))
-    mean = known.mean + weight * (steady - known.mean)
+    weight = max(1 / (known.n_frames + 1), SLOWEST_WEIGHT)
+    mean = np.asarray(cv2.addWeighted(known.mean, 1 - weight, image, weight / gain, 0), np.float32)
     if changed.any():
-        _put(mean, steady if is_new_wall else known.mean, changed)
+        _put(mean, image / np.float32(gain) if is_new_wall else known.mean, changed)
     n_frames = known.n_frames + 1
     clean = known.clean
     if clean is None and n_frames >= SETTLED:
