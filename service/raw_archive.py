@@ -21,7 +21,7 @@ from service.workers import JobLostError, WorkerPool, worker_boundary
 
 log = logging.getLogger(__name__)
 
-DEADLINE_S = 60.0
+DEADLINE_S = 300.0
 """0.1 s of an idle core, but this process is the last to get one."""
 RECENT_S = 60.0
 """So long health warns of frames that were not kept."""
