@@ -1,9 +1,13 @@
 """Rendered bundles shared by the tests: one synthetic rig a process, its background learnt once."""
 
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from drivers.bundle_file import Compression
+from drivers.recording import RecordingWriter
 from pipeline.frames import FrameBundle
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
@@ -47,3 +51,18 @@ def bundle_of(*bodies: PlacedBody, number: int = 0) -> FrameBundle:
 def sphere_bundle() -> FrameBundle:
     """A 15 mm sphere half a millimetre off the centre."""
     return bundle_of(placed(sphere(), (0.5, -0.3, 0.2)))
+
+
+def recording_of(
+    path: Path, rig: RigCalibration, made_by: dict[str, Any], compression: Compression = "zstd"
+) -> RecordingWriter:
+    """A new recording of what this rig was rendered with."""
+    return RecordingWriter(
+        path,
+        camera_ids=rig.camera_ids,
+        image_size_px=rig.cameras[0].image_size_px,
+        rig=rig,
+        is_simulated=True,
+        made_by=made_by,
+        compression=compression,
+    )

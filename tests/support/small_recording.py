@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from support.rendered import recording_of
 
-from drivers.recording import RecordingWriter
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
@@ -19,6 +19,7 @@ from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
 
 SHRINK = 4
+MADE_BY = {"test": "small_recording"}
 
 
 def thumbnail_rig() -> RigCalibration:
@@ -65,7 +66,7 @@ def write_small_recording(
     dimmed: Mapping[CameraId, float] = MappingProxyType({}),
 ) -> None:
     """Spheres falling through the rig as built, after some exposures of the empty rig; then the `dimmed` go dark."""
-    with _writer(path, _simulated().rig) as writer:
+    with recording_of(path, _simulated().rig, MADE_BY) as writer:
         for number in range(1, n_backgrounds + 1):
             writer.add(_empty(number))
         for number in range(n_backgrounds + 1, n_backgrounds + n_stones + 1):
@@ -81,7 +82,7 @@ def write_ball_recording(path: Path, *, n_balls: int, diameter_mm: float = 10.0)
     """Balls falling through the rig as built, after two exposures of it empty; rig.json is only its design."""
     rig = thumbnail_rig()
     simulated = simulate_rig(rig, stream(3, 0))
-    with _writer(path, _thumbnail(nominal_rig())) as writer:
+    with recording_of(path, _thumbnail(nominal_rig()), MADE_BY) as writer:
         for number in (1, 2):
             writer.add(render_empty(simulated, stream(3, 1, number), sequence=number))
         for number in range(3, n_balls + 3):
@@ -105,7 +106,7 @@ def write_odd_recording(path: Path) -> None:
         "cut": [_placed(sphere(), 0, 0, 24)],
         "last": [_placed(sphere(12.0), 1, 1, -2)],
     }
-    with _writer(path, rig) as writer:
+    with recording_of(path, rig, MADE_BY) as writer:
         for number in (1, 2):
             writer.add(render_empty(simulated, stream(2, 1, number), sequence=number))
         for number, (label, bodies) in enumerate(falls.items(), start=3):
@@ -114,14 +115,3 @@ def write_odd_recording(path: Path) -> None:
 
 def _placed(body: Body, *offset_mm: float) -> PlacedBody:
     return PlacedBody(body=body, R=np.eye(3), offset_mm=np.array(offset_mm))
-
-
-def _writer(path: Path, rig: RigCalibration) -> RecordingWriter:
-    return RecordingWriter(
-        path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
-        made_by={"test": "small_recording"},
-    )

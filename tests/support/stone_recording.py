@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +9,8 @@ from rich.console import Console
 from rich.progress import track
 from support import rendered
 
-from drivers.recording import Recording, RecordingWriter, read_bundle
+from drivers.recording import Recording, read_bundle
 from pipeline.frames import FrameBundle
-from pipeline.rig import RigCalibration
 from pipeline.synthesis.bundles import FIRST_NS, LAST_FRAME_ID, render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
@@ -26,7 +24,8 @@ ROUND_GAP_S = 0.25
 def write_stones(path: Path, form: str, *, size_mm: float, n_stones: int, n_empty: int, seed: int) -> None:
     """Exposures of the empty rig, then stones; about a second each."""
     rig, simulated = rendered.rig(), rendered.simulated()
-    with _writer(path, rig, form=form, size_mm=size_mm) as writer:
+    made_by = {"benchmark": {"form": form, "size_mm": size_mm}}
+    with rendered.recording_of(path, rig, made_by, compression="none") as writer:
         for number in range(1, n_empty + 1):
             writer.add(render_empty(simulated, stream(seed, 0, number), sequence=number))
         numbers = range(n_empty + 1, n_empty + n_stones + 1)
@@ -34,18 +33,6 @@ def write_stones(path: Path, form: str, *, size_mm: float, n_stones: int, n_empt
             rng = stream(seed, 1, number)
             placed = tumble(stone(form, size_mm, rng), rig, rng)
             writer.add(render_bundle([placed], simulated, rng, sequence=number, label=form))
-
-
-def _writer(path: Path, rig: RigCalibration, **made_by: Any) -> RecordingWriter:
-    return RecordingWriter(
-        path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
-        made_by={"benchmark": made_by},
-        compression="none",
-    )
 
 
 def write_paced(path: Path, recording: Recording, rate_hz: float) -> NDArray[np.float64]:
@@ -56,7 +43,8 @@ def write_paced(path: Path, recording: Recording, rate_hz: float) -> NDArray[np.
     period_s = (ROUND_STONES / rate_hz - ROUND_GAP_S) / ROUND_STONES
     empty, *stones = recording.headers
     assert recording.rig is not None
-    with _writer(path, recording.rig, rate_hz=rate_hz) as writer:
+    made_by = {"benchmark": {"rate_hz": rate_hz}}
+    with rendered.recording_of(path, recording.rig, made_by, compression="none") as writer:
         for position in range(ROUND_STONES + 1):
             header = stones[(position - 1) % len(stones)] if position else empty
             bundle = read_bundle(header.path, recording.camera_ids)

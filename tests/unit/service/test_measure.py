@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from support.rendered import recording_of
 from support.small_recording import thumbnail_rig, write_small_recording
 from typer.testing import CliRunner
 
 from drivers.errors import RecordingError
-from drivers.recording import RecordingWriter
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import rig_to_document
@@ -154,14 +154,7 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
         replace(other, trigger=replace(other.trigger, pulse_width_ns=pulse_width_ns(25))),
     ]
     recording = tmp_path / "recording"
-    with RecordingWriter(
-        recording,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
-        made_by={"test": "special"},
-    ) as writer:
+    with recording_of(recording, rig, {"test": "special"}) as writer:
         for bundle in bundles:
             writer.add(bundle)
     run(recording, "--out", tmp_path / "out", "--workers", 2)
