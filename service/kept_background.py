@@ -17,7 +17,7 @@ from typing import Any
 
 from drivers.files import replacing
 from pipeline.frames import CameraId
-from service.background_file import read_background
+from service.background_folder import read_background
 
 log = logging.getLogger(__name__)
 
@@ -43,29 +43,31 @@ class KeptBackground:
         self._path = folder / f"background-{identity}.npz"
         self._kept_at_s: float | None = None
 
-    def restore(self, path: Path) -> Path | None:
+    def restore(self, folder: Path) -> Path | None:
         """Put the kept background where the workers read it; nothing when there is none or it is damaged."""
         if not self._path.exists():
             return None
         try:
-            read_background(self._path)
-            shutil.copyfile(self._path, path)
+            with zipfile.ZipFile(self._path) as archive:  # which checks what it extracts
+                archive.extractall(folder)
+            read_background(folder)
         except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as err:
             log.error("the kept background is not used: %s file=%s", err, self._path)
-            path.unlink(missing_ok=True)
+            shutil.rmtree(folder, ignore_errors=True)
             return None
         log.info("background of before restored file=%s", self._path)
-        return path
+        return folder
 
-    def keep(self, path: Path) -> None:
+    def keep(self, folder: Path) -> None:
         """Keep a background for the next start, unless that was done lately; a full disk costs only this."""
         now_s = time.monotonic()
         if self._kept_at_s is not None and now_s - self._kept_at_s < KEEP_EVERY_S:
             return
         self._kept_at_s = now_s
         try:
-            with replacing(self._path) as unfinished:
-                shutil.copyfile(path, unfinished)
+            with replacing(self._path) as unfinished, zipfile.ZipFile(unfinished, "w") as archive:
+                for path in sorted(folder.iterdir()):  # as numpy.savez would, and earlier releases did
+                    archive.write(path, path.name)
             for other in self._path.parent.glob("background-*.npz"):
                 if other != self._path:
                     other.unlink()

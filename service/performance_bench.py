@@ -29,7 +29,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.scene import BODY, Scene, build_scene
 from pipeline.synthesis.stones import stone
-from service.background_file import write_background
+from service.background_folder import write_background
 from service.errors import UsageError
 from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.store import open_store
@@ -122,7 +122,7 @@ def _scene(folder: Path, seed: int) -> Scene:
     """The rig, with its files in the folder."""
     scene = build_scene(seed)
     write_rig(folder / "rig.json", scene.true_rig)
-    write_background(folder / "background.npz", scene.background)
+    write_background(folder / "background", scene.background)
     return scene
 
 
@@ -184,7 +184,7 @@ def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tu
         bundle_path=folder / f"{name}.tiff",
         camera_ids=scene.true_rig.camera_ids,
         rig=RigFile(folder / "rig.json", scene.true_rig.calibration_id),
-        background_path=folder / "background.npz",
+        background_path=folder / "background",
         out_dir=folder / name,
     )
     write_bundle(job.bundle_path, bundle, job.camera_ids, compression="none")

@@ -148,6 +148,7 @@ class Processing:
         self._jobs: set[asyncio.Task[_Measured | _Learnt | Loss]] = set()
         self._is_abandoned = False
         self._kept = kept
+        self._keeping: asyncio.Task[None] | None = None
         self._background: Path | None = None
         self._started = 0
         self._last_loss = ("", "")
@@ -159,11 +160,11 @@ class Processing:
     async def run(self) -> None:
         """Return when the spool is finished and everything from it is committed."""
         if self._kept is not None:
-            restored = self._context.folder / "00000000.npz"
+            restored = self._context.folder / "00000000"
             self._background = await asyncio.to_thread(self._kept.restore, restored)
         turns: asyncio.Queue[_Turn | None] = asyncio.Queue()
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._commit_all(turns))
+            tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
                 rig = self._calibration.rig
                 collector = self._calibration.collector
@@ -185,24 +186,26 @@ class Processing:
         for job in self._jobs:
             job.cancel()
 
-    async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]") -> None:
+    async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]", tasks: asyncio.TaskGroup) -> None:
         while (turn := await turns.get()) is not None:
             await asyncio.wait([turn.job])
-            seq = await self._commit(turn)
+            seq = await self._commit(turn, tasks)
             await self._spool.release(turn.bundle, seq)
             self._on_progress()
 
-    async def _commit(self, turn: _Turn) -> int | None:
+    async def _commit(self, turn: _Turn, tasks: asyncio.TaskGroup) -> int | None:
         """Make the outcome durable; returns the number of a result that was measured or rejected."""
         bundle = turn.bundle
         match outcome := turn.outcome:
             case _Learnt(path, optics, retired):
                 self._on_empty(optics)
-                if self._kept is not None:
-                    await asyncio.to_thread(self._kept.keep, path)
+                if self._keeping is not None:
+                    await self._keeping
+                if self._kept is not None:  # no stone waits for the disk
+                    self._keeping = tasks.create_task(asyncio.to_thread(self._kept.keep, path))
                 # its turn has come, so all jobs that were given the old version are through
                 if retired is not None:
-                    await asyncio.to_thread(retired.unlink)
+                    await asyncio.to_thread(shutil.rmtree, retired)
             case Loss() if bundle.is_background:
                 log.warning("background lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
             case Loss(reason=reason, detail=detail):
@@ -240,7 +243,7 @@ class Processing:
         folder = self._context.folder / f"{self._started:08d}"
         try:
             if bundle.is_background:
-                return await self._learn(bundle.content, folder.with_suffix(".npz"))
+                return await self._learn(bundle.content, folder)
             return await self._measure(bundle.content, rig, collector, folder)
         except JobLostError as err:
             return Loss(reason=err.reason, detail=err.detail)
@@ -253,6 +256,7 @@ class Processing:
             camera_ids=self._context.camera_ids,
             previous_path=self._background,
             out_path=out_path,
+            threads=self._pool.size,  # nothing else runs meanwhile
         )
         optics = await self._pool.run(learn_background, job)
         retired, self._background = self._background, out_path

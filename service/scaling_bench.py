@@ -26,7 +26,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.scene import BODY, Scene, build_scene
 from pipeline.synthesis.stones import stone
-from service.background_file import write_background
+from service.background_folder import write_background
 from service.performance_bench import FORM, measured, worker_context
 from service.worker_job import MeasureJob, RigFile, WorkerContext, initialize, measure, this_worker
 
@@ -173,7 +173,7 @@ def _write_jobs(folder: Path, size_mm: float, seed: int) -> list[MeasureJob]:
     """One stone to be measured again and again."""
     scene = build_scene(seed)
     write_rig(folder / "rig.json", scene.true_rig)
-    write_background(folder / "background.npz", scene.background)
+    write_background(folder / "background", scene.background)
     rig = RigFile(folder / "rig.json", scene.true_rig.calibration_id)
     write_bundle(
         folder / "bundle.tiff", _photographed(scene, size_mm), scene.true_rig.camera_ids, compression="none"
@@ -183,7 +183,7 @@ def _write_jobs(folder: Path, size_mm: float, seed: int) -> list[MeasureJob]:
             bundle_path=folder / "bundle.tiff",
             camera_ids=scene.true_rig.camera_ids,
             rig=rig,
-            background_path=folder / "background.npz",
+            background_path=folder / "background",
             out_dir=folder / str(number),
         )
         for number in range(N_BUNDLES)

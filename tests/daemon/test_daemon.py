@@ -64,7 +64,7 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
     with ProcessPoolExecutor(1, mp_context=spawn, initializer=initialize, initargs=(context,)) as worker:
         for header in playback_order(recording):
             if header.kind is BundleKind.BACKGROUND:
-                previous, background = background, out / f"{header.name}.npz"
+                previous, background = background, out / f"{header.name}.background"
                 learn = LearnJob(
                     bundle_path=header.path,
                     camera_ids=recording.camera_ids,

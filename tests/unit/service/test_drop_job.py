@@ -20,7 +20,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
 from service import worker_job
-from service.background_file import write_background
+from service.background_folder import write_background
 from service.drop_files import ObservedDrop, read_drop, write_drop
 from service.drop_job import Method, ObserveJob, Solution, SolveJob, observe, solve
 from service.segmenters import build_segmenter
@@ -39,14 +39,14 @@ def observed(folder: Path, kind: BundleKind, diameters_mm: tuple[float, ...] = (
     """A sphere of 15 mm."""
     rig = rendered.rig()
     write_rig(folder / "rig.json", rig)
-    write_background(folder / "background.npz", rendered.background())
+    write_background(folder / "background", rendered.background())
     write_bundle(folder / "bundle.tiff", rendered.sphere_bundle(), rig.camera_ids, compression="none")
     return observe(
         ObserveJob(
             bundle_path=folder / "bundle.tiff",
             camera_ids=rig.camera_ids,
             rig=RigFile(folder / "rig.json", rig.calibration_id),
-            background_path=folder / "background.npz",
+            background_path=folder / "background",
             kind=kind,
             diameters_mm=diameters_mm,
             out_path=folder / "outlines.npz",

@@ -7,7 +7,7 @@ import pytest
 from pipeline.frames import CameraId
 from pipeline.segmentation.background import CameraBackground
 from service import kept_background
-from service.background_file import read_background, write_background
+from service.background_folder import read_background, write_background
 from service.kept_background import KeptBackground
 
 SIZES = {CameraId("c01"): (5, 4)}
@@ -28,22 +28,32 @@ def store(tmp_path: Path) -> Path:
 
 
 def test_what_was_kept_is_restored_after_a_restart(tmp_path: Path, store: Path):
-    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "none.npz") is None
-    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
-    restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz")
-    assert restored == tmp_path / "restored.npz"
+    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "none") is None
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen", 200))
+    restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored")
+    assert restored == tmp_path / "restored"
     assert read_background(restored)[CameraId("c01")].mean[0, 0] == 200
 
 
+def test_what_an_earlier_release_kept_is_restored(tmp_path: Path, store: Path):
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen", 200))
+    (file,) = store.iterdir()
+    mean = np.arange(20, dtype=np.float32).reshape(4, 5)
+    np.savez(file, **{"c01": mean, "c01.counts": np.array([2, 0])})
+    restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored")
+    assert restored is not None
+    assert np.array_equal(read_background(restored)[CameraId("c01")].mean, mean)
+
+
 def test_another_rig_starts_without_and_replaces_it(tmp_path: Path, store: Path):
-    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen", 200))
     other = KeptBackground(store, SIZES, RIG | {"exposure_us": 10.0})
-    assert other.restore(tmp_path / "restored.npz") is None
-    other.keep(background(tmp_path / "darker.npz", 100))
-    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz") is None
-    assert KeptBackground(store, OTHER_SIZES, RIG | {"exposure_us": 10.0}).restore(tmp_path / "r.npz") is None
+    assert other.restore(tmp_path / "restored") is None
+    other.keep(background(tmp_path / "darker", 100))
+    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored") is None
+    assert KeptBackground(store, OTHER_SIZES, RIG | {"exposure_us": 10.0}).restore(tmp_path / "r") is None
     same = KeptBackground(store, SIZES, RIG | {"exposure_us": 10.0, "uplink_bytes_s": 1e9})
-    assert same.restore(tmp_path / "restored.npz") is not None
+    assert same.restore(tmp_path / "restored") is not None
     assert len(list(store.iterdir())) == 1
 
 
@@ -51,8 +61,8 @@ def test_it_is_not_written_with_every_exposure(tmp_path: Path, store: Path, monk
     kept = KeptBackground(store, SIZES, RIG)
     for grey, every_s, expected in ((200, 600.0, 200), (150, 600.0, 200), (100, 0.0, 100)):
         monkeypatch.setattr(kept_background, "KEEP_EVERY_S", every_s)
-        kept.keep(background(tmp_path / f"{grey}.npz", grey))
-        restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz")
+        kept.keep(background(tmp_path / f"{grey}", grey))
+        restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored")
         assert restored is not None
         assert read_background(restored)[CameraId("c01")].mean[0, 0] == expected
 
@@ -61,15 +71,15 @@ def test_it_is_not_written_with_every_exposure(tmp_path: Path, store: Path, monk
     "damage", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * 99]
 )
 def test_a_damaged_one_is_not_used(tmp_path: Path, store: Path, damage, caplog: pytest.LogCaptureFixture):
-    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
+    KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen", 200))
     (file,) = store.iterdir()
     file.write_bytes(damage(file.read_bytes()))
-    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored.npz") is None
-    assert not (tmp_path / "restored.npz").exists()
+    assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored") is None
+    assert not (tmp_path / "restored").exists()
     assert str(file) in caplog.text
 
 
 def test_a_store_that_cannot_be_written_costs_only_this(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     caplog.set_level(logging.ERROR)
-    KeptBackground(tmp_path / "gone", SIZES, RIG).keep(background(tmp_path / "seen.npz", 200))
+    KeptBackground(tmp_path / "gone", SIZES, RIG).keep(background(tmp_path / "seen", 200))
     assert "not kept for the next start" in caplog.text

@@ -40,7 +40,7 @@ class QueueSpool:
 class ScriptedPool:
     """Answers at once, or when the test says so."""
 
-    share = 1
+    size = share = 1
 
     def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
         self.failures = failures or {}
@@ -61,7 +61,7 @@ class ScriptedPool:
         if name in self.failures:
             raise self.failures[name]
         if isinstance(job, LearnJob):
-            job.out_path.touch()
+            job.out_path.mkdir()
             return {}
         job.out_dir.mkdir()
         (job.out_dir / "mesh.ply").write_text(name)
