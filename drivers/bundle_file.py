@@ -9,12 +9,13 @@ import logging
 import mmap
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
 import numpy as np
 import tifffile
+from imagecodecs import zstd_encode
 from numpy.typing import NDArray
 
 from drivers.bundle_header import BundleHeader, FrameEntry, crc32, described, parsed
@@ -92,15 +93,13 @@ def _write_pages(
     file: BinaryIO, bundle: FrameBundle, frames: Sequence[Frame], compression: Compression
 ) -> None:
     images = [np.ascontiguousarray(frame.image) for frame in frames]
-    # horizontal predictor and zstd-1 halve the images at a fifth of PNG's cost
-    packing: dict[str, Any] = (
-        {"compression": "zstd", "compressionargs": {"level": 1}, "predictor": True}
-        if compression == "zstd"
-        else {}
-    )
+    pages: Iterator[Image] | Iterator[bytes] = iter(images)
+    packing: dict[str, Any] = {}
+    if compression == "zstd":
+        pages, packing = map(_packed, images), {"compression": "zstd", "predictor": True}
     with tifffile.TiffWriter(file) as tiff:
         tiff.write(
-            iter(images),
+            pages,
             shape=(len(images), *images[0].shape),
             dtype=np.uint8,
             photometric="minisblack",
@@ -111,6 +110,16 @@ def _write_pages(
             maxworkers=1,
             **packing,
         )
+
+
+def _packed(image: Image) -> bytes:
+    """A page (H, W) as tifffile would compress it, which takes four times as long for the differences.
+
+    Horizontal predictor and zstd-1 halve the images at a fifth of PNG's cost.
+    """
+    differences = image.copy()
+    np.subtract(image[:, 1:], image[:, :-1], out=differences[:, 1:])
+    return bytes(zstd_encode(differences, level=1))  # type: ignore[arg-type]  # its stub knows no array
 
 
 def read_header(path: Path) -> BundleHeader:

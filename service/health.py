@@ -64,7 +64,8 @@ class Facts:
     free_bytes: int  # on the store's file system
     segmentation_warning: str | None = None  # why outlines are not found as configured
     recording_trouble: str | None = None  # why a recording ended early
-    archive_trouble: str | None = None  # why frames of results are not kept
+    left_out: int = 0  # results whose frames are not kept
+    archive_trouble: str | None = None  # why lately
     suspicions: Sequence[Suspicion] = ()  # cameras that are not where their calibration says, see rig_watch
     optics: Sequence[OpticalFinding] = ()  # windows, lenses and light that should be looked at
 
@@ -187,7 +188,10 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     trouble = facts.recording_trouble
     checks["recording"] = Check(status=_status(warn=trouble is not None), detail=trouble)
     checks["archive"] = Check(
-        status=_status(warn=facts.archive_trouble is not None), detail=facts.archive_trouble
+        status=_status(warn=facts.archive_trouble is not None),
+        value=facts.left_out,
+        unit="left out",
+        detail=facts.archive_trouble,
     )
     checks["rig"] = _rig(facts)
     checks["optics"] = _optics(facts)

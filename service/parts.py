@@ -91,6 +91,7 @@ class Daemon:
                 last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
                 recording_trouble=self.recordings.trouble,
+                left_out=self.archive.left_out,
                 archive_trouble=self.archive.trouble,
                 suspicions=self.rig_watch.suspicions(),
                 optics=self.optical_watch.findings(),

@@ -1,7 +1,8 @@
 """Frames of the newest stones, compressed beside their results: afterwards, and with what time is left over.
 
-A process of its own does it, which yields to all others, so that neither latency nor measuring pays. What waits
-for it is bounded: while stones come faster than it compresses, the frames of some are not kept, and it says so.
+A process of its own does it, which yields to all others, so that neither latency nor measuring pays. While others
+wait it does not compress, which takes four times as long. What waits is bounded: while stones come faster than even
+that, the frames of some are not kept, and it says so.
 """
 
 import asyncio
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from drivers.bundle_file import read_bundle, write_bundle
+from drivers.bundle_file import Compression, read_bundle, write_bundle
 from drivers.errors import RecordingError
 from drivers.files import sync
 from pipeline.frames import CameraId
@@ -38,12 +39,13 @@ class RawFolder(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class CompressJob:
+class KeepJob:
     """A bundle's file, and where it goes."""
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
     out_path: Path
+    compression: Compression
 
 
 def yield_to_all(context: None, number: int) -> bool:
@@ -52,8 +54,8 @@ def yield_to_all(context: None, number: int) -> bool:
     return False
 
 
-def compress(job: CompressJob) -> None:
-    """Write the bundle compressed, durably.
+def keep(job: KeepJob) -> None:
+    """Write the bundle, durably.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def compress(job: CompressJob) -> None:
         if not job.out_path.parent.exists():  # of a result without files of its own
             job.out_path.parent.mkdir()
             sync(job.out_path.parent.parent)
-        write_bundle(job.out_path, bundle, job.camera_ids, compression="zstd")
+        write_bundle(job.out_path, bundle, job.camera_ids, compression=job.compression)
 
 
 class RawArchive:
@@ -96,7 +98,9 @@ class RawArchive:
         """That frames were not kept within the last minute."""
         if time.monotonic() - self._last_left_out_s > RECENT_S:
             return None
-        return f"frames of {self.left_out} stones were not kept so far: they come faster than frames are compressed"
+        return (
+            f"frames of {self.left_out} stones were not kept so far: they come faster than frames are written"
+        )
 
     def take(self, path: Path, seq: int) -> bool:
         """Take over the file of the bundle of a result, unless too many are waiting."""
@@ -111,7 +115,7 @@ class RawArchive:
         self._waiting.put_nowait(None)
 
     async def run(self) -> None:
-        """Compress what is taken, one after the other."""
+        """Write what is taken, one after the other."""
         pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, initialize=yield_to_all, context=None, name=NAME)
         try:
             while (item := await self._waiting.get()) is not None:
@@ -119,8 +123,9 @@ class RawArchive:
                 if pool.pids == []:
                     await pool.start()
                 try:
-                    job = CompressJob(path, self._camera_ids, self._folder.raw_path(seq))
-                    await pool.run(compress, job)
+                    compression: Compression = "zstd" if self._waiting.empty() else "none"
+                    job = KeepJob(path, self._camera_ids, self._folder.raw_path(seq), compression)
+                    await pool.run(keep, job)
                     await self._folder.drop_old_raw(seq)
                 except (JobLostError, RecordingError) as err:
                     self._leave_out(seq, str(err))

@@ -61,7 +61,7 @@ class StoreSettings:
     """Where results stay."""
 
     dir: ConfiguredPath
-    keep_raw: int = KEEP_RAW  # frames of so many newest stones are kept, compressed
+    keep_raw: int = KEEP_RAW  # frames of so many newest stones are kept
     save_silhouettes: bool = True
 
     def __post_init__(self) -> None:

@@ -30,6 +30,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import DaemonProcess
+from support.lock_probe import waits_ms
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.usage import cpu_s, own_mb, percentiles, rss_mb
 
@@ -50,6 +51,8 @@ window_ms = {window_ms:.0f}
 dead_time_ms = {dead_time_ms:.0f}
 """
 """Triggers closer than 220 ms need cameras that are not busy while they wait for a stone."""
+LOCK_PROBE = Path(__file__).parents[1] / "support/lock_probe.py"
+LOCK_WAITS = "lock-waits"
 LOOK_S = 0.005
 """How often the store is asked for news."""
 SAMPLE_S = 1.0
@@ -73,6 +76,8 @@ class Run:
     cores: dict[str, float]  # of daemon and workers
     memory_mb: dict[str, list[float]]
     recorded: str
+    kept: int  # results whose frames are archived, or were until newer ones came
+    lock_ms: float  # longest wait for the interpreter's lock in the daemon, that for a core left out
 
     @property
     def problems(self) -> list[str]:
@@ -164,6 +169,7 @@ def played(recording: Recording, name: str, rate_hz: float, seconds: float, argu
             store=f"keep_raw = {arguments.keep_raw}",
             slots=arguments.slots,
             max_bundles=arguments.queue,
+            command=(sys.executable, LOCK_PROBE, folder / LOCK_WAITS),
         ) as daemon:
             daemon.hear("READY=1")
             watched, is_over = Watched(), threading.Event()
@@ -177,6 +183,7 @@ def played(recording: Recording, name: str, rate_hz: float, seconds: float, argu
                 time.sleep(10 * LOOK_S)
                 is_over.set()
                 watching.join()
+
             return run_of(daemon, name, rate_hz, watched, samples, due_s, arguments)
 
 
@@ -244,6 +251,8 @@ def run_of(
             "workers": last["rss_mb"]["workers"],
             "workers, their own": last["own_mb"]["workers"],
         },
+        kept=len(rows) - daemon.get("/health")["checks"]["archive"]["observed_value"],
+        lock_ms=max(waits_ms(daemon.folder / LOCK_WAITS, since_s=first["at_s"]), default=0.0),
         recorded=", ".join(f"{each['state']} {each['bundles']}" for each in recording) or "-",
     )
 
@@ -267,6 +276,8 @@ def table_of(runs: Sequence[Run], read_ms: float, arguments: Any) -> Table:
         "in the worker, ms: p50, p95, p99, max": [percentiles(run.worker_ms) for run in runs],
         "triggers without a result, at most": [str(run.waiting) for run in runs],
         "longest hold-up of the loop, ms": [f"{run.loop_ms:.0f}" for run in runs],
+        "longest wait for the interpreter's lock, ms": [f"{run.lock_ms:.0f}" for run in runs],
+        "results with their frames": [f"{run.kept} of {len(run.latency_ms)}" for run in runs],
         "cores used by daemon, workers": [
             f"{run.cores['daemon']:.2f}, {run.cores['workers']:.2f}" for run in runs
         ],

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from http.client import HTTPConnection
 from pathlib import Path
@@ -61,8 +61,10 @@ class DaemonProcess:
         slots: int = 2,
         port: int = 0,
         max_bundles: int = 100,
+        command: Sequence[str | Path] = (STONEFALL,),
     ) -> None:
         """`rig`: what follows `recording` in the section of that name, or all of it with its name."""
+        self._command = command
         if not rig.startswith("[rig]"):
             rig = f'[rig]\nrecording = "{recording}"\n{rig}'
         self.folder = folder
@@ -93,7 +95,7 @@ class DaemonProcess:
         environment = os.environ | {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "600000"}
         with self.log_path.open("ab") as log:
             self.process = subprocess.Popen(
-                [STONEFALL, "serve", "--config", self.config_path], stderr=log, env=environment
+                [*self._command, "serve", "--config", self.config_path], stderr=log, env=environment
             )
         return self
 

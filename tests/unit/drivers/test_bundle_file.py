@@ -1,12 +1,15 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from numpy.typing import NDArray
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle, tagged_image
 
 from drivers.bundle_file import overwrite_bundle, read_bundle, read_header, write_bundle
@@ -42,6 +45,16 @@ def test_any_tiff_reader_sees_one_page_a_camera(tmp_path: Path) -> None:
     ]
     assert header["sequence"] == 0
     assert header["kind"] == "particle"
+
+
+@given(image=arrays(np.uint8, array_shapes(min_dims=2, max_dims=2, max_side=9)))
+def test_any_image_is_compressed_so_that_any_tiff_reader_sees_it(image: NDArray[np.uint8]) -> None:
+    bundle = make_bundle(0)
+    frames = {camera: replace(frame, image=image) for camera, frame in bundle.frames.items()}
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "b.tiff"
+        write_bundle(path, replace(bundle, frames=frames), CAMERAS, compression="zstd")
+        assert np.array_equal(tifffile.imread(path, key=1), image)
 
 
 def test_uncompressed_pages_can_be_mapped(tmp_path: Path) -> None:

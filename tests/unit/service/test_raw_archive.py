@@ -2,6 +2,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
+import tifffile
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle
 
 from drivers.bundle_file import overwrite_bundle, read_bundle
@@ -22,7 +23,7 @@ class Folder:
         self.dropped.append(seq)
 
 
-async def test_frames_are_compressed_beside_their_results_and_the_files_given_back(tmp_path: Path):
+async def test_frames_are_kept_beside_their_results_and_the_files_given_back(tmp_path: Path):
     folder = Folder(tmp_path)
     done: list[Path] = []
     files = [tmp_path / f"spool-{seq}.tiff" for seq in (1, 2, 3)]
@@ -43,6 +44,29 @@ async def test_frames_are_compressed_beside_their_results_and_the_files_given_ba
         kept = await asyncio.to_thread(read_bundle, folder.raw_path(seq), CAMERAS)
         assert_same_bundle(kept, make_bundle(seq))
     assert archive.left_out == 1
+
+
+async def test_they_are_compressed_while_no_others_wait(tmp_path: Path):
+    folder = Folder(tmp_path)
+    files = [tmp_path / f"spool-{seq}.tiff" for seq in (1, 2, 3)]
+
+    async def on_done(path: Path) -> None:
+        if path == files[1]:
+            assert archive.take(files[2], 3)
+        if path == files[2]:
+            archive.finish()
+
+    archive = RawArchive(folder, CAMERAS, on_done, max_waiting=3)
+    for seq, path in enumerate(files, start=1):
+        await asyncio.to_thread(overwrite_bundle, path, make_bundle(seq), CAMERAS)
+    assert all(archive.take(path, seq) for seq, path in enumerate(files[:2], start=1))
+    await archive.run()
+    assert [compression(folder.raw_path(seq)) for seq in (1, 2, 3)] == ["NONE", "ZSTD", "ZSTD"]
+
+
+def compression(path: Path) -> str:
+    with tifffile.TiffFile(path) as tiff:
+        return tifffile.COMPRESSION(tiff.pages.first.compression).name
 
 
 def test_what_comes_too_fast_is_left_out_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):

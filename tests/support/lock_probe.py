@@ -1,0 +1,62 @@
+"""`stonefall` with a thread that notes how long it waits for the interpreter's lock, and who holds it then.
+
+Run: python lock_probe.py FILE [arguments of stonefall]
+A line of FILE is one wait beyond NOTED_MS: when it ended (monotonic clock, s) and how long it was (ms). What the thread
+waited for a core is left out, and what the process did not compute meanwhile: then nobody held the lock. Beyond LONG_S
+the stacks of all threads come before it.
+"""
+
+import faulthandler
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+PERIOD_S = 0.002
+NOTED_MS = 5.0
+LONG_S = 0.02
+"""What no call of the daemon may take with the lock held."""
+
+
+def watch(file: TextIO) -> None:
+    """Sleep, and note how much later than asked the interpreter lets this thread go on."""
+    statistics = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY)
+    while True:
+        for_core_ns, computed_ns = -_waited_for_core_ns(statistics), -time.process_time_ns()
+        due_ns = time.monotonic_ns() + round(1e9 * PERIOD_S)
+        faulthandler.dump_traceback_later(PERIOD_S + LONG_S, file=file)  # by a thread that needs no lock
+        time.sleep(PERIOD_S)
+        now_ns = time.monotonic_ns()
+        faulthandler.cancel_dump_traceback_later()
+        for_core_ns += _waited_for_core_ns(statistics)
+        computed_ns += time.process_time_ns()
+        if (waited_ms := min(now_ns - due_ns - for_core_ns, computed_ns) / 1e6) > NOTED_MS:
+            file.write(f"{now_ns / 1e9:.3f} {waited_ms:.1f}\n")
+            file.flush()
+
+
+def _waited_for_core_ns(statistics: int) -> int:
+    return int(os.pread(statistics, 100, 0).split()[1])
+
+
+def waits_ms(path: Path, since_s: float) -> Iterator[float]:
+    """Waits that were noted in a file after some time of the monotonic clock."""
+    for line in path.read_text().splitlines():
+        match line.split():
+            case [at_s, waited_ms] if at_s[0].isdigit() and float(at_s) > since_s:
+                yield float(waited_ms)
+
+
+def main() -> None:
+    from service.cli import main as stonefall  # the workers import this module, too
+
+    file = Path(sys.argv.pop(1)).open("w", encoding="utf-8")  # noqa: SIM115 - until the process ends
+    threading.Thread(target=watch, args=(file,), name="lock probe", daemon=True).start()
+    stonefall()
+
+
+if __name__ == "__main__":
+    main()
