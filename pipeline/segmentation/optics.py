@@ -89,13 +89,16 @@ def observe_optics(
     if known is None or known.mean.shape != frame.image.shape:
         return None
     is_wall = _shown_wall(known, silhouette)
-    if np.count_nonzero(is_wall) < MIN_BLOCKS:
+    n_wall = np.count_nonzero(is_wall)
+    if n_wall < MIN_BLOCKS:
         return None
-    columns = np.zeros((2, is_wall.shape[1] * BLOCK_PX), np.uint16)
-    light, saturated_share = _light(frame.image, known.flat_field, columns)
+    light, levels = np.empty(is_wall.shape, np.float32), np.empty(n_wall, np.float32)
+    room = np.zeros((2, is_wall.shape[1] * BLOCK_PX), np.uint16)
+    saturated_share = _light(frame.image, known.flat_field, room, light)
     brightness, slope_u, slope_v = _plane(light, is_wall)
-    levels, mean = _levels(light, is_wall, brightness, slope_u, slope_v)
-    clearest = float(np.partition(levels, -len(levels) // 20)[-len(levels) // 20])
+    mean = _levels(light, is_wall, brightness, slope_u, slope_v, levels)
+    levels.partition(-n_wall // 20)
+    clearest = float(levels[-n_wall // 20])
     edge = None if silhouette is None else edge_profile(frame.image, silhouette.outline_uv)
     return ViewOptics(
         brightness=brightness,
@@ -121,15 +124,14 @@ def _shown_wall(known: CameraBackground, silhouette: Silhouette | None) -> Mask:
 
 
 @compiled
-def _light(image: Image, flat_field: Array, columns: NDArray[np.uint16]) -> tuple[Array, float]:
-    """Means (h, w) of blocks of an image (H, W), from two rows of each, as a share of those of the clean rig.
+def _light(image: Image, flat_field: Array, room: NDArray[np.uint16], light: Array) -> float:
+    """Fill in means (h, w) of blocks of an image (H, W), from two rows of each, as a share of those of the clean rig.
 
-    And the share of these rows that is saturated. `columns` (2, W), of zeros, are room for sums.
+    Returns the share of these rows that is saturated. Sums are made in `room` (2, 16 w), of zeros.
     """
-    height, width = flat_field.shape
-    light = np.empty((height, width), np.float32)
+    height, width = light.shape
     n_columns = min(width * BLOCK_PX, image.shape[1])
-    sums, saturated = columns[0], columns[1]
+    sums, saturated = room[0], room[1]
     n_saturated = 0
     for row in range(height):
         upper = image[min(row * BLOCK_PX + ROWS[0], len(image) - 1)]
@@ -146,7 +148,7 @@ def _light(image: Image, flat_field: Array, columns: NDArray[np.uint16]) -> tupl
             light[row, column] = np.float32(total) / np.float32(len(ROWS) * BLOCK_PX) / clean
     for u in range(n_columns):
         n_saturated += saturated[u]
-    return light, n_saturated / (len(ROWS) * height * n_columns)
+    return n_saturated / (len(ROWS) * height * n_columns)
 
 
 @compiled
@@ -183,11 +185,10 @@ def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
 
 @compiled
 def _levels(
-    values: Array, is_wall: Mask, middle: float, slope_u: float, slope_v: float
-) -> tuple[Array, float]:
-    """The values (N,) at some places (h, w), relative to a plane, and their mean."""
+    values: Array, is_wall: Mask, middle: float, slope_u: float, slope_v: float, levels: Array
+) -> float:
+    """Fill in the values (N,) at some places (h, w), relative to a plane; returns their mean."""
     height, width = values.shape
-    levels = np.empty(height * width, np.float32)
     step = 2 * slope_u / width
     n, total = 0, 0.0
     for row in range(height):
@@ -197,17 +198,18 @@ def _levels(
                 levels[n] = values[row, column] / max(first + column * step, LEAST_LIGHT)
                 total += levels[n]
                 n += 1
-    return levels[:n], total / n
+    return total / n
 
 
 def _spots_share(light: Array, is_wall: Mask) -> float:
     """Share of the wall, some blocks (h, w), that is darker than the wall around it."""
     (height, width), reach = light.shape, SURROUNDINGS // 2
     of_wall = np.where(is_wall, light, np.float32(0))
-    # no other block is darker than any, and of a clean rig few are
-    rows, columns = np.nonzero(is_wall & (light < (1 - SPOT) * of_wall.max()))
-    if not len(rows):
+    # no other block is darker than any
+    is_dark = is_wall & (light < (1 - SPOT) * of_wall.max())
+    if not is_dark.any():  # nor of a clean rig
         return 0.0
+    rows, columns = np.nonzero(is_dark)
     top, bottom = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, height)
     left, right = np.maximum(columns - reach, 0), np.minimum(columns + reach + 1, width)
     lit, n_lit = (
