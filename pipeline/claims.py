@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration.tangency import OutlineHulls
+from pipeline.camera_arrays import arrays_of
 from pipeline.carving import View
 from pipeline.clearance import STEPS, of_views, outline_rays
 from pipeline.ray_field import Steps, field_of, highest_mm
@@ -28,12 +29,13 @@ NEARLY_PX = 0.5
 
 def claims_px(views: Sequence[View], hulls: OutlineHulls) -> list[Array]:
     """For each view the clearances (N_RAYS,) of rays along its outline, but 0 where they are not below zero."""
-    rays = outline_rays(views, np.zeros(3))
-    field, planes = field_of(views, overruled=0), planes_around(views, hulls)
+    cameras = arrays_of([camera for camera, _ in views])
+    rays = outline_rays(views, cameras, np.zeros(3))
+    field, planes = field_of(views, cameras, overruled=0), planes_around(views, cameras, hulls)
     found_px, left = np.empty(len(rays.owners)), np.arange(len(rays.owners))
     for slack_px, steps in SEARCHES:
         some = rays.some(left)
-        low_mm, high_mm = stretches_mm(planes, some.points_mm, some.directions, slack_px)
+        low_mm, high_mm = stretches_mm(planes, some.lines, slack_px)
         found_mm = highest_mm(field, some, low_mm, high_mm, steps, enough_mm=np.zeros(len(left)))
         found_px[left] = np.clip(found_mm * some.px_per_mm, -MARGIN_PX, 0)
         left = left[found_px[left] < NEARLY_PX - slack_px]

@@ -8,18 +8,23 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.camera_arrays import CameraArrays, arrays_of
 from pipeline.carving import View
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
+from pipeline.outline_hull import stacked
 from pipeline.ray_field import HALF_MM, Rays, Steps, field_of, highest_mm, sampled_mm
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
+Indices = NDArray[np.int64]
 Sphere = tuple[Array, float]
 """Centre (3,) in the world frame and radius, mm."""
 
 N_RAYS = 64
-"""Rays a view, spread evenly over its outline."""
+"""Most rays a view, spread evenly over its outline."""
+APART = 6
+"""Points of an outline, about a pixel apart, from ray to ray of a small one: closer rays tell the same."""
 STEPS: Steps = ((40, 1), (9, 1), (9, 1))
 """Within the sphere around the body."""
 N_COLUMNS = 31
@@ -33,12 +38,12 @@ def body_sphere(views: Sequence[View], overruled: int) -> Sphere | None:
     x_mm, y_mm = (axis.ravel() for axis in np.meshgrid(axis_mm, axis_mm))
     zeros, ones = np.zeros(len(x_mm)), np.ones(len(x_mm))
     columns = Rays(
-        points_mm=np.array([x_mm, y_mm, zeros], np.float32),
-        directions=np.array([zeros, zeros, ones], np.float32),
+        lines=np.array([x_mm, y_mm, zeros, zeros, zeros, ones], np.float32),
         owners=np.full(len(x_mm), -1),
         px_per_mm=ones,
     )
-    values_mm = sampled_mm(field_of(views, overruled), columns, -HALF_MM * ones, HALF_MM * ones, N_COLUMNS)
+    field = field_of(views, arrays_of([camera for camera, _ in views]), overruled)
+    values_mm = sampled_mm(field, columns, -HALF_MM * ones, HALF_MM * ones, N_COLUMNS)
     sample, column = np.nonzero(values_mm > -pitch_mm * np.sqrt(3) / 2)
     if len(column) == 0:
         return None
@@ -56,9 +61,10 @@ def clearances_px(
     one of its values is not.
     """
     center_mm, radius_mm = sphere
-    rays = outline_rays(views, center_mm)
+    cameras = arrays_of([camera for camera, _ in views])
+    rays = outline_rays(views, cameras, center_mm)
     enough_mm = np.array([0.0 if camera.id in settled_above_zero else np.inf for camera, _ in views])
-    reach_mm, field = np.full(len(rays.owners), radius_mm), field_of(views, overruled)
+    reach_mm, field = np.full(len(rays.owners), radius_mm), field_of(views, cameras, overruled)
     found_mm = highest_mm(field, rays, -reach_mm, reach_mm, STEPS, enough_mm[rays.owners])
     return of_views(found_mm * rays.px_per_mm, rays, views)
 
@@ -68,45 +74,41 @@ def of_views(values: Array, rays: Rays, views: Sequence[View]) -> list[Array]:
     return np.split(values, np.searchsorted(rays.owners, np.arange(1, len(views))))
 
 
-def outline_rays(views: Sequence[View], center_mm: Array) -> Rays:
-    """At most `N_RAYS` rays a view, evenly spread over its outline, as points where they pass `center_mm`."""
-    counts = [min(N_RAYS, len(silhouette.outline_uv)) for _, silhouette in views]
-    total = sum(counts)
-    points_mm, directions = np.empty((2, 3, total), np.float32)
-    px_per_mm, first = np.empty(total), 0
-    for (camera, silhouette), count in zip(views, counts, strict=True):
-        outline_uv, last = silhouette.outline_uv, first + count
-        flat = camera.flat_rays(outline_uv[np.arange(count) * len(outline_uv) // max(count, 1)])
-        eye_mm = camera.center_mm
-        _cast(
-            flat, camera.R, eye_mm, center_mm - eye_mm, camera.focal_px,
-            points_mm[:, first:last], directions[:, first:last], px_per_mm[first:last],
-        )  # fmt: skip
-        first = last
+def outline_rays(views: Sequence[View], cameras: CameraArrays, center_mm: Array) -> Rays:
+    """Rays evenly spread over the views' outlines, as points where they pass `center_mm`."""
+    outlines = stacked([silhouette.outline_uv for _, silhouette in views])
+    lengths = np.diff(outlines.ends)
+    counts = np.minimum(-(-lengths // APART), N_RAYS)
     owners = np.repeat(np.arange(len(views)), counts)
-    return Rays(points_mm=points_mm, directions=directions, owners=owners, px_per_mm=px_per_mm)
+    number = np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]
+    points_uv = outlines.points_uv[outlines.ends[owners] + number * lengths[owners] // counts[owners]]
+    lines, px_per_mm = np.empty((6, len(owners)), np.float32), np.empty(len(owners))
+    flat = cameras.flat_rays(points_uv, owners)
+    _cast(flat, owners, cameras.R, cameras.centers_mm, center_mm, cameras.focals_px, lines, px_per_mm)
+    return Rays(lines=lines, owners=owners, px_per_mm=px_per_mm)
 
 
 @compiled
 def _cast(
     flat: Array,
+    owners: Indices,
     R: Array,
-    eye_mm: Array,
-    to_center_mm: Array,
-    focal_px: float,
-    points_mm: Single,
-    directions: Single,
+    eyes_mm: Array,
+    center_mm: Array,
+    focals_px: Array,
+    lines: Single,
     px_per_mm: Array,
 ) -> None:
-    """Enter `points_mm`, `directions` and `px_per_mm` of the rays (N, 2) of one camera."""
+    """Enter `lines` and `px_per_mm` of the rays (N, 2) of cameras, by their indices (N,)."""
     for i in range(len(flat)):
-        length = np.sqrt(flat[i, 0] * flat[i, 0] + flat[i, 1] * flat[i, 1] + 1)
+        at, x, y = owners[i], flat[i, 0], flat[i, 1]
+        length = np.sqrt(x * x + y * y + 1)
         along_mm = 0.0
         for axis in range(3):
-            direction = (flat[i, 0] * R[0, axis] + flat[i, 1] * R[1, axis] + R[2, axis]) / length
-            along_mm += direction * to_center_mm[axis]
-            directions[axis, i] = direction
+            direction = (x * R[at, 0, axis] + y * R[at, 1, axis] + R[at, 2, axis]) / length
+            along_mm += direction * (center_mm[axis] - eyes_mm[at, axis])
+            lines[3 + axis, i] = direction
         for axis in range(3):
-            direction = (flat[i, 0] * R[0, axis] + flat[i, 1] * R[1, axis] + R[2, axis]) / length
-            points_mm[axis, i] = eye_mm[axis] + along_mm * direction
-        px_per_mm[i] = focal_px / max(along_mm, 1.0)
+            direction = (x * R[at, 0, axis] + y * R[at, 1, axis] + R[at, 2, axis]) / length
+            lines[axis, i] = eyes_mm[at, axis] + along_mm * direction
+        px_per_mm[i] = focals_px[at] / max(along_mm, 1.0)

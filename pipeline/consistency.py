@@ -12,6 +12,7 @@ a body that others exclude, and large where it denies a body that all others see
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ def check_consistency(
     tangents = tangents_of(hulls, rig)
     tangency_px = tangency_scores_px(tangents)
     agreeing = {camera for camera, score_px in tangency_px.items() if score_px <= parameters.max_tangency_px}
-    suspects, is_consistent = displaced_views(tangents, parameters)
+    suspects, is_consistent = displaced_views(tangents, tangency_px, parameters)
     views = [view for view in usable_views(silhouettes, rig) if view[0].id not in suspects]
     residuals_px: dict[CameraId, float] = {}
     if all(camera.id in agreeing for camera, _ in views):
@@ -117,11 +118,12 @@ def warm_up() -> Consistency:
 
 
 def displaced_views(
-    tangents: EpipolarTangents, parameters: ConsistencyParameters
+    tangents: EpipolarTangents, tangency_px: Mapping[CameraId, float], parameters: ConsistencyParameters
 ) -> tuple[dict[CameraId, str], bool]:
-    """Views whose tangents alone are far off, worst first, and whether these are all of them."""
+    """Views whose tangents alone, with these scores, are far off, worst first, and whether these are all of them."""
     suspects: dict[CameraId, str] = {}
-    while scores_px := tangency_scores_px(tangents, without=suspects):
+    scores_px = dict(tangency_px)
+    while scores_px:
         worst = max(scores_px, key=lambda camera: scores_px[camera])
         score_px = scores_px.pop(worst)
         if not scores_px or score_px <= max(
@@ -132,6 +134,7 @@ def displaced_views(
         if len(suspects) == parameters.max_suspect_views:
             return suspects, False
         suspects[worst] = f"contradicts the other views: its tangents miss theirs by {score_px:.1f} px"
+        scores_px = tangency_scores_px(tangents, without=suspects)
     return suspects, True
 
 
@@ -198,4 +201,5 @@ def _residuals_px(views: Sequence[View], found_px: Sequence[Array]) -> dict[Came
 
 
 def _rms_outside(clearance_px: Array) -> float:
-    return float(np.sqrt(np.mean(np.minimum(clearance_px, 0) ** 2))) if len(clearance_px) else 0.0
+    outside_px = np.minimum(clearance_px, 0)
+    return sqrt(outside_px @ outside_px / max(len(outside_px), 1))

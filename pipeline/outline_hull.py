@@ -1,7 +1,10 @@
-"""The corners of an outline's convex hull: what touches the lines, hence the planes, that touch the body.
+"""The corners of outlines' convex hulls: what touches the lines, hence the planes, that touch the body.
 
 The hull is that of the distorted image: over a silhouette a straight line is bent by less than 0.01 px.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,60 +13,96 @@ from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import MAX_STEP_PX
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 TILT = 1e-3
 """Points are sorted along a line that much off the rows: many share a column, none the place on that line."""
+APART_PX = 1e6
+"""Farther than points of one image are from each other."""
 
 
-def hull_corners(outline_uv: Array, reach: int = 1) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The corners of the convex hull of an outline (N, 2), N > 2, in order, as indices (H,), and which can be trusted.
+class Outlines(NamedTuple):
+    """V outlines, one after the other."""
 
-    Of those the edge was seen as far as the `reach`-th point on either side; from others the body may reach further.
+    points_uv: Array  # (N, 2) each in order around a body
+    ends: Indices  # (V + 1,) where each begins, and the end of the last
+
+    @property
+    def owners(self) -> Indices:
+        """Whose each point (N,) is."""
+        return np.repeat(np.arange(len(self.ends) - 1), np.diff(self.ends))
+
+
+def stacked(outlines_uv: Sequence[Array]) -> Outlines:
+    """Outlines (N, 2) of several views."""
+    ends = np.cumsum([0, *map(len, outlines_uv)])
+    return Outlines(np.concatenate([*outlines_uv, np.empty((0, 2))]), ends)
+
+
+def hull_corners(outlines: Outlines) -> tuple[Indices, Flags]:
+    """The corners (V, H) of the outlines' convex hulls, in order, and which outlines (V,) have no gap anywhere.
+
+    Outlines have more than 2 points. Where a hull has fewer corners than another its first is repeated.
     """
-    corners = _corners(outline_uv, np.argsort(outline_uv[:, 0] + TILT * outline_uv[:, 1]))
-    return corners, goes_on(outline_uv, corners, reach)
+    points_uv, ends = outlines
+    n_views = len(ends) - 1
+    along = points_uv[:, 0] + TILT * points_uv[:, 1] + APART_PX * outlines.owners
+    chain, counts = np.empty(len(points_uv) + n_views, np.int64), np.empty(n_views, np.int64)
+    is_closed = np.empty(n_views, np.bool_)
+    _corners(points_uv, np.argsort(along), ends, chain, counts, is_closed)
+    place = np.arange(counts.max(initial=1))
+    first = ends[:-1] + np.arange(n_views)
+    return chain[first[:, None] + np.where(place < counts[:, None], place, 0)], is_closed
 
 
 @compiled
-def _corners(points: Array, order: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Andrew's monotone chain, there and back along the points (N, 2) in their order (N,)."""
-    n = len(order)
-    chain, length, least = np.empty(2 * n, np.int64), 0, 2
-    for place in range(2 * n - 1):
-        point = order[place if place < n else 2 * n - 2 - place]
-        if place == n:
-            least = length + 1
-        while length >= least:
-            a, b = chain[length - 2], chain[length - 1]
-            turn = (points[b, 0] - points[a, 0]) * (points[point, 1] - points[a, 1])
-            turn -= (points[b, 1] - points[a, 1]) * (points[point, 0] - points[a, 0])
-            if turn > 0:
-                break
-            length -= 1
-        chain[length] = point
-        length += 1
-    return chain[: length - 1].copy()
+def _corners(
+    points: Array, order: Indices, ends: Indices, chain: Indices, counts: Indices, is_closed: Flags
+) -> None:
+    """Andrew's monotone chain, there and back along the points (N, 2) of each outline in their order (N,).
+
+    Fills in corners, from place `ends[view] + view` of the `chain` on, how many they are, and whether there is a gap.
+    """
+    for view in range(len(counts)):
+        begin, end = ends[view], ends[view + 1]
+        n, bottom = end - begin, begin + view
+        length, least, longest, last = 0, 2, 0.0, end - 1
+        for point in range(begin, end):
+            u, v = points[point, 0] - points[last, 0], points[point, 1] - points[last, 1]
+            longest, last = max(longest, u * u + v * v), point
+        is_closed[view] = longest <= MAX_STEP_PX * MAX_STEP_PX
+        for place in range(2 * n - 1):
+            point = order[begin + place if place < n else end + n - 2 - place]
+            if place == n:
+                least = length + 1
+            while length >= least:
+                a, b = chain[bottom + length - 2], chain[bottom + length - 1]
+                turn = (points[b, 0] - points[a, 0]) * (points[point, 1] - points[a, 1])
+                turn -= (points[b, 1] - points[a, 1]) * (points[point, 0] - points[a, 0])
+                if turn > 0:
+                    break
+                length -= 1
+            chain[bottom + length] = point
+            length += 1
+        counts[view] = length - 1
+
+
+def goes_on(outlines: Outlines, which: Indices, reach: int) -> Flags:
+    """Whether outlines have no gap among the `reach` steps before and after some of their points (V, A)."""
+    found = np.empty(which.shape, np.bool_)
+    _go_on(outlines.points_uv, outlines.ends, which, reach, found)
+    return found
 
 
 @compiled
-def goes_on(points: Array, which: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
-    """Whether an outline (N, 2) has no gap among the `reach` steps before and after some of its points (H,)."""
-    n = len(points)
-    goes_on = np.empty(len(which), np.bool_)
-    for i in range(len(which)):
-        goes_on[i] = True
-        for step in range(-reach, reach):
-            start, end = (which[i] + step) % n, (which[i] + step + 1) % n
-            u, v = points[end, 0] - points[start, 0], points[end, 1] - points[start, 1]
-            goes_on[i] &= u * u + v * v <= MAX_STEP_PX * MAX_STEP_PX
-    return goes_on
-
-
-@compiled
-def is_closed(points: Array) -> bool:
-    """Whether an outline (N, 2) has no gap anywhere."""
-    longest = 0.0
-    for i in range(len(points)):
-        u, v = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
-        longest = max(longest, u * u + v * v)
-    return longest <= MAX_STEP_PX * MAX_STEP_PX
+def _go_on(points: Array, ends: Indices, which: Indices, reach: int, found: Flags) -> None:
+    for view in range(which.shape[0]):
+        begin, n = ends[view], ends[view + 1] - ends[view]
+        for i in range(which.shape[1]):
+            is_seen = True
+            for step in range(which[view, i] - begin - reach, which[view, i] - begin + reach):
+                start, end = begin + step % n, begin + (step + 1) % n
+                u, v = points[end, 0] - points[start, 0], points[end, 1] - points[start, 1]
+                is_seen &= u * u + v * v <= MAX_STEP_PX * MAX_STEP_PX
+            found[view, i] = is_seen

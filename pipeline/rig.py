@@ -74,7 +74,8 @@ class CameraCalibration:
     def flat_rays(self, pixels_uv: ArrayLike) -> Array:
         """Where the viewing rays through pixels (N, 2) meet the plane at depth 1 of the camera's own frame, (N, 2)."""
         pixels = np.asarray(pixels_uv, dtype=np.float64).reshape(-1, 2)
-        return undistorted(np.ascontiguousarray(pixels), self.K, self.distortion)
+        owners = np.zeros(len(pixels), np.int64)
+        return undistorted(pixels, owners, np.array([self.K]), np.array([self.distortion]))
 
     def rays(self, pixels_uv: ArrayLike) -> Array:
         """Unit directions (N, 3) in the world frame of the viewing rays through pixels (N, 2)."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration.tangency import OutlineHulls
+from pipeline.camera_arrays import CameraArrays
 from pipeline.carving import View
 from pipeline.compiled import compiled
 
@@ -33,25 +34,21 @@ class Planes:
     mm_per_px: Array  # (P,) in the view's image, near the origin
 
 
-def planes_around(views: Sequence[View], hulls: OutlineHulls) -> Planes:
+def planes_around(views: Sequence[View], cameras: CameraArrays, hulls: OutlineHulls) -> Planes:
     """`N_ANGLES` planes through each camera's centre that touch the silhouette, or else its region."""
     angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
     outwards = np.array([np.cos(angles), np.sin(angles)])
-    corners = {
-        camera: rays[:, :2]
-        for camera, rays, is_closed in zip(hulls.cameras, hulls.rays, hulls.is_closed, strict=True)
-        if is_closed
-    }
+    of_outlines = dict(zip(hulls.cameras, (hulls.rays[:, :, :2] @ outwards).max(axis=1), strict=True))
+    closed = {camera for camera, is_closed in zip(hulls.cameras, hulls.is_closed, strict=True) if is_closed}
     heights = [
-        ((corners[view[0].id] if view[0].id in corners else _region_corners(view)) @ outwards).max(axis=0)
+        of_outlines[view[0].id] if view[0].id in closed else (_region_corners(view) @ outwards).max(axis=0)
         for view in views
     ]
-    R = np.array([camera.R for camera, _ in views])
-    eyes_mm = np.array([camera.center_mm for camera, _ in views])
     normals = np.empty((len(views), N_ANGLES, 3))
     normals[:, :, :2], normals[:, :, 2] = outwards.T, -np.array(heights)
-    normals = normals @ R / np.linalg.norm(normals, axis=2, keepdims=True)
-    mm_per_px = np.linalg.norm(eyes_mm, axis=1) / [camera.focal_px for camera, _ in views]
+    normals = normals @ cameras.R / np.sqrt(1 + normals[:, :, 2:] ** 2)
+    eyes_mm = cameras.centers_mm
+    mm_per_px = np.sqrt((eyes_mm * eyes_mm).sum(axis=1)) / cameras.focals_px
     return Planes(
         normals=normals.reshape(-1, 3),
         offsets_mm=(normals @ eyes_mm[:, :, None]).reshape(-1),
@@ -68,23 +65,14 @@ def _region_corners(view: View) -> Array:
     )
 
 
-def stretches_mm(
-    planes: Planes, points_mm: Single, directions: Single, slack_px: float
-) -> tuple[Array, Array]:
-    """From where to where (R,) planes, moved outwards, leave something of rays: points and unit directions (3, R).
+def stretches_mm(planes: Planes, rays: Single, slack_px: float) -> tuple[Array, Array]:
+    """From where to where (R,) planes, moved outwards, leave something of rays (6, R), points and directions.
 
     Of a ray of which they leave nothing it is the stretch between the planes that pass each other.
     """
-    ends_mm = np.sort(
-        left_by(
-            planes.normals,
-            planes.offsets_mm + slack_px * planes.mm_per_px,
-            np.concatenate([points_mm, directions]),
-        ),
-        axis=0,
-    )
-    low_mm, high_mm = np.clip(ends_mm, -MOST_MM, MOST_MM)
-    return low_mm, high_mm
+    low_mm, high_mm = left_by(planes.normals, planes.offsets_mm + slack_px * planes.mm_per_px, rays)
+    low_mm, high_mm = np.minimum(low_mm, high_mm), np.maximum(low_mm, high_mm)
+    return np.maximum(low_mm, -MOST_MM), np.minimum(high_mm, MOST_MM)
 
 
 def left_by(normals: Array, offsets_mm: Array, rays: Array | Single) -> Array:

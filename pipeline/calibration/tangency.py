@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.camera_arrays import arrays_of
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
-from pipeline.outline_hull import hull_corners, is_closed
+from pipeline.outline_hull import goes_on, hull_corners, stacked
 from pipeline.rig import RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
 
@@ -36,6 +37,7 @@ MIN_PAIRS = 3
 REWEIGHTINGS = 10
 LEAST_RESIDUAL_PX = 0.05
 """Below it, the noise of an outline, all residuals weigh the same."""
+TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,48 +78,40 @@ def epipolar_tangents(outlines: Outlines, rig: RigCalibration) -> EpipolarTangen
 def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
     """The first half of `epipolar_tangents`, which does not change with the poses of the cameras."""
     views = [camera for camera in rig.cameras if len(outlines.get(camera.id, ())) >= 3]
-    corners, trusted = [], []
-    for camera in views:
-        outline_uv = outlines[camera.id]
-        on_hull, goes_on = hull_corners(outline_uv)
-        corners.append(camera.flat_rays(outline_uv[on_hull]))
-        trusted.append(goes_on)
-    longest = max((len(points) for points in corners), default=1)
-    rays = np.ones((len(views), longest, 3))
-    is_trusted = np.empty((len(views), longest), bool)
-    for view, (points, flags) in enumerate(zip(corners, trusted, strict=True)):
-        rays[view, : len(points), :2], rays[view, len(points) :, :2] = points, points[0]
-        is_trusted[view, : len(flags)], is_trusted[view, len(flags) :] = flags, flags[0]
+    seen = stacked([outlines[camera.id] for camera in views])
+    corners, is_closed = hull_corners(seen)
+    rays = np.ones((*corners.shape, 3))
+    if views:
+        owners = np.repeat(np.arange(len(views)), corners.shape[1])
+        flat = arrays_of(views).flat_rays(seen.points_uv[corners.ravel()], owners)
+        rays[:, :, :2] = flat.reshape(*corners.shape, 2)
     return OutlineHulls(
         cameras=tuple(camera.id for camera in views),
         rays=rays,
-        is_trusted=is_trusted,
-        is_closed=np.array([is_closed(outlines[camera.id]) for camera in views], bool),
+        is_trusted=goes_on(seen, corners, reach=1),
+        is_closed=is_closed,
     )
 
 
 def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
     """The second half of `epipolar_tangents`."""
-    views = rig.subset(hulls.cameras).cameras
-    R = np.array([camera.R for camera in views]).reshape(-1, 3, 3)
-    centers_mm = np.array([camera.center_mm for camera in views]).reshape(-1, 3)
-    focal_px = np.array([[camera.K[0, 0], camera.K[1, 1]] for camera in views]).reshape(-1, 2)
-    rays = hulls.rays @ R
-    pairs = np.column_stack(np.triu_indices(len(views), 1))
-    frames = _frames(centers_mm, rays.mean(axis=1), pairs)
-    angles, trusted, touching, by_ray, by_pixel = _touching(
-        rays, hulls.is_trusted, pairs, frames, R, focal_px
-    )
-    scale = np.maximum(np.sqrt((by_pixel**2).sum(axis=(1, 3)) / 2), 1e-12)  # of the angle, rad/px
-    residuals_px = (angles[:, 0] - angles[:, 1]) / scale
-    residuals_px[~trusted.all(axis=1)] = np.nan
+    pairs = np.stack(np.triu_indices(len(hulls.cameras), 1), axis=1)
+    rays, ray_gradients = np.empty((2, len(pairs), 2, 2, 3))
+    gradients, residuals_px = np.empty((len(pairs), 2, 2, 2)), np.empty((len(pairs), 2))
+    if len(pairs):
+        cameras = arrays_of([camera for camera in rig.cameras if camera.id in hulls.cameras])
+        world_rays = hulls.rays @ cameras.R
+        _touch(
+            world_rays, hulls.is_trusted, pairs, world_rays.sum(axis=1), cameras.centers_mm, cameras.R, cameras.K,
+            np.empty((2, 2), np.int64), residuals_px, rays, ray_gradients, gradients,
+        )  # fmt: skip
     return EpipolarTangents(
         cameras=hulls.cameras,
         pairs=pairs,
-        rays=touching,
+        rays=rays,
         residuals_px=residuals_px,
-        ray_gradients=by_ray / scale[:, None, :, None],
-        gradients=by_pixel / scale[:, None, :, None],
+        ray_gradients=ray_gradients,
+        gradients=gradients,
     )
 
 
@@ -204,68 +198,76 @@ def _least_shifts(
     return shifts_px, counts
 
 
-def _frames(centers_mm: Array, middles: Array, pairs: NDArray[np.int64]) -> Array:
-    """Unit vectors (P, 3, 2) square to each baseline: towards the body, and across."""
-    first, second = pairs.T
-    baseline = _unit(centers_mm[second] - centers_mm[first])
-    towards = np.zeros_like(baseline)
-    for side in (first, second):
-        towards += _unit(middles[side] - (middles[side] * baseline).sum(axis=1, keepdims=True) * baseline)
-    towards = _unit(towards)
-    return np.stack([towards, np.cross(baseline, towards)], axis=2)
-
-
 @compiled
-def _touching(
+def _touch(
     rays: Array,
     is_trusted: NDArray[np.bool_],
     pairs: NDArray[np.int64],
-    frames: Array,
+    middles: Array,
+    centers_mm: Array,
     R: Array,
-    focal_px: Array,
-) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
-    """The two extreme planes of both cameras of each pair (P, 2) among rays (V, H, 3), by the pairs' frames (P, 3, 2).
+    K: Array,
+    touched: NDArray[np.int64],
+    residuals_px: Array,
+    touching: Array,
+    by_ray: Array,
+    by_pixel: Array,
+) -> None:
+    """Fill in `EpipolarTangents` of the cameras of each pair (P, 2), which see rays (V, H, 3) around middles (V, 3).
 
-    Returns their angles (P, 2, 2), whether they can be trusted (P, 2, 2), the rays (P, 2, 2, 3) that touch, and the
-    gradients of the first camera's angle minus the second's: by ray (P, 2, 2, 3) and by pixel (P, 2, 2, 2).
+    Angles are measured in the plane across the baseline (ex, ey, ez), from (tx, ty, tz), which points to the first
+    camera's middle, towards (cx, cy, cz). `touched` (2, 2) is room for corners, by side and plane.
     """
-    shape = (len(pairs), 2, 2)
-    angles, trusted = np.empty(shape), np.empty(shape, np.bool_)
-    touching, by_ray, by_pixel = np.empty((*shape, 3)), np.empty((*shape, 3)), np.zeros((*shape, 2))
     for pair in range(len(pairs)):
-        frame = frames[pair]
+        a, b = pairs[pair, 0], pairs[pair, 1]
+        ex, ey = centers_mm[b, 0] - centers_mm[a, 0], centers_mm[b, 1] - centers_mm[a, 1]
+        ez = centers_mm[b, 2] - centers_mm[a, 2]
+        length = max(np.sqrt(ex * ex + ey * ey + ez * ez), TINY)
+        ex, ey, ez = ex / length, ey / length, ez / length
+        tx, ty, tz = middles[a, 0], middles[a, 1], middles[a, 2]
+        along = tx * ex + ty * ey + tz * ez
+        tx, ty, tz = tx - along * ex, ty - along * ey, tz - along * ez
+        length = max(np.sqrt(tx * tx + ty * ty + tz * tz), TINY)
+        tx, ty, tz = tx / length, ty / length, tz / length
+        cx, cy, cz = ey * tz - ez * ty, ez * tx - ex * tz, ex * ty - ey * tx
+        is_pierced = False
         for side in range(2):
-            view, sign = pairs[pair, side], 1 - 2 * side
-            least, greatest, is_pierced = np.inf, -np.inf, False
-            first = last = 0
+            view, least, greatest = pairs[pair, side], np.inf, -np.inf
             for corner in range(rays.shape[1]):
-                ray = rays[view, corner]
-                towards = ray[0] * frame[0, 0] + ray[1] * frame[1, 0] + ray[2] * frame[2, 0]
-                across = ray[0] * frame[0, 1] + ray[1] * frame[1, 1] + ray[2] * frame[2, 1]
+                x, y, z = rays[view, corner, 0], rays[view, corner, 1], rays[view, corner, 2]
+                towards = x * tx + y * ty + z * tz
+                slope = (x * cx + y * cy + z * cz) / towards
                 is_pierced |= towards <= 0
-                slope = across / towards
                 if slope < least:
-                    least, first = slope, corner
+                    least, touched[side, 0] = slope, corner
                 if slope > greatest:
-                    greatest, last = slope, corner
-            for plane, corner in enumerate((first, last)):
-                at = (pair, side, plane)
-                x = y = 0.0
+                    greatest, touched[side, 1] = slope, corner
+        for plane in range(2):
+            is_known, difference, squares = not is_pierced, 0.0, 0.0
+            for side in range(2):
+                view, corner, sign = pairs[pair, side], touched[side, plane], 1.0 - 2.0 * side
+                x, y, z = rays[view, corner, 0], rays[view, corner, 1], rays[view, corner, 2]
+                touching[pair, side, plane, 0] = x
+                touching[pair, side, plane, 1] = y
+                touching[pair, side, plane, 2] = z
+                x, y = x * tx + y * ty + z * tz, x * cx + y * cy + z * cz
+                is_known &= is_trusted[view, corner] & (abs(y) <= MAX_SLOPE * x)
+                difference += sign * np.arctan2(y, x)
+                turn = sign / max(x * x + y * y, TINY)
+                x, y, z = turn * (x * cx - y * tx), turn * (x * cy - y * ty), turn * (x * cz - y * tz)
+                by_ray[pair, side, plane, 0] = x
+                by_ray[pair, side, plane, 1] = y
+                by_ray[pair, side, plane, 2] = z
+                for axis in range(2):
+                    by_axis = (x * R[view, axis, 0] + y * R[view, axis, 1] + z * R[view, axis, 2]) / K[
+                        view, axis, axis
+                    ]
+                    by_pixel[pair, side, plane, axis] = by_axis
+                    squares += by_axis * by_axis
+            per_px = 1 / max(np.sqrt(squares / 2), TINY)
+            residuals_px[pair, plane] = difference * per_px if is_known else np.nan
+            for side in range(2):
                 for axis in range(3):
-                    touching[at][axis] = rays[view, corner, axis]
-                    x += rays[view, corner, axis] * frame[axis, 0]
-                    y += rays[view, corner, axis] * frame[axis, 1]
-                trusted[at] = is_trusted[view, corner] and not is_pierced and abs(y) <= MAX_SLOPE * x
-                angles[at] = np.arctan2(y, x)
-                for axis in range(3):
-                    turn = sign * (x * frame[axis, 1] - y * frame[axis, 0]) / max(x * x + y * y, 1e-12)
-                    by_ray[at][axis] = turn
-                    for image_axis in range(2):
-                        by_pixel[at][image_axis] += (
-                            turn * R[view, image_axis, axis] / focal_px[view, image_axis]
-                        )
-    return angles, trusted, touching, by_ray, by_pixel
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+                    by_ray[pair, side, plane, axis] *= per_px
+                for axis in range(2):
+                    by_pixel[pair, side, plane, axis] *= per_px

@@ -55,14 +55,6 @@ def pinholes_of(views: Sequence[View], size_mm: float) -> Pinholes:
     K = np.array([camera.K for camera in cameras])
     distortions = np.array([camera.distortion for camera in cameras])
     R, t_mm = np.array([camera.R for camera in cameras]), np.array([camera.t_mm for camera in cameras])
-    offsets_px = np.array([silhouette.offset_uv for _, silhouette in views])
-    lenses = np.column_stack(
-        [
-            *(K[:, 0, 0], K[:, 0, 1], K[:, 0, 2] - offsets_px[:, 0]),
-            *(K[:, 1, 1], K[:, 1, 2] - offsets_px[:, 1]),
-            distortions,
-        ]
-    )
     radius_mm = np.sqrt(3) / 2 * size_mm
     # no point of the cube is seen under a larger one; of a camera within the cube any may be
     slope = (np.hypot(t_mm[:, 0], t_mm[:, 1]) + radius_mm) / np.maximum(t_mm[:, 2] - radius_mm, 1e-3)
@@ -73,13 +65,23 @@ def pinholes_of(views: Sequence[View], size_mm: float) -> Pinholes:
     entries = {
         "R": R,
         "t_mm": t_mm,
-        "lenses": lenses,
+        "lenses": lenses_of(K, distortions, [silhouette for _, silhouette in views]),
         "focals_px": [camera.focal_px for camera in cameras],
         "stretches_px": (1 + bend) * (np.maximum(K[:, 0, 0], K[:, 1, 1]) + np.abs(K[:, 0, 1])),
         "across": np.linalg.norm(corners[:, :, :2], axis=2).max(axis=1),
         "along": np.abs(corners[:, :, 2]).max(axis=1),
     }
     return Pinholes(**{name: np.asarray(entry, np.float32) for name, entry in entries.items()})
+
+
+def lenses_of(
+    K: NDArray[np.float64], distortions: NDArray[np.float64], silhouettes: Sequence[Silhouette]
+) -> NDArray[np.float64]:
+    """`Pinholes.lenses` (V, 10) of cameras (V, 3, 3) and (V, 5) that see the regions of these silhouettes."""
+    left, top = np.array([silhouette.offset_uv for silhouette in silhouettes]).T
+    return np.column_stack(
+        [K[:, 0, 0], K[:, 0, 1], K[:, 0, 2] - left, K[:, 1, 1], K[:, 1, 2] - top, distortions]
+    )
 
 
 @compiled

@@ -15,12 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.camera_arrays import arrays_of
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.outline_hull import goes_on
+from pipeline.outline_hull import goes_on, stacked
 from pipeline.tangent_planes import left_by
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 N_ANGLES = 60
 """Tangents an outline: every 6 degrees."""
@@ -64,7 +66,13 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
 
     So are rays that miss the body.
     """
-    flat, is_known = (np.array(part) for part in zip(*map(_touched, views), strict=True))
+    cameras = arrays_of([camera for camera, _ in views])
+    outlines = stacked([silhouette.outline_uv for _, silhouette in views])
+    reach, farthest = np.full((len(views), N_ANGLES), -np.inf), np.empty((len(views), N_ANGLES), np.int64)
+    _find_farthest(outlines.points_uv, outlines.ends, OUTWARDS, reach, farthest)
+    is_known = goes_on(outlines, farthest, SEEN_POINTS)
+    owners = np.repeat(np.arange(len(views)), N_ANGLES)
+    flat = cameras.flat_rays(outlines.points_uv[farthest.ravel()], owners).reshape(*farthest.shape, 2)
     # distortion bends a plane so little that each tangent's point is among these
     heights = OUTWARDS.T @ flat.transpose(0, 2, 1)
     best = heights.argmax(axis=2)
@@ -72,8 +80,7 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
     rays, planes = np.ones((2, *best.shape, 3))
     rays[:, :, :2] = np.take_along_axis(flat, best[:, :, None], axis=1)
     planes[:, :, :2], planes[:, :, 2] = OUTWARDS.T, -heights.max(axis=2)
-    R = np.array([camera.R for camera, _ in views])
-    eyes_mm = np.array([camera.center_mm - center_mm for camera, _ in views])
+    R, eyes_mm = cameras.R, cameras.centers_mm - center_mm
     normals, directions = (_unit((vectors @ R)[is_known]) for vectors in (planes, rays))
     eyes_mm = np.repeat(eyes_mm, is_known.sum(axis=1), axis=0)
     offsets_mm = (normals * eyes_mm).sum(axis=1)
@@ -91,25 +98,20 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
     )
 
 
-def _touched(view: View) -> tuple[Array, NDArray[np.bool_]]:
-    """Rays (N_ANGLES, 2) to the outline's farthest points, and whether the edge beside them was seen."""
-    camera, silhouette = view
-    reach, farthest = np.full(N_ANGLES, -np.inf), np.empty(N_ANGLES, np.int64)
-    _find_farthest(silhouette.outline_uv, OUTWARDS, reach, farthest)
-    is_known = goes_on(silhouette.outline_uv, farthest, SEEN_POINTS)
-    return camera.flat_rays(silhouette.outline_uv[farthest]), is_known
-
-
 @compiled
-def _find_farthest(points: Array, outwards: Array, reach: Array, farthest: NDArray[np.int64]) -> None:
-    """The points, of (N, 2), that are farthest in each direction (2, A); in vectors, as the directions are last."""
-    for point in range(len(points)):
-        u, v = points[point, 0], points[point, 1]
-        for angle in range(len(reach)):
-            height = u * outwards[0, angle] + v * outwards[1, angle]
-            is_farther = height > reach[angle]
-            reach[angle] = height if is_farther else reach[angle]
-            farthest[angle] = point if is_farther else farthest[angle]
+def _find_farthest(points: Array, ends: Indices, outwards: Array, reach: Array, farthest: Indices) -> None:
+    """Which points, of each outline (N, 2), are the farthest (V, A), and how far they reach, in each direction (2, A).
+
+    In vectors, as the directions are last.
+    """
+    for view in range(len(reach)):
+        for point in range(ends[view], ends[view + 1]):
+            u, v = points[point, 0], points[point, 1]
+            for angle in range(reach.shape[1]):
+                height = u * outwards[0, angle] + v * outwards[1, angle]
+                is_farther = height > reach[view, angle]
+                reach[view, angle] = height if is_farther else reach[view, angle]
+                farthest[view, angle] = point if is_farther else farthest[view, angle]
 
 
 def _unit(vectors: Array) -> Array:

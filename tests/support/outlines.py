@@ -65,10 +65,11 @@ def bumped(rig: RigCalibration, camera: str, turn_deg: Array) -> RigCalibration:
 def watch_record(outlines: Mapping[CameraId, Array], rig: RigCalibration) -> dict[str, Any]:
     """What the rig's watch reads of the result of a stone with these outlines."""
     tangents = epipolar_tangents(outlines, rig)
-    dropped, _ = displaced_views(tangents, ConsistencyParameters())
+    scores_px = tangency_scores_px(tangents)
+    dropped, _ = displaced_views(tangents, scores_px, ConsistencyParameters())
     return {
         "calibration_id": rig.calibration_id,
-        "tangency_px": tangency_scores_px(tangents),
+        "tangency_px": scores_px,
         "image_shifts_px": image_shifts_px(tangents),
         "dropped_views": dropped,
         "view_residuals_px": {},

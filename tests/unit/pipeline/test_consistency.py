@@ -32,9 +32,9 @@ def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> 
         ray_field._narrow,
         clearance._cast,
         tangent_planes._cut,
-        tangency._touching,
+        tangency._touch,
         outline_hull._corners,
-        lens.undistorted,
+        lens._undistort,
     ]
     assert warm_up().is_consistent
     compiled = [kernel.signatures for kernel in kernels]
