@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation.light import LIT, PlainWall, flash_gain
+from pipeline.segmentation.light import LEAST_GREY, LIT, SPARSE, PlainWall, flash_gain, gain_of
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
@@ -103,6 +103,21 @@ class CameraBackground:
         """(H/16, W/16) blocks of plain wall."""
         field = self.flat_field
         return np.asarray(field > DARK * np.median(field))
+
+    def gain(self, image: Grey) -> float:
+        """Strength of the flash that an image (H, W) was taken with, see `flash_gain`."""
+        places, levels = self._flash_wall
+        return gain_of(np.divide(image.take(places), levels, dtype=np.float32))
+
+    @cached_property
+    def _flash_wall(self) -> tuple[NDArray[np.intp], Array]:
+        """What that is read off: flat indices (N,) of pixels in the middle of blocks, and the means of these."""
+        wall = np.maximum(self.coarse[SPARSE], 1)
+        middles = np.arange(self.mean.size).reshape(self.mean.shape)[
+            COARSE // 2 :: COARSE, COARSE // 2 :: COARSE
+        ]
+        is_lit = wall > LEAST_GREY
+        return middles[: self.coarse.shape[0], : self.coarse.shape[1]][SPARSE][is_lit], wall[is_lit]
 
 
 BackgroundModel = Mapping[CameraId, CameraBackground]

@@ -207,11 +207,11 @@ def _doubt_of_light(
         found.labels,
         left,
         top,
-        np.asarray(cv2.blur(empty.seen, (3, 3)), np.uint8),  # a third of the noise
+        empty.seen,
         empty.levels,
         known.coarse_levels,
-        np.uint8(ceil(PLAIN * known.typical)),
-        np.float32(empty.gain),
+        ceil(PLAIN * known.typical),
+        empty.gain,
     )
     if _share(around > parameters.max_light_error) > parameters.max_dim_share:
         return f"light differs by {np.quantile(around, 0.9):.0%} around the body"

@@ -16,16 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from pipeline.compiled import compiled
 from pipeline.frames import Frame
 from pipeline.segmentation.edge import Contours, Edge
-from pipeline.segmentation.grey_levels import GreyLevels, carried, crossings, decide, spread
+from pipeline.segmentation.grey_levels import GreyLevels, decided
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
-from pipeline.segmentation.steepest import to_steepest
+from pipeline.segmentation.steepest import ROOM, place
 
 Grey = NDArray[np.uint8]
-Array = NDArray[np.float32]
-Region = tuple[slice, slice]
 
 MIN_CONTRAST = 0.12
 """Of the body's level to the background, as a share of it; below, grey levels do not tell them apart."""
@@ -48,11 +45,9 @@ class Delineation:
 
 def delineate(
     image: Grey,
-    expected: Grey | Array,
+    expected: Grey,
     limits: Grey,
     *,
-    region: Region | None = None,
-    expected_from_uv: tuple[int, int] = (0, 0),
     gain: float = 1.0,
     min_contrast: float = MIN_CONTRAST,
     hole_px: int = HOLE_PX,
@@ -62,65 +57,45 @@ def delineate(
     Parameters
     ----------
     image
-        (H, W) grey levels.
+        (h, w) grey levels of the region of an image that is looked at.
     expected
-        Grey level of what is behind the body, in this light once `gain` is applied.
+        (h, w) grey levels of what is behind the body, in this light once `gain` is applied.
     limits
         Of blocks of 2 x 2 pixels (h / 2, w / 2), rounded up: INSIDE what is surely body, and not at its blurred edge:
         its grey level is carried outwards. UNKNOWN where grey levels mean nothing. OPEN elsewhere, if it may be
         body, or else OUTSIDE.
-    region
-        Rows and columns (h, w) of the image that are looked at; all of it without.
-    expected_from_uv
-        Where in `expected` the region begins.
     gain
-        Factor on `expected`, which is looked at only near the edge.
+        Factor on `expected`.
     min_contrast
         Least difference of the body's level from `expected`, as a share of it; below, pixels are unknown.
     hole_px
         Holes of the body up to this area are filled.
     """
-    rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
-    height, width = rows.stop - rows.start, columns.stop - columns.start
-    open_ends, twice = spread(limits)
     view = GreyLevels(
-        image=_read_only(image),
-        left=columns.start,
-        top=rows.start,
-        expected=expected if expected.flags.c_contiguous else expected.copy(),
-        expected_left=expected_from_uv[0],
-        expected_top=expected_from_uv[1],
+        image=np.ascontiguousarray(image),
+        expected=np.ascontiguousarray(expected),
         gain=np.float32(gain),
         limits=limits,
-        open_ends=open_ends,
     )
-    labels = np.ascontiguousarray(twice.view(np.uint8)[:height, :width])
-    levels = carried(view)
-    if not (decide(view, levels, np.float32(min_contrast), labels) or INSIDE in limits):
+    labels, levels, is_inside = decided(view, min_contrast)
+    if not is_inside:
         return Delineation(labels=labels, edge=None)
     for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
         body, contours = _largest_with_holes_filled(labels, hole_px)
-        if body is not labels:
-            _keep(body, labels)
-        points_uv, seen = crossings(view, levels, body, labels, np.concatenate(contours)[:, 0])
-        n_doubtful = n_done = 0
-        for contour in contours:
-            along = slice(n_done, n_done + len(contour))
-            n_doubtful += to_steepest(view, np.float32(min_contrast), labels, points_uv[along], seen[along])
-            n_done += len(contour)
-        if n_doubtful == 0:
+        if body is not labels:  # of the labels the body's are kept, and what is unknown
+            np.copyto(labels, body, where=labels != UNKNOWN)
+        pixels_uv = np.concatenate(contours)[:, 0]
+        ends = np.cumsum([len(contour) for contour in contours])
+        points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
+        room = np.empty((len(pixels_uv), ROOM), np.float32)
+        if not place(
+            view, np.float32(min_contrast), levels, body, labels, pixels_uv, ends, points_uv, seen, room
+        ):
             break
     if not seen.all():  # the last points before a gap already bend towards what hides the edge
         seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
     edge = Edge(body=body, contours=contours, points_uv=points_uv, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
-
-
-def _read_only(image: Grey) -> Grey:
-    """The image as a frame has it: compiled loops are compiled again for other kinds of arrays."""
-    view = np.ascontiguousarray(image).view()
-    view.flags.writeable = False
-    return view
 
 
 def silhouette_of(
@@ -190,14 +165,6 @@ def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contou
             kept.append(contours[hole])
         hole = int(hierarchy[0][hole][0])
     return body, kept
-
-
-@compiled
-def _keep(body: Grey, labels: Grey) -> None:
-    """Of the labels (h, w) the body's and what is unknown."""
-    for v in range(body.shape[0]):
-        for u in range(body.shape[1]):
-            labels[v, u] = UNKNOWN if labels[v, u] == UNKNOWN else body[v, u]
 
 
 def _n_inside(labels: Grey, contour: NDArray[np.int32]) -> int:

@@ -44,7 +44,7 @@ class Edge:
     def outline_uv(self) -> NDArray[np.float64]:
         """Points (M, 2) in order around the outer contour, only where the edge was seen."""
         n_outer = len(self.contours[0])
-        return self.points_uv[:n_outer][self.seen[:n_outer]]
+        return self.points_uv.take(self.seen[:n_outer].nonzero()[0], axis=0)
 
     def coarse_px(self) -> Array:
         """Signed distances of every `SPACING_PX`-th pixel, positive within, cut off at +-`MARGIN_PX`.

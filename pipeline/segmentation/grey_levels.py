@@ -1,6 +1,6 @@
 """Grey levels beside a body's edge: its own, carried outwards from the core, and what they say of each pixel.
 
-The loops visit only the pixels between core and possible, of which `spread` makes a list.
+Only the cells between core and possible are visited, and the levels of the blocks around them.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,6 @@ from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-Cells = NDArray[np.int32]
 
 OPEN = np.uint8(64)
 """Beside INSIDE, UNKNOWN and OUTSIDE: what is to be decided."""
@@ -24,30 +23,21 @@ CELLS = 2
 BLOCK_PX = CELLS * FINE
 """The body's grey level is the same for the pixels of a block of this edge: the mean of the core in it and its
 eight neighbours."""
-NONE, ONE = np.uint32(0), np.uint32(1 << 16)
-"""In the sum of some grey levels, no pixel and one."""
-FAR_PX = 32
-"""Slivers too thin for a core, and edges beside the unknown, ask so far around."""
-N_SAMPLES = 3
-"""Every so many-th part of that reach is asked: (2 N_SAMPLES + 1)^2 pixels."""
+NOT_ASKED = np.float32(-1)
+"""The level of a block that nothing is decided beside."""
+FAR, FAR_STEP = 15, 5
+"""Slivers too thin for a core, and edges beside the unknown, ask so many cells around, every so many-th of them."""
 LEAST_COVERAGE = 0.025
 """Coverages are cut off here and at one less this before their probit is taken."""
 
 
 class GreyLevels(NamedTuple):
-    """What decides in a region (h, w) of an image between core and possible."""
+    """What decides in a region of an image between core and possible."""
 
-    image: Grey  # (H, W)
-    left: int  # where in that the region begins
-    top: int
-    expected: Grey | Array  # without a body
-    expected_left: int  # where in that the region begins
-    expected_top: int
+    image: Grey  # (h, w)
+    expected: Grey  # (h, w) without a body
     gain: np.float32  # factor on `expected`
-    limits: Grey  # (h / 2, w / 2) INSIDE, UNKNOWN, OUTSIDE, or OPEN
-    open_ends: (
-        Cells  # (2 N, 2) row and column: where a run of open ones begins, and the one after it, in turn
-    )
+    limits: Grey  # (h / 2, w / 2) of cells, rounded up: INSIDE, UNKNOWN, OUTSIDE, or OPEN
 
 
 def limits_from(core: Mask, possible: Mask, unknown: Mask) -> Grey:
@@ -55,138 +45,114 @@ def limits_from(core: Mask, possible: Mask, unknown: Mask) -> Grey:
     return np.where(core, INSIDE, np.where(unknown, UNKNOWN, np.where(possible, OPEN, OUTSIDE)))
 
 
-@compiled
-def spread(limits: Grey) -> tuple[Cells, NDArray[np.uint16]]:
-    """The open runs of limits (h, w), and every other label twice in two rows (2 h, w)."""
-    height, width = limits.shape
-    twice = np.empty((2 * height, width), np.uint16)
-    ends, n_ends = np.empty((height * (width + 1) + 1, 2), np.int32), 0
-    # ends are few: eight cells at a time are skipped
-    is_open, eights = np.zeros(width + 2, np.uint8), np.zeros(width // 8 + 1, np.uint64)
-    is_end = eights.view(np.uint8)
-    for row in range(height):
-        here, upper, lower, within = limits[row], twice[2 * row], twice[2 * row + 1], is_open[1:]
-        for column in range(width):
-            within[column] = here[column] == OPEN
-            label = OUTSIDE if here[column] == OPEN else here[column]
-            upper[column] = lower[column] = label * np.uint16(0x0101)
-        for column in range(width + 1):
-            is_end[column] = is_open[column] ^ within[column]
-        for eight in range(len(eights)):
-            if eights[eight] == 0:
-                continue
-            for column in range(8 * eight, 8 * eight + 8):
-                ends[n_ends, 0], ends[n_ends, 1] = row, column
-                n_ends += is_end[column]
-    return ends[:n_ends], twice
+def decided(view: GreyLevels, min_contrast: float) -> tuple[Grey, Array, bool]:
+    """Labels (h, w), levels of the body in blocks (h / 4, w / 4), and whether anything is inside.
+
+    Where the body's contrast is less than a share of what is expected, pixels are unknown.
+    """
+    height, width = view.image.shape
+    n_rows, n_columns = view.limits.shape
+    twice = np.empty((FINE * n_rows, n_columns), np.uint16)
+    levels = np.full((n_rows // CELLS + 1, n_columns // CELLS + 1), NOT_ASKED)
+    labels = twice.view(np.uint8)
+    is_inside = _decide(view, np.float32(min_contrast), levels, twice, labels)
+    return np.ascontiguousarray(labels[:height, :width]), levels, is_inside or bool(INSIDE in view.limits)
 
 
 @compiled
-def carried(view: GreyLevels) -> Array:
-    """Grey level of the body in each block (h / BLOCK_PX, w / BLOCK_PX), NaN where nothing is to be decided."""
-    levels = _means(view)
-    typical = np.float32(np.nan)
-    for i in range(0, len(view.open_ends), 2):
-        row, first, last = view.open_ends[i, 0], view.open_ends[i, 1], view.open_ends[i + 1, 1]
-        # the blocks of its pixels and of those next to it, between which the edge may run
-        for y in range(max(row - 1, 0) // CELLS, (row + 1) // CELLS + 1):
-            for x in range(max(first - 1, 0) // CELLS, last // CELLS + 1):
-                if np.isnan(levels[y, x]):
-                    levels[y, x] = _mean_far_around(view, y, x)
-                if np.isnan(levels[y, x]):  # no core far and wide: what may be body, its edge included
-                    if np.isnan(typical):
-                        typical = _mean_of_open(view)
-                    levels[y, x] = typical
-    return levels
+def _decide(
+    view: GreyLevels, min_contrast: np.float32, levels: Array, twice: NDArray[np.uint16], labels: Grey
+) -> bool:
+    """Label cells (h, w); whether any that is open is inside. `labels` (2 h, 2 w) are `twice`, two at a time.
 
-
-@compiled
-def _means(view: GreyLevels) -> Array:
-    """Mean grey level of the core in each block and its neighbours, NaN of none: of one pixel of each cell."""
-    height, width = view.limits.shape
-    n_rows, n_columns = height // CELLS + 1, width // CELLS + 1
-    # number and sum in one, with a border of blocks that have none
-    sums, sums_here = np.zeros((n_rows + 2, n_columns + 2), np.uint32), np.empty(CELLS * n_columns, np.uint32)
-    for y in range(n_rows):
-        sums_here[:] = 0
-        for row in range(CELLS * y, min(CELLS * (y + 1), height)):
-            pixels, limits = view.image[view.top + FINE * row, view.left :], view.limits[row]
-            for u in range(width):
-                sums_here[u] += ONE + pixels[FINE * u] if limits[u] == INSIDE else NONE
-        block_sums = sums[y + 1, 1:]
-        for x in range(n_columns):
-            block_sums[x] = sums_here[CELLS * x] + sums_here[CELLS * x + 1]
-    means, threes = np.empty((n_rows, n_columns), np.float32), np.empty(n_columns + 2, np.uint32)
-    for y in range(n_rows):
-        for x in range(n_columns + 2):
-            threes[x] = sums[y, x] + sums[y + 1, x] + sums[y + 2, x]
-        for x in range(n_columns):
-            nine = np.uint32(threes[x] + threes[x + 1] + threes[x + 2])
-            means[y, x] = np.float32(np.int32(nine % ONE)) / np.float32(np.int32(nine // ONE))
-    return means
-
-
-@compiled
-def _mean_far_around(view: GreyLevels, y: int, x: int) -> np.float32:
-    """Mean of the core's pixels in a sparse window around a block, NaN of none."""
-    height, width = view.limits.shape
-    v, u = y * BLOCK_PX + BLOCK_PX // 2, x * BLOCK_PX + BLOCK_PX // 2
-    step = FAR_PX // N_SAMPLES
-    reach_px = N_SAMPLES * step
-    total, n = np.float32(0), np.float32(0)
-    for near_v in range(max(v - reach_px, v % step), min(v + reach_px + 1, FINE * height), step):
-        for near_u in range(max(u - reach_px, u % step), min(u + reach_px + 1, FINE * width), step):
-            if view.limits[near_v // FINE, near_u // FINE] == INSIDE:
-                total += np.float32(view.image[near_v + view.top, near_u + view.left])
-                n += np.float32(1)
-    return total / n
-
-
-@compiled
-def _mean_of_open(view: GreyLevels) -> np.float32:
-    """Mean of what is to be decided."""
-    total, n = np.float32(0), 0
-    for i in range(0, len(view.open_ends), 2):
-        row = FINE * view.open_ends[i, 0]
-        for column in range(FINE * view.open_ends[i, 1], FINE * view.open_ends[i + 1, 1], FINE):
-            total += np.float32(view.image[row + view.top, column + view.left])
-            n += 1
-    return total / np.float32(n)
-
-
-@compiled
-def decide(view: GreyLevels, levels: Array, min_contrast: np.float32, labels: Grey) -> bool:
-    """Label what is open (h, w); whether any of it is inside."""
-    height, width = labels.shape
+    The levels of the blocks of what is open are found, and of those next to them, between which the edge may run.
+    """
+    image, expected, limits = view.image, view.expected, view.limits
+    height, width = image.shape
+    n_rows, n_columns = limits.shape
+    open_columns = np.empty(n_columns + 1, np.int64)
     is_inside = False
-    for i in range(0, len(view.open_ends), 2):
-        row, first = view.open_ends[i, 0], FINE * view.open_ends[i, 1]
-        last, levels_here = min(FINE * view.open_ends[i + 1, 1], width), levels[row // CELLS]
-        for v in range(FINE * row, min(FINE * (row + 1), height)):
-            behinds = view.expected[v + view.expected_top, first + view.expected_left :]
-            pixels, here = view.image[v + view.top, first + view.left :], labels[v, first:last]
-            for k in range(len(here)):
-                behind = view.gain * np.float32(behinds[k])
-                contrast = behind - levels_here[(first + k) // BLOCK_PX]
-                covered = behind - np.float32(pixels[k])
-                is_body = (covered - np.float32(0.5) * contrast) * contrast > 0
-                is_unclear = abs(contrast) < min_contrast * behind
-                here[k] = UNKNOWN if is_unclear else (INSIDE if is_body else OUTSIDE)
-                is_inside |= is_body and not is_unclear
+    for row in range(n_rows):
+        here, upper, lower = limits[row], twice[FINE * row], twice[FINE * row + 1]
+        for column in range(n_columns):  # vectorized, but not with the next one
+            upper[column] = here[column] * np.uint16(0x0101)
+        for column in range(n_columns):
+            lower[column] = upper[column]
+        n_open, first_y, end_v = 0, max(row - 1, 0) // CELLS, min(FINE * row + FINE, height)
+        for column in range(n_columns):
+            open_columns[n_open] = column
+            n_open += here[column] == OPEN
+        for i in range(n_open):
+            column = open_columns[i]
+            for y in range(first_y, (row + 1) // CELLS + 1):
+                for x in range(max(column - 1, 0) // CELLS, (column + 1) // CELLS + 1):
+                    if levels[y, x] == NOT_ASKED:
+                        levels[y, x] = _level(image, limits, y, x)
+            level = levels[row // CELLS, column // CELLS]
+            for v in range(FINE * row, end_v):
+                for u in range(FINE * column, min(FINE * column + FINE, width)):
+                    behind = view.gain * np.float32(expected[v, u])
+                    contrast = behind - level
+                    covered = behind - np.float32(image[v, u])
+                    is_body = (covered - np.float32(0.5) * contrast) * contrast > 0
+                    is_unclear = abs(contrast) < min_contrast * behind
+                    labels[v, u] = UNKNOWN if is_unclear else (INSIDE if is_body else OUTSIDE)
+                    is_inside |= is_body and not is_unclear
     return is_inside
 
 
 @compiled
-def crossings(
-    view: GreyLevels, levels: Array, body: Grey, labels: Grey, pixels_uv: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], Grey]:
-    """Points (N, 2): the mean crossing of the edge beside each pixel (N, 2), and whether it was seen (N,).
+def _level(image: Grey, limits: Grey, y: int, x: int) -> np.float32:
+    """Grey level of the body in a block: of the core near it, else far, else of all that may be body, edge included."""
+    row, column, end = CELLS * y, CELLS * x, 2 * CELLS
+    level = _mean(image, limits, INSIDE, row - CELLS, column - CELLS, row + end, column + end, 1)
+    if np.isnan(level):
+        row, column, end = row + CELLS // 2, column + CELLS // 2, FAR + 1
+        level = _mean(image, limits, INSIDE, row - FAR, column - FAR, row + end, column + end, FAR_STEP)
+    if np.isnan(level):
+        level = _mean(image, limits, OPEN, 0, 0, len(image), len(image[0]), 1)
+    return level
+
+
+@compiled
+def _mean(
+    image: Grey, limits: Grey, limit: np.uint8, top: int, left: int, bottom: int, right: int, step: int
+) -> np.float32:
+    """Mean grey level of the cells that have a limit, of every so many-th in a window; NaN of none."""
+    while top < 0:
+        top += step
+    while left < 0:
+        left += step
+    bottom, right = min(bottom, limits.shape[0]), min(right, limits.shape[1])
+    total = n = 0
+    row = top
+    while row < bottom:  # a range of unknown step costs a division
+        limits_here, pixels = limits[row], image[FINE * row]
+        column = left
+        while column < right:
+            if limits_here[column] == limit:
+                total += pixels[FINE * column]
+                n += 1
+            column += step
+        row += step
+    return np.float32(total) / np.float32(n)
+
+
+@compiled
+def cross(
+    view: GreyLevels,
+    levels: Array,
+    body: Grey,
+    labels: Grey,
+    pixels_uv: NDArray[np.int32],
+    points_uv: NDArray[np.float64],
+    seen: Grey,
+) -> None:
+    """Write points (N, 2): the mean crossing of the edge beside each pixel (N, 2), and whether it was seen (N,).
 
     Under a Gaussian blur of any width the probit of the coverage is linear across the edge.
     """
-    image, expected, gain, limits = view.image, view.expected, view.gain, view.limits
     height, width = body.shape
-    points_uv, seen = np.empty((len(pixels_uv), 2)), np.empty(len(pixels_uv), np.uint8)
     for i in range(len(pixels_uv)):
         u, v = pixels_uv[i, 0], pixels_uv[i, 1]
         within, n = 0.0, 0
@@ -200,9 +166,9 @@ def crossings(
                 if not (0 <= x < width and 0 <= y < height) or body[y, x]:
                     continue
             coverage = 1.0
-            if limits[y // FINE, x // FINE] != INSIDE:
-                behind = gain * np.float32(expected[y + view.expected_top, x + view.expected_left])
-                covered = behind - np.float32(image[y + view.top, x + view.left])
+            if view.limits[y // FINE, x // FINE] != INSIDE:
+                behind = view.gain * np.float32(view.expected[y, x])
+                covered = behind - np.float32(view.image[y, x])
                 coverage = float(covered / (behind - levels[y // BLOCK_PX, x // BLOCK_PX]))
             probit = _probit(min(max(coverage, LEAST_COVERAGE), 1 - LEAST_COVERAGE))
             if labels[y, x] == UNKNOWN:
@@ -219,7 +185,6 @@ def crossings(
         if n == 0:  # at the border of the region
             seen[i] = 0
         points_uv[i, 0], points_uv[i, 1] = u + sum_u / max(n, 1), v + sum_v / max(n, 1)
-    return points_uv, seen
 
 
 @compiled

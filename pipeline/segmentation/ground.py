@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.light import flash_gain
 
@@ -56,40 +55,32 @@ def carried(values: Array, is_known: Bits) -> Array:
     return np.asarray(fine, np.float32)
 
 
-@compiled
 def _carried(values: Array, is_known: Bits) -> Array:
     """The same for blocks (h / CELL, w / CELL), rounded up."""
-    height, width = values.shape
-    n_rows, n_columns = -(-height // CELL), -(-width // CELL)
-    # of all blocks above and to the left
-    sums, counts = np.zeros((n_rows + 1, n_columns + 1)), np.zeros((n_rows + 1, n_columns + 1))
-    for v in range(height):
-        for u in range(width):
-            if is_known[v, u]:
-                sums[v // CELL + 1, u // CELL + 1] += values[v, u]
-                counts[v // CELL + 1, u // CELL + 1] += 1
-    for row in range(1, n_rows + 1):
-        for column in range(1, n_columns + 1):
-            for table in (sums, counts):
-                table[row, column] += (
-                    table[row - 1, column] + table[row, column - 1] - table[row - 1, column - 1]
-                )
-    result = np.empty((n_rows, n_columns), np.float32)
-    for row in range(n_rows):
-        for column in range(n_columns):
-            total, n = sums[-1, -1], counts[-1, -1]
-            for reach in REACHES:
-                top, bottom = max(row - reach, 0), min(row + reach + 1, n_rows)
-                left, right = max(column - reach, 0), min(column + reach + 1, n_columns)
-                near = counts[bottom, right] - counts[top, right] - counts[bottom, left] + counts[top, left]
-                if near > ENOUGH * CELL * CELL * (bottom - top) * (right - left):
-                    total, n = (
-                        sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left],
-                        near,
-                    )
-                    break
-            result[row, column] = total / n if n > 0 else 1
-    return result
+    known = is_known != 0
+    sums, counts = _block_sums(np.where(known, values, 0)), _block_sums(known)
+    n = counts.sum()
+    result = np.full(sums.shape, sums.sum() / n if n > 0 else 1)
+    for reach in reversed(REACHES):
+        total, near, blocks = (_window_sums(each, reach) for each in (sums, counts, np.ones_like(sums)))
+        is_enough = near > ENOUGH * CELL**2 * blocks
+        result[is_enough] = total[is_enough] / near[is_enough]
+    return result.astype(np.float32)
+
+
+def _block_sums(values: NDArray[np.generic]) -> NDArray[np.float64]:
+    """Sums (h / CELL, w / CELL), rounded up, over blocks of values (h, w)."""
+    n_rows, n_columns = (-(-size // CELL) for size in values.shape)
+    blocks = np.zeros((n_rows * CELL, n_columns * CELL))
+    blocks[: values.shape[0], : values.shape[1]] = values
+    return blocks.reshape(n_rows, CELL, n_columns, CELL).sum(axis=(1, 3))
+
+
+def _window_sums(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Sums (h, w) over values as far as `reach` to either side."""
+    side = 2 * reach + 1
+    sums = cv2.boxFilter(values, cv2.CV_64F, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums, np.float64)
 
 
 def _smooth_surface(coarse: Bits) -> Array:

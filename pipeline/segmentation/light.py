@@ -11,9 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
-
-Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -72,24 +69,29 @@ class PlainWall:
 
 
 def flash_gain(coarse: NDArray[np.generic], coarse_background: Array) -> float:
-    """Strength of this flash relative to the background's, from the blocks (h, w) that still show it.
+    """Strength of this flash relative to the background's, from the blocks (h, w) that still show it."""
+    wall = np.maximum(coarse_background[SPARSE], 1)
+    ratios: Array = np.divide(coarse[SPARSE], wall, dtype=np.float32)
+    return gain_of(ratios[wall > LEAST_GREY])
+
+
+def gain_of(ratios: Array) -> float:
+    """Strength of the flash, from the ratios (N,) of some blocks to the background's.
 
     A dark body covers up to half of the image: the gain is the median of the ratios near their
     upper mode, not of all of them.
     """
-    wall = np.maximum(coarse_background[SPARSE], 1)
-    ratios: Array = np.divide(coarse[SPARSE], wall, dtype=np.float32)
-    ratios = np.sort(ratios[wall > LEAST_GREY])
     if ratios.size == 0:
         return 1.0
+    ratios = np.sort(ratios)
     bright = ratios[-(ratios.size // 10) - 1]
-    first, last = np.searchsorted(ratios, (np.float32(0.9) * bright, np.float32(1.1) * bright))
+    first, last = ratios.searchsorted((np.float32(0.9) * bright, np.float32(1.1) * bright)).tolist()
     gain = float(ratios[(first + last) // 2]) if first < last else float(bright)
     return gain if gain > 0.05 else 1.0
 
 
-def uneven_light(coarse: Grey, wall: PlainWall, gain: float) -> Array | None:
-    """Strength of the light at each place, on top of the flash's; `None`: it is even.
+def uneven_light(ratio: Array, wall: PlainWall, shape: tuple[int, ...]) -> Array:
+    """Strength of the light at each place, on top of the flash's.
 
     A quadratic in both coordinates is fitted to the plain wall, and from the blocks that agree with it the light is
     followed outwards, as long as it changes slowly. A body is not followed, for its outline is a step: beneath
@@ -97,21 +99,16 @@ def uneven_light(coarse: Grey, wall: PlainWall, gain: float) -> Array | None:
 
     Parameters
     ----------
-    coarse
-        One pixel (H/4, W/4) of each block of the frame.
-    gain
-        Strength of the flash, see `flash_gain`.
+    ratio
+        (H/16, W/16) brightness of each block relative to what the flash alone makes of it.
+    shape
+        H/4, W/4.
 
     Returns
     -------
     array
         (H/4, W/4) factors, smooth over some `LIT` * `REACH` blocks.
     """
-    if min(coarse.shape) < LIT:
-        return None
-    ratio, n_uneven = _relative(coarse, wall.levels, wall.is_plain, np.float32(gain))
-    if n_uneven < EVEN_SHARE * ratio.size:
-        return None
     fitted = fitted_light(ratio, wall)
     left = ratio / fitted
     is_lit = wall.is_plain & (np.abs(left - 1) < UNLIKE)
@@ -122,27 +119,7 @@ def uneven_light(coarse: Grey, wall: PlainWall, gain: float) -> Array | None:
             break
         is_lit = grown
     light = fitted * _carried(left, is_lit, REACH)
-    return np.asarray(cv2.resize(light, coarse.shape[::-1], interpolation=cv2.INTER_LINEAR))
-
-
-@compiled
-def _relative(coarse: Grey, levels: Array, is_plain: Mask, gain: np.float32) -> tuple[Array, int]:
-    """Brightness of each block (h, w) relative to the expected, and how many of the wall's are slightly off."""
-    height, width = levels.shape
-    ratio = np.empty((height, width), np.float32)
-    sums = np.empty(LIT * width, np.uint16)
-    n_uneven = 0
-    for row in range(height):
-        a, b, c, d = coarse[LIT * row], coarse[LIT * row + 1], coarse[LIT * row + 2], coarse[LIT * row + 3]
-        for u in range(LIT * width):
-            sums[u] = a[u] + b[u] + c[u] + d[u]
-        for x in range(width):
-            total = sums[LIT * x] + sums[LIT * x + 1] + sums[LIT * x + 2] + sums[LIT * x + 3]
-            relative = np.float32(total) / (LIT**2 * max(gain * levels[row, x], np.float32(1)))
-            error = abs(relative - np.float32(1))
-            n_uneven += is_plain[row, x] & (error > EVEN) & (error < UNLIKE)
-            ratio[row, x] = relative
-    return ratio, n_uneven
+    return np.asarray(cv2.resize(light, shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def _carried(values: Array, is_known: Mask, reach: float) -> Array:

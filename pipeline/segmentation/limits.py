@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
 from pipeline.segmentation.behind import LEAST_SIDE_PX, Behind
 
 Array = NDArray[np.float32]
@@ -30,7 +29,6 @@ HALO_CONTRAST = 0.06
 """Difference from the expected, as a share of it, that shows a body there all the same."""
 
 
-@compiled
 def limits_of(
     image: Array,
     expected: Array,
@@ -60,29 +58,15 @@ def limits_of(
     noise
         Standard deviation of a pixel.
     """
-    limits = np.zeros(image.shape, np.uint8)
-    for v in range(image.shape[0]):
-        for u in range(image.shape[1]):
-            if not possible[v, u]:
-                continue
-            limit = POSSIBLE
-            behind, contrast = expected[v, u], expected[v, u] - level[v, u]
-            covered = behind - image[v, u]
-            least = max(min_contrast * behind, NOISE_SIGMAS * noise)
-            is_unknown = undecided[v, u] != 0 or (behind < dark and abs(covered) < least)
-            if core[v, u]:
-                limit |= CORE
-            else:
-                if contrast < 0:
-                    contrast, covered = -contrast, -covered
-                is_sure, is_surely_not = probability[v, u] > SURE, probability[v, u] < SURELY_NOT
-                is_unknown |= (
-                    contrast < least
-                    or (is_sure and covered < AGREED * contrast)
-                    or (is_surely_not and covered > (1 - AGREED) * contrast)
-                )
-            limits[v, u] = limit | UNKNOWN if is_unknown else limit
-    return limits
+    is_core, contrast, covered = core != 0, expected - level, expected - image
+    least = np.maximum(np.float32(min_contrast) * expected, np.float32(NOISE_SIGMAS * noise))
+    is_unknown = (undecided != 0) | (expected < dark) & (np.abs(covered) < least)
+    height, cover = np.abs(contrast), covered * np.where(contrast < 0, np.float32(-1), np.float32(1))
+    is_refuted = (probability > SURE) & (cover < AGREED * height)
+    is_refuted |= (probability < SURELY_NOT) & (cover > (1 - AGREED) * height)
+    is_unknown |= ~is_core & ((height < least) | is_refuted)
+    limits = POSSIBLE | CORE * is_core | UNKNOWN * is_unknown
+    return limits * (possible != 0)
 
 
 def halo_of(behind: Behind, image: Bits, inside: Bits, suspect: Bits, noise: float) -> Bits:

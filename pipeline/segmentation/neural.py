@@ -148,14 +148,13 @@ class NetworkSegmenter:
         halves = behind.region.halved(limits, behind.shape)
         core, possible, unknown = ((halves & bit).astype(np.bool_) for bit in (CORE, POSSIBLE, UNKNOWN))
         wanted = _beside_edge(limits, behind.region)
-        (top, left), gain, expected = behind.corner, behind.even_light(wanted), behind.empty
+        gain, expected = behind.even_light(wanted), behind.empty
         if gain is None:
-            top, left, gain, expected = 0, 0, 1.0, behind.lit(wanted)
+            gain, expected = 1.0, behind.lit(wanted)
         return delineate(
             seen,
             expected,
             limits_from(core, possible, unknown),
-            expected_from_uv=(left, top),
             gain=gain,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
@@ -165,8 +164,12 @@ class NetworkSegmenter:
 def _behind(answer: Answer, ground: Ground, light: Array, shape: tuple[int, ...]) -> Behind:
     """What is expected where the answer's region is in an image (H, W)."""
     if ground.levels is not None:
+        rows, columns = answer.region.within(shape)
         return Behind(
-            region=answer.region, shape=shape, light=light * np.float32(ground.gain), empty=ground.levels
+            region=answer.region,
+            shape=shape,
+            light=light * np.float32(ground.gain),
+            empty=ground.levels[rows, columns].copy(),
         )
     expected = answer.region.enlarged(answer.expected, shape)
     empty = np.asarray(cv2.convertScaleAbs(expected, alpha=ground.wall), np.uint8)

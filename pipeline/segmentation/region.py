@@ -1,16 +1,17 @@
 """The region of an image that a network sees, and the way between its pixels and the image's."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
 from pipeline.segmentation.background import COARSE
 
 Array = NDArray[np.float32]
 Bits = NDArray[np.uint8]
+Value = TypeVar("Value", np.uint8, np.float32)
 Box = tuple[int, int, int, int]
 """x, y, width, height."""
 ROOM = 8
@@ -61,7 +62,10 @@ class Region:
 
     def reduce(self, image: Bits, factor: float, means: Array) -> None:
         """Write means (height, width) of an image (H, W), whose border goes on outside of it, times a factor."""
-        _reduce(image, self.left, self.top, self.scale, np.float32(factor), means)
+        cut = _replicated(image, self.left, self.top, self.scale * self.width, self.scale * self.height)
+        size = (self.width, self.height)
+        cv2.resize(cut.astype(np.float32), size, dst=means, interpolation=cv2.INTER_AREA)
+        means *= np.float32(factor)
 
     def sample(self, coarse: Array, factor: float, means: Array) -> None:
         """Write the same of a smooth image, of which block means (H/4, W/4) are enough."""
@@ -73,10 +77,10 @@ class Region:
         cv2.resize(cut, (self.width, self.height), dst=means, interpolation=cv2.INTER_LINEAR)
         means *= np.float32(factor)
 
-    def enlarged(self, values: Array, shape: tuple[int, ...]) -> Array:
+    def enlarged(self, values: Array, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Array:
         """Values (height, width) interpolated for the pixels `within` an image (H, W)."""
         size = (self.scale * self.width, self.scale * self.height)
-        fine = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), values.dtype)
+        fine = np.asarray(cv2.resize(values, size, interpolation=interpolation), values.dtype)
         rows, columns = self.within(shape)
         return fine[
             rows.start - self.top : rows.stop - self.top, columns.start - self.left : columns.stop - self.left
@@ -93,41 +97,22 @@ class Region:
 
     def middles(self, fine: Bits, shape: tuple[int, ...]) -> Bits:
         """Of pixels (h, w) `within` an image (H, W) those in the middle of the region's (height, width); else 0."""
-        result = np.zeros((self.height, self.width), np.uint8)
+        return self.sampled(fine, shape, self.scale // 2)
+
+    def sampled(self, fine: NDArray[Value], shape: tuple[int, ...], offset: int) -> NDArray[Value]:
+        """Of the first pixels (h, w) `within` an image (H, W) those at an offset in the region's; else 0."""
+        result = np.zeros((self.height, self.width), fine.dtype)
         place, chosen = [], []
-        for at, first in zip(self.within(shape), (self.top, self.left), strict=True):
-            middle = first + self.scale // 2
-            index = max(-(-(at.start - middle) // self.scale), 0)
-            begin = middle + self.scale * index - at.start
-            place.append(slice(index, index + len(range(begin, at.stop - at.start, self.scale))))
+        for at, first, length in zip(self.within(shape), (self.top, self.left), fine.shape, strict=True):
+            index = max(-(-(at.start - first - offset) // self.scale), 0)
+            begin = first + offset + self.scale * index - at.start
+            place.append(slice(index, index + len(range(begin, length, self.scale))))
             chosen.append(slice(begin, None, self.scale))
         result[tuple(place)] = fine[tuple(chosen)]
         return result
 
 
-@compiled
-def _reduce(image: Bits, left: int, top: int, scale: int, factor: np.float32, means: Array) -> None:
-    height, width = means.shape
-    n_rows, n_columns = image.shape
-    first, last = max(-left, 0), min(n_columns - left, scale * width)
-    sums = np.zeros(scale * width, np.uint16)
-    factor /= np.float32(scale**2)
-    for y in range(height):
-        sums[:] = 0
-        within = sums[first:last]
-        for v in range(top + y * scale, top + (y + 1) * scale):
-            row = image[min(max(v, 0), n_rows - 1), left + first : left + last]
-            for i in range(len(row)):
-                within[i] += row[i]
-        sums[:first], sums[last:] = sums[first], sums[last - 1]
-        for x in range(width):
-            total = 0
-            for k in range(scale):
-                total += sums[scale * x + k]
-            means[y, x] = np.float32(total) * factor
-
-
-def _replicated(image: Array, left: int, top: int, width: int, height: int) -> Array:
+def _replicated(image: NDArray[Value], left: int, top: int, width: int, height: int) -> NDArray[Value]:
     """A rectangle (height, width) of an image (H, W), whose border goes on where it reaches beyond."""
     cut = image[max(top, 0) : top + height, max(left, 0) : left + width]
     bottom, right = height - len(cut) - max(-top, 0), width - cut.shape[1] - max(-left, 0)

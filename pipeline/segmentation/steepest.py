@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, whole
-from pipeline.segmentation.grey_levels import GreyLevels
+from pipeline.segmentation.grey_levels import GreyLevels, cross
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]
@@ -29,6 +29,16 @@ SPAN = 4
 N_STEPS = N_SLOPES + SPAN
 LANES = 8
 """Slopes are kept in rows of so many, which the processor adds at once."""
+SMOOTH, INWARDS, REST, BEHIND, HEIGHT, ROOM = (
+    LANES,
+    2 * LANES,
+    2 * LANES + 2,
+    2 * LANES + 3,
+    2 * LANES + 4,
+    2 * LANES + 5,
+)
+"""What is noted of each point, after the slopes across the edge there: these smoothed along it, its inward normal (2,),
+what is left of the body just outside, the level there, and the greatest slope; and the length of it all."""
 LEAST_SLOPE = np.float32(0.04)
 """Of an edge, as a share of what is behind over `SPAN`; grain and noise have less."""
 BEYOND_PX = np.float32(3.0)
@@ -44,73 +54,102 @@ DOUBT_PX = 4
 
 
 @compiled
-def to_steepest(
+def place(
+    view: GreyLevels,
+    min_contrast: np.float32,
+    levels: Array,
+    body: Grey,
+    labels: Grey,
+    pixels_uv: NDArray[np.int32],
+    ends: NDArray[np.int64],
+    points_uv: NDArray[np.float64],
+    seen: Grey,
+    room: Array,
+) -> int:
+    """Write where the edge runs beside pixels (N, 2) of contours: points (N, 2), and whether they were seen (N,).
+
+    The contours end at `ends` (C,), with the body on their right. Pixels of `labels` (h, w) outside of the body, beside
+    a point that does not lie on its edge, become unknown. The number of such points is returned.
+
+    Parameters
+    ----------
+    view, levels, body
+        See `cross`.
+    room
+        (N, `ROOM`) for what is noted of each point.
+    """
+    cross(view, levels, body, labels, pixels_uv, points_uv, seen)
+    n_doubtful, first = 0, 0
+    for end in ends:
+        n_doubtful += _to_steepest(
+            view, min_contrast, labels, points_uv[first:end], seen[first:end], room[first:end]
+        )
+        first = end
+    return n_doubtful
+
+
+@compiled
+def _to_steepest(
     view: GreyLevels,
     min_contrast: np.float32,
     labels: Grey,
     points_uv: NDArray[np.float64],
     seen: Grey,
+    room: Array,
 ) -> int:
-    """Move the seen points (N, 2) of a contour, the body on its right, to the steepest slope across it.
-
-    Pixels of `labels` (h, w) outside of the body, beside a point that does not lie on its edge, become
-    unknown. The number of such points is returned.
-    """
+    """Move the seen points (N, 2) of a contour to the steepest slope across it; the number of doubtful ones."""
     n_points = len(points_uv)
-    inwards = _inwards(labels.shape, points_uv, seen)
-    slopes = _slopes(view, points_uv, inwards, seen)
-    rests = np.zeros(n_points, np.float32)  # of the body, just outside of the edge, in grey levels
-    behinds, heights = np.zeros(n_points, np.float32), np.zeros(n_points, np.float32)
-    smooth = np.empty(LANES, np.float32)
+    _note_inwards(labels.shape, points_uv, seen, room)
+    _note_slopes(view, points_uv, seen, room)
     for i in range(n_points):
+        room[i, REST] = 0
         if not seen[i]:
             continue
         for k in range(LANES):
-            smooth[k] = 0
+            room[i, SMOOTH + k] = 0
         for j in range(len(WEIGHTS)):
             near = _along(i, j - len(WEIGHTS) // 2, n_points)
             near = near if seen[near] else i
             for k in range(LANES):
-                smooth[k] += WEIGHTS[j] * slopes[near, k]
+                room[i, SMOOTH + k] += WEIGHTS[j] * room[near, k]
         best = N_SLOPES // 2  # of equals: without noise several are, where an edge runs between pixels
         for k in range(1, N_SLOPES - 1):
-            if abs(smooth[k]) > abs(smooth[best]):
+            if abs(room[i, SMOOTH + k]) > abs(room[i, SMOOTH + best]):
                 best = k
-        before, highest, after = abs(smooth[best - 1]), abs(smooth[best]), abs(smooth[best + 1])
+        at = SMOOTH + best
+        before, highest, after = abs(room[i, at - 1]), abs(room[i, at]), abs(room[i, at + 1])
         bend = min(before - 2 * highest + after, np.float32(-1e-3))
         top = min(max((before - after) / (2 * bend), np.float32(-0.5)), np.float32(0.5))
         depth_px = (np.float32(best - N_SLOPES // 2) + top) * STEP_PX
-        points_uv[i, 0] += depth_px * inwards[i, 0]
-        points_uv[i, 1] += depth_px * inwards[i, 1]
-        u = int(points_uv[i, 0] - BEYOND_PX * inwards[i, 0] + 0.5)
-        v = int(points_uv[i, 1] - BEYOND_PX * inwards[i, 1] + 0.5)
-        behinds[i], heights[i] = (
-            view.gain * np.float32(view.expected[v + view.expected_top, u + view.expected_left]),
-            highest,
-        )
+        points_uv[i, 0] += depth_px * room[i, INWARDS]
+        points_uv[i, 1] += depth_px * room[i, INWARDS + 1]
+        u = int(points_uv[i, 0] - BEYOND_PX * room[i, INWARDS] + 0.5)
+        v = int(points_uv[i, 1] - BEYOND_PX * room[i, INWARDS + 1] + 0.5)
+        behind = view.gain * np.float32(view.expected[v, u])
+        room[i, BEHIND], room[i, HEIGHT] = behind, highest
         if labels[v, u] == OUTSIDE:
-            rests[i] = behinds[i] - np.float32(view.image[v + view.top, u + view.left])
+            room[i, REST] = behind - np.float32(view.image[v, u])
     n_doubtful = 0
     for i in range(n_points):
         if not seen[i]:
             continue
         rest = np.float32(0)
         for j in range(len(WEIGHTS)):
-            rest += WEIGHTS[j] * rests[_along(i, j - len(WEIGHTS) // 2, n_points)]
-        least_rest = max(REST_SHARE * min_contrast * behinds[i], LEAST_REST)
-        if heights[i] < LEAST_SLOPE * behinds[i] or abs(rest) > least_rest:
+            rest += WEIGHTS[j] * room[_along(i, j - len(WEIGHTS) // 2, n_points), REST]
+        behind = room[i, BEHIND]
+        least_rest = max(REST_SHARE * min_contrast * behind, LEAST_REST)
+        if room[i, HEIGHT] < LEAST_SLOPE * behind or abs(rest) > least_rest:
             n_doubtful += 1
             _doubt(labels, int(points_uv[i, 0] + 0.5), int(points_uv[i, 1] + 0.5))
     return n_doubtful
 
 
 @compiled
-def _inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey) -> Array:
-    """Inward normals (N, 2) of a contour; points that have none, or are at the border of the region, are not seen."""
+def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey, room: Array) -> None:
+    """Note inward normals of a contour; points that have none, or are at the border of the region, are not seen."""
     height, width = shape
     n_points = len(points_uv)
     far_px = BEYOND_PX + np.float32(2)
-    inwards = np.empty((n_points, 2), np.float32)
     for i in range(n_points):
         before = after = i
         for _ in range(TANGENT_REACH):
@@ -120,49 +159,46 @@ def _inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey)
         du = np.float32(points_uv[after, 0] - points_uv[before, 0])
         dv = np.float32(points_uv[after, 1] - points_uv[before, 1])
         length = max(np.sqrt(du * du + dv * dv), np.float32(1e-6))
-        inwards[i, 0], inwards[i, 1] = dv / length, -du / length
+        room[i, INWARDS], room[i, INWARDS + 1] = dv / length, -du / length
         u, v = points_uv[i, 0], points_uv[i, 1]
         if before == after or not (far_px <= min(u, v) and u < width - far_px and v < height - far_px):
             seen[i] = 0
-    return inwards
 
 
 @compiled
-def _slopes(view: GreyLevels, points_uv: NDArray[np.float64], inwards: Array, seen: Grey) -> Array:
-    """Change of the grey level (N, LANES) across the edge, over `SPAN` steps, at `N_SLOPES` of them."""
+def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, room: Array) -> None:
+    """Note how the grey level changes across the edge, over `SPAN` steps, at `N_SLOPES` of them."""
     # unsigned indices of a flat image: numba asks of any other whether it is negative
-    width = np.uint64(view.image.shape[1])
+    width, one = np.uint64(view.image.shape[1]), np.uint64(1)
     image, expected = view.image.ravel(), view.expected.ravel()
-    half, expected_width = np.float32(0.5) * view.gain, view.expected.shape[1]
-    slopes = np.zeros((len(points_uv), LANES), np.float32)
-    profile, at, behind_at = (
+    half = np.float32(0.5) * view.gain
+    profile, right, down = (
         np.empty(N_STEPS, np.float32),
-        np.empty(N_STEPS, np.int64),
-        np.empty(N_STEPS, np.int64),
+        np.empty(N_STEPS, np.float32),
+        np.empty(N_STEPS, np.float32),
     )
-    right, down = np.empty(N_STEPS, np.float32), np.empty(N_STEPS, np.float32)
+    at = np.empty(N_STEPS, np.int64)
     for i in range(len(points_uv)):
         if not seen[i]:
             continue
         point_u, point_v = np.float32(points_uv[i, 0]), np.float32(points_uv[i, 1])
         for k in range(N_STEPS):
             depth_px = np.float32(k - N_STEPS // 2) * STEP_PX
-            u, v = point_u + depth_px * inwards[i, 0], point_v + depth_px * inwards[i, 1]
+            u, v = point_u + depth_px * room[i, INWARDS], point_v + depth_px * room[i, INWARDS + 1]
             x, y = np.int32(u), np.int32(v)
             right[k], down[k] = u - np.float32(x), v - np.float32(y)
-            at[k] = (y + view.top) * np.int64(width) + x + view.left
-            behind_at[k] = (y + view.expected_top) * expected_width + x + view.expected_left
+            at[k] = y * np.int64(width) + x
         for k in range(N_STEPS):
             pixel = np.uint64(at[k])
             upper, lower = np.float32(image[pixel]), np.float32(image[pixel + width])
-            upper += right[k] * (np.float32(image[pixel + np.uint64(1)]) - upper)
-            lower += right[k] * (np.float32(image[pixel + width + np.uint64(1)]) - lower)
+            upper += right[k] * (np.float32(image[pixel + one]) - upper)
+            lower += right[k] * (np.float32(image[pixel + width + one]) - lower)
             # at the edge half of what is behind shines through: so its own slope has no share in the sum's
-            behind = half * np.float32(expected[np.uint64(behind_at[k])])
-            profile[k] = behind - upper - down[k] * (lower - upper)
+            profile[k] = half * np.float32(expected[pixel]) - upper - down[k] * (lower - upper)
         for k in range(N_SLOPES):
-            slopes[i, k] = profile[k + SPAN] - profile[k]
-    return slopes
+            room[i, k] = profile[k + SPAN] - profile[k]
+        for k in range(N_SLOPES, LANES):
+            room[i, k] = 0
 
 
 @compiled

@@ -4,6 +4,7 @@ Where the background itself is dark (screws, vents, apertures, holes) body and b
 told apart: those pixels are unknown, and an unknown pixel never carves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
-from pipeline.segmentation.comparison import DIFFERS, Thresholds, limits_around, marked, sampled
+from pipeline.segmentation.comparison import DIFFERS, Thresholds, compare, limits_around
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
-from pipeline.segmentation.light import flash_gain, uneven_light
+from pipeline.segmentation.light import EVEN_SHARE, uneven_light
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
+Region = tuple[slice, slice]  # rows, columns
 Box = tuple[int, int, int, int]  # x, y, width, height
 
 
@@ -51,6 +53,8 @@ class EmptyView:
     levels: Grey  # grey level without a body, but for `gain`
     gain: float  # strength of the flash, relative to the background's
     light: Array | None  # strength of the light at each place on top of that, `None` where it is even
+    marks: Grey  # DIFFERS, DARK, or neither
+    differing: Region  # rows and columns of what differs
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,46 +72,33 @@ class BackgroundSegmenter:
         known = background.get(frame.camera)
         if known is None or known.mean.shape != frame.image.shape:
             return no_body(frame, ViewStatus.NO_BACKGROUND), None
-        empty = empty_view(frame.image, known)
-        status, box = self.locate(empty, known)
+        thresholds = self.thresholds(frame.image, known)
+        empty = empty_view(frame.image, known, thresholds)
+        status, box = self.locate(empty)
         if box is None:
             return no_body(frame, status), empty
         region = _full_size(box, frame.image.shape)
-        rows, columns = region
-        corner = (columns.start, rows.start)
-        levels, levels_corner = known.levels, corner
-        if empty.light is not None:
-            levels, levels_corner = _lit(known.levels[region], empty.light[_in_blocks(region)]), (0, 0)
-        limits = limits_around(
-            frame.image,
-            known.levels,
-            corner,
-            levels,
-            levels_corner,
-            (rows.stop - rows.start, columns.stop - columns.start),
-            self._thresholds(empty, known),
-        )
+        image, behind = frame.image[region].copy(), known.levels[region].copy()
+        expected = behind if empty.light is None else _lit(behind, empty.light[_in_blocks(region)])
         delineation = delineate(
-            frame.image,
-            levels,
-            limits,
-            region=region,
-            expected_from_uv=levels_corner,
+            image,
+            expected,
+            limits_around(image, expected, behind, thresholds),
             gain=empty.gain,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
         )
-        return silhouette_of(frame, corner, delineation), empty
+        return silhouette_of(frame, (region[1].start, region[0].start), delineation), empty
 
-    def locate(self, empty: EmptyView, known: CameraBackground) -> tuple[ViewStatus, Box | None]:
+    def locate(self, empty: EmptyView) -> tuple[ViewStatus, Box | None]:
         """Box of the body in coarse pixels, or why there is none.
 
         What lies on both sides of a dark dot is one body: the dot may hide the bridge.
         """
         p = self.parameters
-        marks = marked(empty.seen, empty.levels, known.coarse_darkest, self._thresholds(empty, known))
-        contours, _ = cv2.findContours(marks, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        boxes = [cv2.boundingRect(contour) for contour in contours]
+        if not empty.differing[0].stop:
+            return ViewStatus.EMPTY, None
+        (top, left), marks, contours, boxes = _parts(empty)
         largest_px, second_px, largest = 0, 0, (0, 0, 0, 0)
         for number in sorted(range(len(boxes)), key=lambda i: -boxes[i][2] * boxes[i][3]):
             u, v, width, height = boxes[number]
@@ -124,23 +115,59 @@ class BackgroundSegmenter:
             return ViewStatus.EMPTY, None
         if second_px > max(p.min_body_px, p.second_body_share * largest_px):
             return ViewStatus.MULTIPLE, None
-        return ViewStatus.OK, largest
+        u, v, width, height = largest
+        return ViewStatus.OK, (left + u, top + v, width, height)
 
-    def _thresholds(self, empty: EmptyView, known: CameraBackground) -> Thresholds:
+    def thresholds(self, image: Grey, known: CameraBackground) -> Thresholds:
+        """What is a deviation from the empty view in an image (H, W)."""
         return Thresholds(
-            gain=np.float32(empty.gain),
+            gain=np.float32(known.gain(image)),
             min_contrast=np.float32(self.parameters.min_contrast),
             dark=np.uint8(ceil(self.parameters.dark_share * known.typical)),
         )
 
 
-def empty_view(image: Grey, known: CameraBackground) -> EmptyView:
-    """What an image (H, W) would show without a body."""
-    seen = sampled(image)  # noise is far below the least contrast
-    gain = flash_gain(seen, known.coarse)
-    light = uneven_light(seen, known.plain_wall, gain)
-    levels = known.coarse_levels if light is None else _lit(known.coarse_levels, light)
-    return EmptyView(seen=seen, levels=levels, gain=gain, light=light)
+def empty_view(image: Grey, known: CameraBackground, thresholds: Thresholds) -> EmptyView:
+    """What an image (H, W) would show without a body, beside what it shows."""
+    wall, levels, light = known.plain_wall, known.coarse_levels, None
+    seen, marks = np.empty_like(levels), np.empty_like(levels)
+    ratio = np.empty_like(wall.levels)
+    arrays = known.coarse_darkest, wall.levels, wall.is_plain, thresholds, seen, marks, ratio
+    *box, n_uneven = compare(image, levels, *arrays)
+    if n_uneven >= EVEN_SHARE * ratio.size:
+        light = uneven_light(ratio, wall, levels.shape)
+        levels = _lit(levels, light)
+        *box, _ = compare(image, levels, *arrays)
+    left, top, right, bottom = box
+    return EmptyView(
+        seen=seen,
+        levels=levels,
+        gain=float(thresholds.gain),
+        light=light,
+        marks=marks,
+        differing=(slice(top, bottom), slice(left, right)),
+    )
+
+
+def _parts(empty: EmptyView) -> tuple[tuple[int, int], Grey, Sequence[NDArray[np.int32]], list[Box]]:
+    """What is marked in a part of the view: its row and column, the marks, their outer contours, and boxes of these.
+
+    It is the part that differs, but all of the view if something marked leads out of it.
+    """
+    rows, columns = (slice(max(at.start - 1, 0), at.stop + 1) for at in empty.differing)
+    marks = empty.marks[rows, columns]
+    height, width = marks.shape
+    contours, boxes = _outlined(marks)
+    if any(u == 0 or v == 0 or u + w == width or v + h == height for u, v, w, h in boxes):
+        return (0, 0), empty.marks, *_outlined(empty.marks)
+    return (rows.start, columns.start), marks, contours, boxes
+
+
+def _outlined(marks: Grey) -> tuple[Sequence[NDArray[np.int32]], list[Box]]:
+    """Outer contours of what is marked (h, w), and their boxes."""
+    found, _ = cv2.findContours(marks, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours = [np.asarray(contour, np.int32) for contour in found]
+    return contours, [(u, v, width, height) for u, v, width, height in map(cv2.boundingRect, contours)]
 
 
 def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:

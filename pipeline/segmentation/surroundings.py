@@ -1,5 +1,6 @@
 """The wall beside a body and the rim of the body, in blocks of 4 px: how much they differ from the empty rig."""
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +14,7 @@ Array = NDArray[np.float32]
 BODY, COVERED, BARE, REST = np.uint8(1), np.uint8(2), np.uint8(4), np.uint8(8)
 """Bits of a block: the body, all that is not outside, and their complements."""
 EVERY = np.uint8(BODY | COVERED | BARE | REST)
-GROWTH = np.array([(1, EVERY), (1, BODY | COVERED | REST), (1, BODY | REST), (2, BODY), (3, BODY)])
+GROWTH = np.array([(1, EVERY), (1, BODY | COVERED | REST), (1, BODY | REST), (2, BODY), (3, BODY)], np.uint64)
 """Blocks by which bits grow, one step after the other: BARE 1, COVERED 2, REST 3 and BODY 8 in the end.
 
 So the surroundings of a body begin 2 blocks beside it, further out than motion blurs it, and end after 8, within
@@ -21,11 +22,13 @@ the margin that a silhouette has. Its rim begins 1 block within, beyond the blur
 no further than the body's grey level is carried."""
 BORDER = 8
 """Blocks beside a row, so that nothing grows into the next one."""
+LESS_NOISE = (3, 3)
+"""Blocks over whose mean the image is compared: a third of the noise. At the border of the region it is its own mirror
+image, but nothing beside the body is there."""
 
 
-@compiled
 def errors_beside(
-    labels: Grey, left: int, top: int, seen: Grey, empty: Grey, wall: Grey, least: np.uint8, gain: np.float32
+    labels: Grey, left: int, top: int, seen: Grey, empty: Grey, wall: Grey, least: int, gain: float
 ) -> tuple[Array, Array]:
     """Differences from the empty rig, as a share of it: of the wall around a body (N,), and of the body's rim (M,).
 
@@ -34,62 +37,85 @@ def errors_beside(
     labels
         (h, w) of the silhouette, whose pixel (0, 0) is (left, top) of the image.
     seen
-        (H/4, W/4) grey levels of the image, of which there may be less noise.
+        (H/4, W/4) a pixel of each block of the image.
     empty
         (H/4, W/4) what it would show without the body, but for `gain`.
     wall
         (H/4, W/4) what the empty rig shows; blocks that are darker than `least` are left out.
     """
-    first_row, first_column = -(-top // COARSE), -(-left // COARSE)
-    height = (top + labels.shape[0]) // COARSE - first_row
-    width = (left + labels.shape[1]) // COARSE - first_column
-    bits = _grown(
-        labels[COARSE * first_row + COARSE // 2 - top :, COARSE * first_column + COARSE // 2 - left :],
-        height,
-        width,
+    row, column = -(-top // COARSE), -(-left // COARSE)
+    height, width = (top + labels.shape[0]) // COARSE - row, (left + labels.shape[1]) // COARSE - column
+    smooth = cv2.blur(seen[row : row + height, column : column + width], LESS_NOISE)
+    bits = np.zeros((2, (height + 2 * BORDER) * (width + 2 * BORDER)), np.uint8)
+    errors = np.empty((2, height * width + 1), np.float32)
+    n_around, n_rim = _write_errors(
+        labels,
+        COARSE * row + COARSE // 2 - top,
+        COARSE * column + COARSE // 2 - left,
+        np.asarray(smooth, np.uint8),
+        empty,
+        wall,
+        row,
+        column,
+        np.uint8(least),
+        np.float32(gain),
+        bits[0],
+        bits[1],
+        errors,
     )
-    around, beside = np.empty(height * width + 1, np.float32), np.empty(height * width + 1, np.float32)
-    n_around = n_beside = 0
-    errors = np.empty(width, np.float32)
-    for row in range(height):
-        v, here = first_row + row, bits[row]
-        seen_here, empty_here, wall_here = (
-            seen[v, first_column:],
-            empty[v, first_column:],
-            wall[v, first_column:],
-        )
-        for column in range(width):
-            expected = gain * np.float32(empty_here[column])
-            errors[column] = abs(np.float32(seen_here[column]) / expected - np.float32(1))
-        for column in range(width):  # each is written, but stays only where it belongs
-            is_wall = wall_here[column] >= least
-            around[n_around] = beside[n_beside] = errors[column]
-            n_around += is_wall & (here[column] & (BODY | COVERED) == BODY)
-            n_beside += is_wall & (here[column] & (REST | BARE) == REST)
-    return around[:n_around], beside[:n_beside]
+    return errors[0, :n_around], errors[1, :n_rim]
 
 
 @compiled
-def _grown(labels: Grey, height: int, width: int) -> Grey:
-    """The bits (height, width) of blocks whose first pixels are labelled (h, w), grown by squares."""
+def _write_errors(
+    labels: Grey,
+    v: int,
+    u: int,
+    seen: Grey,
+    empty: Grey,
+    wall: Grey,
+    first_row: int,
+    first_column: int,
+    least: np.uint8,
+    gain: np.float32,
+    bits: Grey,
+    wider: Grey,
+    errors: Array,
+) -> tuple[int, int]:
+    """The same, written one after the other, for blocks (h, w) that begin at `first_row` and `first_column`.
+
+    The first block's label is at row `v` and column `u`; `bits` and `wider` are zeros, as many as blocks with a border.
+    """
+    height, width = seen.shape
     line_length = width + 2 * BORDER
-    bits = np.zeros((height + 2 * BORDER, line_length), np.uint8)
     for row in range(height):
-        line, here = labels[COARSE * row], bits[BORDER + row, BORDER:]
+        label_row, first = labels[v + COARSE * row], (row + BORDER) * line_length + BORDER
         for column in range(width):
-            label = line[COARSE * column]
-            here[column] = (BODY if label == INSIDE else REST) | (BARE if label == OUTSIDE else COVERED)
-    flat, wider = bits.ravel(), np.zeros(bits.size, np.uint8)
+            label = label_row[u + COARSE * column]
+            bits[first + column] = (BODY if label == INSIDE else REST) | (
+                BARE if label == OUTSIDE else COVERED
+            )
     for step in range(len(GROWTH)):
-        blocks, growing = GROWTH[step, 0], np.uint8(GROWTH[step, 1])
-        _grow(flat, blocks, growing, wider)
-        _grow(wider, blocks * line_length, growing, flat)
-    return bits[BORDER:-BORDER, BORDER:-BORDER]
+        _grow(bits, GROWTH[step, 0], np.uint8(GROWTH[step, 1]), wider)
+        _grow(wider, GROWTH[step, 0] * np.uint64(line_length), np.uint8(GROWTH[step, 1]), bits)
+    n_around = n_rim = 0
+    for row in range(height):
+        seen_row, empty_row, wall_row = seen[row], empty[first_row + row], wall[first_row + row]
+        first = (row + BORDER) * line_length + BORDER
+        for column in range(width):  # each is written, but stays only where it belongs
+            expected = gain * np.float32(empty_row[first_column + column])
+            error = abs(np.float32(seen_row[column]) / expected - np.float32(1))
+            errors[0, n_around] = errors[1, n_rim] = error
+            block, is_wall = bits[first + column], wall_row[first_column + column] >= least
+            n_around += is_wall & (block & (BODY | COVERED) == BODY)
+            n_rim += is_wall & (block & (REST | BARE) == REST)
+    return n_around, n_rim
 
 
 @compiled
-def _grow(bits: Grey, step: int, growing: np.uint8, result: Grey) -> None:
+def _grow(bits: Grey, step: np.uint64, growing: np.uint8, result: Grey) -> None:
     """Write bits (N,), the growing ones also where they are a step before or after."""
-    before, here, after, grown = bits, bits[step:], bits[2 * step :], result[step:]
-    for i in range(len(after)):
-        grown[i] = here[i] | ((before[i] | after[i]) & growing)
+    # unsigned indices: numba asks of any other whether it is negative
+    for i in range(np.uint64(len(bits)) - step - step):
+        here = i + step
+        result[here] = bits[here] | ((bits[i] | bits[here + step]) & growing)

@@ -20,7 +20,8 @@ from pipeline.segmentation.background import (
     learn_background,
 )
 from pipeline.segmentation.comparison import sampled
-from pipeline.segmentation.light import flash_gain, uneven_light
+from pipeline.segmentation.light import flash_gain
+from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView, empty_view
 
 C02 = CameraId("c02")
 HEIGHT, WIDTH = 512, 640
@@ -143,12 +144,15 @@ def test_a_rig_that_was_dirty_when_first_seen_is_clean_once_it_is_cleaned() -> N
     assert known.flat_field is learnt().flat_field
 
 
+def empty_view_of(image: NDArray[np.uint8], known: CameraBackground) -> EmptyView:
+    return empty_view(image, known, BackgroundSegmenter().thresholds(image, known))
+
+
 def light_of(grey: NDArray[np.float32], seed: int = 7) -> NDArray[np.float32]:
     """As the segmenter finds it, from one pixel of each block."""
-    image = sampled(seen(grey, seed).image)
-    gain = flash_gain(image, learnt().coarse)
-    uneven = uneven_light(image, learnt().plain_wall, gain)
-    return np.full(image.shape, gain, np.float32) if uneven is None else gain * uneven
+    empty = empty_view_of(seen(grey, seed).image, learnt())
+    gain = np.full(empty.seen.shape, empty.gain, np.float32)
+    return gain if empty.light is None else gain * empty.light
 
 
 LIGHTS = {
@@ -194,14 +198,16 @@ def test_a_body_that_leaves_a_strip_of_the_wall(free: int) -> None:
 def test_an_even_light_is_a_factor() -> None:
     for radius_px in (0, 40, 200):
         image = seen(0.9 * with_disc((320, 250), radius_px), 1).image
-        coarse = sampled(image)
-        assert uneven_light(coarse, learnt().plain_wall, flash_gain(coarse, learnt().coarse)) is None
+        assert empty_view_of(image, learnt()).light is None
 
 
 @pytest.mark.parametrize("shape", [(4, 5), (15, 17), (100, 64)])
 def test_images_of_any_size_are_judged(shape: tuple[int, int]) -> None:
     known = CameraBackground(mean=np.full(shape, 100, np.float32), n_frames=1)
-    light = uneven_light(sampled(np.full(shape, 120, np.uint8)), known.plain_wall, gain=1.0)
-    assert light is None or light == pytest.approx(1.2, rel=0.01)
+    image = np.full(shape, 120, np.uint8)
+    empty = empty_view_of(image, known)
+    assert empty.light is None
+    assert empty.gain == pytest.approx(1.2)
+    assert empty.gain == flash_gain(sampled(image), known.coarse)
     assert known.coarse.shape == (shape[0] // COARSE, shape[1] // COARSE)
     assert flash_gain(coarsen(1.2 * known.mean), known.coarse) == pytest.approx(1.2)

@@ -57,8 +57,8 @@ def halved(*masks: Mask) -> NDArray[np.uint8]:
     return limits_from(*(mask[::2, ::2] for mask in masks))
 
 
-def wall() -> NDArray[np.float32]:
-    return np.full((SIZE_PX, SIZE_PX), WALL, np.float32)
+def wall() -> NDArray[np.uint8]:
+    return np.full((SIZE_PX, SIZE_PX), WALL, np.uint8)
 
 
 def outline_of(found: Delineation) -> NDArray[np.float64]:
@@ -90,7 +90,9 @@ def test_quick_and_flat_delineation_agree(
         image[glint] = round(WALL)
         core = blocky(core & ~glint)
     found = delineate(image, wall(), halved(core, possible, unknown))
-    labels, points, is_tie = flat_delineation(image.astype(np.float32), wall(), core, possible, unknown)
+    labels, points, is_tie = flat_delineation(
+        image.astype(np.float32), wall().astype(np.float32), core, possible, unknown
+    )
     near_tie = cv2.dilate(is_tie.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     assert ((found.labels == labels) | near_tie).all()
     assert found.edge is not None
@@ -103,27 +105,12 @@ def test_quick_and_flat_delineation_agree(
     assert off_px.max() < 0.2 + 0.1 * noise
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 9), st.integers(0, 9), st.sampled_from([0, 1]))
-def test_a_region_of_an_image_is_as_good_as_an_image(seed: int, left: int, top: int, odd: int) -> None:
-    rng = np.random.default_rng(seed)
-    true_px = blob_px(rng, 60)[: SIZE_PX - odd, : SIZE_PX - odd]
-    image, expected = photographed(true_px, rng, 2.0), wall()[: SIZE_PX - odd, : SIZE_PX - odd]
-    limits = halved(*masks_of(true_px))
-    alone = delineate(image, expected, limits)
-    around = np.pad(image, ((top, 3), (left, 5)))
-    region = (slice(top, top + len(image)), slice(left, left + len(image)))
-    within = delineate(around, np.pad(expected, 4), limits, region=region, expected_from_uv=(4, 4))
-    np.testing.assert_array_equal(within.labels, alone.labels)
-    np.testing.assert_array_equal(outline_of(within), outline_of(alone))
-
-
 def test_gain_is_a_factor_on_what_is_expected() -> None:
     rng = np.random.default_rng(3)
     true_px = blob_px(rng, 50)
     image = photographed(true_px, rng, 2.0)
     one = delineate(image, wall(), halved(*masks_of(true_px)))
-    other = delineate(image, wall() / 2, halved(*masks_of(true_px)), gain=2.0)
+    other = delineate(image, wall() // 2, halved(*masks_of(true_px)), gain=2.0)
     np.testing.assert_array_equal(outline_of(one), outline_of(other))
     np.testing.assert_array_equal(one.labels, other.labels)
 
@@ -204,17 +191,16 @@ def test_nothing_inside_is_no_edge() -> None:
     nowhere = np.zeros((SIZE_PX, SIZE_PX), bool)
     unknown = nowhere.copy()
     unknown[50:60, 50:60] = True
-    found = delineate(wall().astype(np.uint8), wall(), halved(nowhere, nowhere, unknown))
+    found = delineate(wall(), wall(), halved(nowhere, nowhere, unknown))
     assert found.edge is None
     assert (found.labels == np.where(unknown, UNKNOWN, OUTSIDE)).all()
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
-        grey_levels.carried,
-        grey_levels.decide,
-        grey_levels.crossings,
-        steepest.to_steepest,
+        grey_levels._decide,
+        grey_levels.cross,
+        steepest.place,
         edge._between,
         edge._keep_nearest,
     ]
@@ -222,7 +208,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     compiled = [len(kernel.signatures) for kernel in kernels]
     rng = np.random.default_rng(6)
     true_px = blob_px(rng, 50)
-    for expected in (wall(), np.full((SIZE_PX, SIZE_PX + 1), WALL, np.float32)[:, :-1]):
+    for expected in (wall(), np.full((SIZE_PX, SIZE_PX + 1), WALL, np.uint8)[:, :-1]):
         found = delineate(photographed(true_px, rng, 2.0), expected, halved(*masks_of(true_px)))
         assert found.edge is not None
         found.edge.fine_px(found.edge.coarse_px())

@@ -80,11 +80,9 @@ def test_there_and_back_again(box: tuple[int, int, int, int], step: int) -> None
 
 
 @pytest.mark.parametrize("box", [(0, 0, 1280, 1024), (1000, 800, 250, 200)])
-@pytest.mark.parametrize("is_whole", [True, False])
 def test_what_is_behind_is_computed_where_it_is_wanted(
-    box: tuple[int, int, int, int], is_whole: bool
+    box: tuple[int, int, int, int],
 ) -> None:
-    """Of the whole image's empty view, or of the region's alone."""
     rng = np.random.default_rng(3)
     shape = (1024, 1280)
     empty = rng.integers(50, 200, shape).astype(np.uint8)
@@ -95,7 +93,7 @@ def test_what_is_behind_is_computed_where_it_is_wanted(
         region=region,
         shape=shape,
         light=light,
-        empty=empty if is_whole else np.ascontiguousarray(empty[place]),
+        empty=np.ascontiguousarray(empty[place]),
     )
     wanted = (rng.random(light.shape) < 0.4).view(np.uint8)
     at = tuple(

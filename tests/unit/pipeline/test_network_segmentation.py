@@ -17,10 +17,9 @@ from pipeline.segmentation import (
     Segmenter,
     Silhouette,
     ViewStatus,
-    behind,
-    ground,
-    limits,
-    region,
+    edge,
+    grey_levels,
+    steepest,
 )
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.choice import ChoosingSegmenter
@@ -236,7 +235,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [ground._carried, region._reduce, limits.limits_of, behind._lit, behind._differ]
+    kernels = [grey_levels._decide, steepest.place, edge._between, edge._keep_nearest]
     segmenter = network_segmenter()
     warm_up(ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter))
     compiled = [len(kernel.signatures) for kernel in kernels]

@@ -6,16 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from pipeline.segmentation.background import coarsen
 from pipeline.segmentation.comparison import (
     DARK,
     DIFFERS,
     NOISE_GREY,
     Thresholds,
+    compare,
     limits_around,
-    marked,
     sampled,
 )
-from pipeline.segmentation.grey_levels import OPEN, limits_from, spread
+from pipeline.segmentation.grey_levels import OPEN, GreyLevels, decided, limits_from
+from pipeline.segmentation.light import EVEN, LIT, UNLIKE
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 THRESHOLDS = Thresholds(gain=np.float32(0.9), min_contrast=np.float32(0.12), dark=np.uint8(100))
@@ -41,32 +43,40 @@ def reference(seen: NDArray[np.uint8], wall: NDArray[np.uint8]) -> NDArray[np.ui
     return np.where(wall < 100, DARK, differs * DIFFERS)
 
 
-@given(sides, sides, seeds)
+@given(st.integers(4, 160), st.integers(4, 160), seeds)
 @settings(max_examples=30)
-def test_the_middle_of_each_block_is_sampled(height: int, width: int, seed: int) -> None:
-    _, image = view(height, width, seed)
-    expected = image[2::4, 2::4][: height // 4, : width // 4]
-    np.testing.assert_array_equal(sampled(image), expected)
-
-
-@given(sides, sides, seeds)
-@settings(max_examples=30)
-def test_what_differs_is_marked_and_what_is_dark(height: int, width: int, seed: int) -> None:
-    wall, image = view(height, width, seed)
-    np.testing.assert_array_equal(marked(image, wall, wall, THRESHOLDS), reference(image, wall))
-
-
-@given(sides, sides, st.integers(0, 9), st.integers(0, 9), seeds)
-@settings(max_examples=60)
-def test_the_core_is_eroded_and_the_possible_dilated(
-    height: int, width: int, left: int, top: int, seed: int
+def test_a_pixel_of_each_block_is_compared_and_the_light_of_larger_ones(
+    height: int, width: int, seed: int
 ) -> None:
+    wall, image = view(height, width, seed)
+    samples, empty = sampled(image), sampled(wall)
+    lit = coarsen(coarsen(wall.astype(np.float32)))
+    is_plain = lit > 150
+    seen, marks, light = np.empty_like(samples), np.empty_like(samples), np.empty_like(lit)
+    *box, n_uneven = compare(image, empty, empty, lit, is_plain, THRESHOLDS, seen, marks, light)
+    np.testing.assert_array_equal(seen, samples)
+    np.testing.assert_array_equal(marks, reference(samples, empty))
+    rows, columns = np.nonzero(marks == DIFFERS)
+    if len(rows):
+        assert box == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+    else:
+        assert box[3] == 0
+    if min(samples.shape) < LIT:
+        assert n_uneven == 0
+        return
+    ratio = coarsen(samples.astype(np.float32)) / (np.float32(0.9) * lit)
+    np.testing.assert_allclose(light, ratio, rtol=1e-5)
+    error = np.abs(light - 1)
+    assert n_uneven == np.count_nonzero(is_plain & (error > EVEN) & (error < UNLIKE))
+
+
+@given(sides, sides, seeds)
+@settings(max_examples=60)
+def test_the_core_is_eroded_and_the_possible_dilated(height: int, width: int, seed: int) -> None:
     """By a disc and a cross; beyond the border nothing differs."""
-    wall, picture = view(height + top, width + left, seed)
-    image = picture[top:, left:].copy()
-    levels = wall[top:].copy()  # begins elsewhere
-    limits = limits_around(picture, wall, (left, top), levels, (left, 0), image.shape, THRESHOLDS)
-    marks = reference(image[::2, ::2], wall[top::2, left::2])
+    wall, image = view(height, width, seed)
+    limits = limits_around(image, wall, wall, THRESHOLDS)
+    marks = reference(image[::2, ::2], wall[::2, ::2])
     differs = np.pad((marks == DIFFERS).view(np.uint8), 2)
     is_dark = np.pad((marks == DARK).view(np.uint8), 2)
     core, possible, unknown = (
@@ -80,12 +90,26 @@ def test_the_core_is_eroded_and_the_possible_dilated(
     np.testing.assert_array_equal(limits, limits_from(core, possible, unknown))
 
 
-@given(sides, sides, seeds)
+@given(sides, sides, st.integers(0, 1), seeds)
 @settings(max_examples=30)
-def test_limits_are_spread_over_pixels(height: int, width: int, seed: int) -> None:
-    limits = np.random.default_rng(seed).choice([INSIDE, UNKNOWN, OUTSIDE, OPEN], (height, width))
-    ends, twice = spread(limits)
-    labels = np.where(limits == OPEN, OUTSIDE, limits)
-    is_open = np.pad(limits == OPEN, ((0, 0), (1, 1)))
-    np.testing.assert_array_equal(ends, np.argwhere(is_open[:, 1:] != is_open[:, :-1]))
-    np.testing.assert_array_equal(twice.view(np.uint8), labels.repeat(2, axis=0).repeat(2, axis=1))
+def test_what_is_open_is_decided_by_the_level_beside_it_and_the_rest_is_as_it_was(
+    height: int, width: int, odd: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    limits = rng.choice([INSIDE, UNKNOWN, OUTSIDE, OPEN], (height, width))
+    image = rng.integers(20, 200, (2 * height - odd, 2 * width - odd), np.uint8)
+    wall = np.full_like(image, 130)
+    labels, levels, is_inside = decided(GreyLevels(image, wall, np.float32(1), limits), 0.12)
+    of_pixels = limits.repeat(2, axis=0).repeat(2, axis=1)[: image.shape[0], : image.shape[1]]
+    np.testing.assert_array_equal(labels[of_pixels != OPEN], of_pixels[of_pixels != OPEN])
+    for y, x in np.argwhere(limits == OPEN):
+        near = (slice(max(y // 2 * 2 - 2, 0), y // 2 * 2 + 4), slice(max(x // 2 * 2 - 2, 0), x // 2 * 2 + 4))
+        core = image[::2, ::2][near][limits[near] == INSIDE]
+        level = levels[y // 2, x // 2]
+        if len(core):
+            np.testing.assert_allclose(level, core.mean(), rtol=1e-6)
+        contrast, covered = 130 - level, 130 - image[2 * y : 2 * y + 2, 2 * x : 2 * x + 2].astype(np.float32)
+        found = np.where((covered - contrast / 2) * contrast > 0, INSIDE, OUTSIDE)
+        found = np.full_like(found, UNKNOWN) if abs(contrast) < np.float32(0.12) * 130 else found
+        np.testing.assert_array_equal(labels[2 * y : 2 * y + 2, 2 * x : 2 * x + 2], found)
+    assert is_inside == (INSIDE in labels)

@@ -31,14 +31,14 @@ def test_the_wall_beside_a_body_and_its_rim_are_compared(
     )
     body = cv2.blur(rng.random((height, width), np.float32), (9, 9))
     labels = np.where(body > 0.53, INSIDE, np.where(body > 0.5, UNKNOWN, OUTSIDE))
-    around, rim = errors_beside(labels, left, top, seen, empty, wall, np.uint8(90), np.float32(0.9))
+    around, rim = errors_beside(labels, left, top, seen, empty, wall, 90, 0.9)
 
     first, last = -(-np.array([top, left]) // 4), np.array([top + height, left + width]) // 4
     place = tuple(slice(*at) for at in zip(first, last, strict=True))
     of_blocks = labels[4 * first[0] + 2 - top :: 4, 4 * first[1] + 2 - left :: 4]
     of_blocks = of_blocks[: last[0] - first[0], : last[1] - first[1]]
     inside, covered = of_blocks == INSIDE, of_blocks != OUTSIDE
-    error = np.abs(seen[place] / (np.float32(0.9) * empty[place]) - 1)
+    error = np.abs(cv2.blur(seen[place], (3, 3)) / (np.float32(0.9) * empty[place]) - 1)
     is_wall = wall[place] >= 90
     is_around = grown(inside, 8) & ~grown(covered, 2) & is_wall
     is_rim = ~grown(~covered, 1) & grown(~inside, 3) & is_wall
