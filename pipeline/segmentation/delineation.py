@@ -18,9 +18,9 @@ from scipy.ndimage import minimum_filter1d
 
 from pipeline.frames import Frame
 from pipeline.segmentation.edge import Contours, Edge
-from pipeline.segmentation.grey_levels import GreyLevels, decided
+from pipeline.segmentation.grey_levels import GreyLevels, cross, decided
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
-from pipeline.segmentation.steepest import ROOM, place
+from pipeline.segmentation.steepest import N_NOTES, to_steepest
 
 Grey = NDArray[np.uint8]
 
@@ -85,12 +85,17 @@ def delineate(
         if body is not labels:  # of the labels the body's are kept, and what is unknown
             np.copyto(labels, body, where=labels != UNKNOWN)
         pixels_uv = np.concatenate(contours)[:, 0]
-        ends = np.cumsum([len(contour) for contour in contours])
         points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
-        room = np.empty((len(pixels_uv), ROOM), np.float32)
-        if not place(
-            view, np.float32(min_contrast), levels, body, labels, pixels_uv, ends, points_uv, seen, room
-        ):
+        notes = np.empty((len(pixels_uv), N_NOTES), np.float32)
+        cross(view, levels, body, labels, pixels_uv, points_uv, seen)
+        n_doubtful = n_done = 0
+        for contour in contours:
+            of_it = slice(n_done, n_done + len(contour))
+            n_doubtful += to_steepest(
+                view, np.float32(min_contrast), labels, points_uv[of_it], seen[of_it], notes[of_it]
+            )
+            n_done += len(contour)
+        if n_doubtful == 0:
             break
     if not seen.all():  # the last points before a gap already bend towards what hides the edge
         seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")

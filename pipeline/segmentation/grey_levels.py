@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, whole
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]
@@ -25,8 +25,9 @@ BLOCK_PX = CELLS * FINE
 eight neighbours."""
 NOT_ASKED = np.float32(-1)
 """The level of a block that nothing is decided beside."""
-FAR, FAR_STEP = 15, 5
+FAR, FAR_STEP = 15, whole(5)
 """Slivers too thin for a core, and edges beside the unknown, ask so many cells around, every so many-th of them."""
+FIRST, EACH = whole(0), whole(1)
 LEAST_COVERAGE = 0.025
 """Coverages are cut off here and at one less this before their probit is taken."""
 
@@ -71,7 +72,7 @@ def _decide(
     height, width = image.shape
     n_rows, n_columns = limits.shape
     open_columns = np.empty(n_columns + 1, np.int64)
-    is_inside = False
+    typical, is_inside = NOT_ASKED, False
     for row in range(n_rows):
         here, upper, lower = limits[row], twice[FINE * row], twice[FINE * row + 1]
         for column in range(n_columns):  # vectorized, but not with the next one
@@ -88,6 +89,10 @@ def _decide(
                 for x in range(max(column - 1, 0) // CELLS, (column + 1) // CELLS + 1):
                     if levels[y, x] == NOT_ASKED:
                         levels[y, x] = _level(image, limits, y, x)
+                        if np.isnan(levels[y, x]):  # no core far and wide: what may be body, edge included
+                            if typical == NOT_ASKED:
+                                typical = _mean(image, limits, OPEN, FIRST, FIRST, height, width, EACH)
+                            levels[y, x] = typical
             level = levels[row // CELLS, column // CELLS]
             for v in range(FINE * row, end_v):
                 for u in range(FINE * column, min(FINE * column + FINE, width)):
@@ -103,14 +108,12 @@ def _decide(
 
 @compiled
 def _level(image: Grey, limits: Grey, y: int, x: int) -> np.float32:
-    """Grey level of the body in a block: of the core near it, else far, else of all that may be body, edge included."""
+    """Grey level of the body in a block: of the core near it, or else far; NaN of none."""
     row, column, end = CELLS * y, CELLS * x, 2 * CELLS
-    level = _mean(image, limits, INSIDE, row - CELLS, column - CELLS, row + end, column + end, 1)
+    level = _mean(image, limits, INSIDE, row - CELLS, column - CELLS, row + end, column + end, EACH)
     if np.isnan(level):
         row, column, end = row + CELLS // 2, column + CELLS // 2, FAR + 1
         level = _mean(image, limits, INSIDE, row - FAR, column - FAR, row + end, column + end, FAR_STEP)
-    if np.isnan(level):
-        level = _mean(image, limits, OPEN, 0, 0, len(image), len(image[0]), 1)
     return level
 
 

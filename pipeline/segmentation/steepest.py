@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, whole
-from pipeline.segmentation.grey_levels import GreyLevels, cross
+from pipeline.segmentation.grey_levels import GreyLevels
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]
@@ -29,7 +29,7 @@ SPAN = 4
 N_STEPS = N_SLOPES + SPAN
 LANES = 8
 """Slopes are kept in rows of so many, which the processor adds at once."""
-SMOOTH, INWARDS, REST, BEHIND, HEIGHT, ROOM = (
+SMOOTH, INWARDS, REST, BEHIND, HEIGHT, N_NOTES = (
     LANES,
     2 * LANES,
     2 * LANES + 2,
@@ -54,98 +54,67 @@ DOUBT_PX = 4
 
 
 @compiled
-def place(
+def to_steepest(
     view: GreyLevels,
     min_contrast: np.float32,
-    levels: Array,
-    body: Grey,
     labels: Grey,
-    pixels_uv: NDArray[np.int32],
-    ends: NDArray[np.int64],
     points_uv: NDArray[np.float64],
     seen: Grey,
-    room: Array,
+    notes: Array,
 ) -> int:
-    """Write where the edge runs beside pixels (N, 2) of contours: points (N, 2), and whether they were seen (N,).
+    """Move the seen points (N, 2) of a contour, the body on its right, to the steepest slope across it.
 
-    The contours end at `ends` (C,), with the body on their right. Pixels of `labels` (h, w) outside of the body, beside
-    a point that does not lie on its edge, become unknown. The number of such points is returned.
-
-    Parameters
-    ----------
-    view, levels, body
-        See `cross`.
-    room
-        (N, `ROOM`) for what is noted of each point.
+    Pixels of `labels` (h, w) outside of the body, beside a point that does not lie on its edge, become
+    unknown. The number of such points is returned. `notes` (N, `N_NOTES`) are room for what is known of each point.
     """
-    cross(view, levels, body, labels, pixels_uv, points_uv, seen)
-    n_doubtful, first = 0, 0
-    for end in ends:
-        n_doubtful += _to_steepest(
-            view, min_contrast, labels, points_uv[first:end], seen[first:end], room[first:end]
-        )
-        first = end
-    return n_doubtful
-
-
-@compiled
-def _to_steepest(
-    view: GreyLevels,
-    min_contrast: np.float32,
-    labels: Grey,
-    points_uv: NDArray[np.float64],
-    seen: Grey,
-    room: Array,
-) -> int:
-    """Move the seen points (N, 2) of a contour to the steepest slope across it; the number of doubtful ones."""
     n_points = len(points_uv)
-    _note_inwards(labels.shape, points_uv, seen, room)
-    _note_slopes(view, points_uv, seen, room)
+    _note_inwards(labels.shape, points_uv, seen, notes)
+    _note_slopes(view, points_uv, seen, notes)
     for i in range(n_points):
-        room[i, REST] = 0
+        notes[i, REST] = 0
         if not seen[i]:
             continue
         for k in range(LANES):
-            room[i, SMOOTH + k] = 0
+            notes[i, SMOOTH + k] = 0
         for j in range(len(WEIGHTS)):
             near = _along(i, j - len(WEIGHTS) // 2, n_points)
             near = near if seen[near] else i
             for k in range(LANES):
-                room[i, SMOOTH + k] += WEIGHTS[j] * room[near, k]
+                notes[i, SMOOTH + k] += WEIGHTS[j] * notes[near, k]
         best = N_SLOPES // 2  # of equals: without noise several are, where an edge runs between pixels
         for k in range(1, N_SLOPES - 1):
-            if abs(room[i, SMOOTH + k]) > abs(room[i, SMOOTH + best]):
+            if abs(notes[i, SMOOTH + k]) > abs(notes[i, SMOOTH + best]):
                 best = k
         at = SMOOTH + best
-        before, highest, after = abs(room[i, at - 1]), abs(room[i, at]), abs(room[i, at + 1])
+        before, highest, after = abs(notes[i, at - 1]), abs(notes[i, at]), abs(notes[i, at + 1])
         bend = min(before - 2 * highest + after, np.float32(-1e-3))
         top = min(max((before - after) / (2 * bend), np.float32(-0.5)), np.float32(0.5))
         depth_px = (np.float32(best - N_SLOPES // 2) + top) * STEP_PX
-        points_uv[i, 0] += depth_px * room[i, INWARDS]
-        points_uv[i, 1] += depth_px * room[i, INWARDS + 1]
-        u = int(points_uv[i, 0] - BEYOND_PX * room[i, INWARDS] + 0.5)
-        v = int(points_uv[i, 1] - BEYOND_PX * room[i, INWARDS + 1] + 0.5)
+        points_uv[i, 0] += depth_px * notes[i, INWARDS]
+        points_uv[i, 1] += depth_px * notes[i, INWARDS + 1]
+        u = int(points_uv[i, 0] - BEYOND_PX * notes[i, INWARDS] + 0.5)
+        v = int(points_uv[i, 1] - BEYOND_PX * notes[i, INWARDS + 1] + 0.5)
         behind = view.gain * np.float32(view.expected[v, u])
-        room[i, BEHIND], room[i, HEIGHT] = behind, highest
+        notes[i, BEHIND], notes[i, HEIGHT] = behind, highest
         if labels[v, u] == OUTSIDE:
-            room[i, REST] = behind - np.float32(view.image[v, u])
+            notes[i, REST] = behind - np.float32(view.image[v, u])
     n_doubtful = 0
     for i in range(n_points):
         if not seen[i]:
             continue
         rest = np.float32(0)
         for j in range(len(WEIGHTS)):
-            rest += WEIGHTS[j] * room[_along(i, j - len(WEIGHTS) // 2, n_points), REST]
-        behind = room[i, BEHIND]
+            rest += WEIGHTS[j] * notes[_along(i, j - len(WEIGHTS) // 2, n_points), REST]
+        behind = notes[i, BEHIND]
         least_rest = max(REST_SHARE * min_contrast * behind, LEAST_REST)
-        if room[i, HEIGHT] < LEAST_SLOPE * behind or abs(rest) > least_rest:
+        if notes[i, HEIGHT] < LEAST_SLOPE * behind or abs(rest) > least_rest:
             n_doubtful += 1
             _doubt(labels, int(points_uv[i, 0] + 0.5), int(points_uv[i, 1] + 0.5))
     return n_doubtful
 
 
 @compiled
-def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey, room: Array) -> None:
+def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey, notes: Array) -> None:
     """Note inward normals of a contour; points that have none, or are at the border of the region, are not seen."""
     height, width = shape
     n_points = len(points_uv)
@@ -159,14 +128,14 @@ def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: 
         du = np.float32(points_uv[after, 0] - points_uv[before, 0])
         dv = np.float32(points_uv[after, 1] - points_uv[before, 1])
         length = max(np.sqrt(du * du + dv * dv), np.float32(1e-6))
-        room[i, INWARDS], room[i, INWARDS + 1] = dv / length, -du / length
+        notes[i, INWARDS], notes[i, INWARDS + 1] = dv / length, -du / length
         u, v = points_uv[i, 0], points_uv[i, 1]
         if before == after or not (far_px <= min(u, v) and u < width - far_px and v < height - far_px):
             seen[i] = 0
 
 
 @compiled
-def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, room: Array) -> None:
+def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, notes: Array) -> None:
     """Note how the grey level changes across the edge, over `SPAN` steps, at `N_SLOPES` of them."""
     # unsigned indices of a flat image: numba asks of any other whether it is negative
     width, one = np.uint64(view.image.shape[1]), np.uint64(1)
@@ -184,7 +153,7 @@ def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, r
         point_u, point_v = np.float32(points_uv[i, 0]), np.float32(points_uv[i, 1])
         for k in range(N_STEPS):
             depth_px = np.float32(k - N_STEPS // 2) * STEP_PX
-            u, v = point_u + depth_px * room[i, INWARDS], point_v + depth_px * room[i, INWARDS + 1]
+            u, v = point_u + depth_px * notes[i, INWARDS], point_v + depth_px * notes[i, INWARDS + 1]
             x, y = np.int32(u), np.int32(v)
             right[k], down[k] = u - np.float32(x), v - np.float32(y)
             at[k] = y * np.int64(width) + x
@@ -196,9 +165,9 @@ def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, r
             # at the edge half of what is behind shines through: so its own slope has no share in the sum's
             profile[k] = half * np.float32(expected[pixel]) - upper - down[k] * (lower - upper)
         for k in range(N_SLOPES):
-            room[i, k] = profile[k + SPAN] - profile[k]
+            notes[i, k] = profile[k + SPAN] - profile[k]
         for k in range(N_SLOPES, LANES):
-            room[i, k] = 0
+            notes[i, k] = 0
 
 
 @compiled

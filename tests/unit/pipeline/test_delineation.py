@@ -200,7 +200,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
         grey_levels._decide,
         grey_levels.cross,
-        steepest.place,
+        steepest.to_steepest,
         edge._between,
         edge._keep_nearest,
     ]

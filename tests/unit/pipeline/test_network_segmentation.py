@@ -235,7 +235,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [grey_levels._decide, steepest.place, edge._between, edge._keep_nearest]
+    kernels = [grey_levels._decide, steepest.to_steepest, edge._between, edge._keep_nearest]
     segmenter = network_segmenter()
     warm_up(ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter))
     compiled = [len(kernel.signatures) for kernel in kernels]
