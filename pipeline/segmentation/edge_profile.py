@@ -38,30 +38,35 @@ def edge_profile(image: Image, outline_uv: NDArray[np.float64]) -> EdgeProfile |
     """The median profile across an outline (N, 2); nothing where too little of it stands out."""
     if len(outline_uv) < MIN_OUTLINE_PX:
         return None
-    rises, contrasts = _profiles(image, outline_uv)
-    if len(rises) < MIN_PROFILES:
+    every = max(1, len(outline_uv) // PROFILES)
+    n_places = len(outline_uv) // every + 1
+    rises, contrasts = np.empty((N_STEPS, n_places), np.float32), np.empty(n_places, np.float32)
+    n_clear = _look_across(image, outline_uv, every, rises, contrasts)
+    if n_clear < MIN_PROFILES:
         return None
     # the upper median, in a fifth of the time that np.median takes
-    middle = len(rises) // 2
-    rises.sort(axis=0)
-    contrasts.sort()
-    low, high = np.interp((0.1, 0.9), np.maximum.accumulate(rises[middle]), STEPS)
-    return EdgeProfile(float(high - low) * STEP_PX, float(contrasts[middle]))
+    middle = n_clear // 2
+    rise, contrast = np.sort(rises[:, :n_clear])[:, middle], np.sort(contrasts[:n_clear])[middle]
+    low, high = np.interp((0.1, 0.9), np.maximum.accumulate(rise), STEPS)
+    return EdgeProfile(float(high - low) * STEP_PX, float(contrast))
 
 
 @compiled
-def _profiles(image: Image, outline_uv: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Across an outline where it runs unbroken: rises (P, N_STEPS) outwards, 0..1, and contrasts (P,)."""
+def _look_across(
+    image: Image, outline_uv: NDArray[np.float64], every: int, rises: Array, contrasts: Array
+) -> int:
+    """Fill in profiles across an outline where it runs unbroken, at every so many-th point; returns how many.
+
+    They are rises (N_STEPS, P) outwards, 0..1, and contrasts (P,).
+    """
     height, width = image.shape
+    pixels, one, down = image.reshape(-1), np.uint64(1), np.uint64(width)
     n_points = len(outline_uv)
-    every = max(1, n_points // PROFILES)
     doubled_area = 0.0  # positive for an outline that runs clockwise as seen
     u, v = outline_uv[-1, 0], outline_uv[-1, 1]
     for i in range(0, n_points, every):
         before_u, before_v, u, v = u, v, outline_uv[i, 0], outline_uv[i, 1]
         doubled_area += before_u * v - u * before_v
-    rises = np.empty((n_points // every + 1, N_STEPS), np.float32)
-    contrasts = np.empty(len(rises), np.float32)
     n_clear = 0
     for i in range(0, n_points, every):
         before, after = i - TANGENT_POINTS, i + TANGENT_POINTS
@@ -75,21 +80,22 @@ def _profiles(image: Image, outline_uv: NDArray[np.float64]) -> tuple[Array, Arr
         step_u, step_v = step * along_v, -step * along_u
         first_u = outline_uv[i, 0] - REACH_PX / STEP_PX * step_u
         first_v = outline_uv[i, 1] - REACH_PX / STEP_PX * step_v
-        rise = rises[n_clear]
         for k in range(N_STEPS):
             u = min(max(first_u + k * step_u, 0.0), width - 1.001)
             v = min(max(first_v + k * step_v, 0.0), height - 1.001)
             x, y = int(u), int(v)
-            upper = image[y, x] + (u - x) * (float(image[y, x + 1]) - image[y, x])
-            lower = image[y + 1, x] + (u - x) * (float(image[y + 1, x + 1]) - image[y + 1, x])
-            rise[k] = upper + (v - y) * (lower - upper)
+            at = np.uint64(y * width + x)
+            left, below = float(pixels[at]), float(pixels[at + down])
+            upper = left + (u - x) * (float(pixels[at + one]) - left)
+            lower = below + (u - x) * (float(pixels[at + down + one]) - below)
+            rises[k, n_clear] = upper + (v - y) * (lower - upper)
         within, beyond = 0.0, 0.0
         for k in range(N_PLATEAU):
-            within += rise[k] / N_PLATEAU
-            beyond += rise[N_STEPS - 1 - k] / N_PLATEAU
+            within += rises[k, n_clear] / N_PLATEAU
+            beyond += rises[N_STEPS - 1 - k, n_clear] / N_PLATEAU
         if abs(beyond - within) > MIN_STEP_GREY:
             for k in range(N_STEPS):
-                rise[k] = (rise[k] - within) / (beyond - within)
+                rises[k, n_clear] = (rises[k, n_clear] - within) / (beyond - within)
             contrasts[n_clear] = abs(beyond - within) / max(beyond, 1.0)
             n_clear += 1
-    return rises[:n_clear], contrasts[:n_clear]
+    return n_clear

@@ -24,6 +24,7 @@ from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Sums = NDArray[np.float64]
 
 UNPLACED = (ViewStatus.MULTIPLE, ViewStatus.CLIPPED)
 """A body is in view, but nothing says where: it would count as dark wall."""
@@ -32,9 +33,12 @@ ROWS = (4, 12)
 """Of each block these rows are looked at."""
 EVERY = 3
 """Of so many blocks one tells of the noise: fifteen hundred are plenty."""
+LANES, HIGHEST_LANE, IN_ALL_LANES = 4, np.uint64(48), np.uint64(0x0001_0001_0001_0001)
+"""Sums of 16 bits in a word of 64, where the last begins, and what a word is multiplied with to sum them up there."""
+ONE = np.uint64(1)
 LEAST_LIGHT = 0.02
 RIDGE = 1e-3
-SATURATED = 255
+SATURATED = np.uint8(255)
 SPOT = 0.05
 """A block that is darker than its surroundings by this share is a spot."""
 SURROUNDINGS = 9
@@ -92,13 +96,18 @@ def observe_optics(
     n_wall = np.count_nonzero(is_wall)
     if n_wall < MIN_BLOCKS:
         return None
-    light, levels = np.empty(is_wall.shape, np.float32), np.empty(n_wall, np.float32)
+    light, levels = np.empty((2, *is_wall.shape), np.float32)
     room = np.zeros((2, is_wall.shape[1] * BLOCK_PX), np.uint16)
-    saturated_share = _light(frame.image, known.flat_field, room, light)
-    brightness, slope_u, slope_v = _plane(light, is_wall)
-    mean = _levels(light, is_wall, brightness, slope_u, slope_v, levels)
-    levels.partition(-n_wall // 20)
-    clearest = float(levels[-n_wall // 20])
+    sums = np.zeros((5, is_wall.shape[1]))
+    saturated_share = _light(
+        frame.image, known.flat_field, is_wall, room, room[0].view(np.uint64), light, sums
+    )
+    brightness, slope_u, slope_v = _plane(sums)
+    _level(light, brightness, slope_u, slope_v, levels)
+    mean = float(levels.sum()) / n_wall
+    in_order = levels.reshape(-1)
+    in_order.partition(-n_wall // 20)
+    clearest = float(in_order[-n_wall // 20])
     edge = None if silhouette is None else edge_profile(frame.image, silhouette.outline_uv)
     return ViewOptics(
         brightness=brightness,
@@ -124,56 +133,66 @@ def _shown_wall(known: CameraBackground, silhouette: Silhouette | None) -> Mask:
 
 
 @compiled
-def _light(image: Image, flat_field: Array, room: NDArray[np.uint16], light: Array) -> float:
+def _light(
+    image: Image,
+    flat_field: Array,
+    is_wall: Mask,
+    room: NDArray[np.uint16],
+    words: NDArray[np.uint64],
+    light: Array,
+    sums: Sums,
+) -> float:
     """Fill in means (h, w) of blocks of an image (H, W), from two rows of each, as a share of those of the clean rig.
 
-    Returns the share of these rows that is saturated. Sums are made in `room` (2, 16 w), of zeros.
+    They are 0 where there is no wall. Over those of the wall, in each column, sums are added to `sums` (5, w): of 1, v,
+    v v, the light x, and v x, for v from -1 to 1, from border to border. Returns the share of the rows that is
+    saturated. `room` (2, 16 w), of zeros, is for sums of pixels, four of which are one of the `words` (4 w,).
     """
     height, width = light.shape
     n_columns = min(width * BLOCK_PX, image.shape[1])
-    sums, saturated = room[0], room[1]
+    pairs, saturated = room[0], room[1]
     n_saturated = 0
     for row in range(height):
         upper = image[min(row * BLOCK_PX + ROWS[0], len(image) - 1)]
         lower = image[min(row * BLOCK_PX + ROWS[1], len(image) - 1)]
-        # over whole rows, that it is vectorized
+        # over whole rows, here and below, that it is vectorized
         for u in range(n_columns):
-            sums[u] = np.uint16(upper[u]) + np.uint16(lower[u])
-            saturated[u] += (upper[u] == SATURATED) + (lower[u] == SATURATED)
+            pairs[u] = np.uint16(upper[u]) + np.uint16(lower[u])
+            saturated[u] += np.uint16(upper[u] == SATURATED) + np.uint16(lower[u] == SATURATED)
         for column in range(width):
-            total = np.uint16(0)
-            for i in range(BLOCK_PX):
-                total = np.uint16(total + sums[column * BLOCK_PX + i])
+            at = np.uint64(LANES * column)
+            # all four sums of a word at once, and their sum into the highest of them
+            total = words[at] + words[at + ONE] + words[at + ONE + ONE] + words[at + ONE + ONE + ONE]
+            total = (total * IN_ALL_LANES) >> HIGHEST_LANE
             clean = max(flat_field[row, column], np.float32(1))
-            light[row, column] = np.float32(total) / np.float32(len(ROWS) * BLOCK_PX) / clean
+            relative = np.float32(total) / np.float32(len(ROWS) * BLOCK_PX) / clean
+            light[row, column] = relative if is_wall[row, column] else np.float32(0)
+        v = (2 * row + 1) / height - 1
+        for column in range(width):
+            one, x = np.float64(is_wall[row, column]), np.float64(light[row, column])
+            sums[0, column] += one
+            sums[1, column] += v * one
+            sums[2, column] += v * v * one
+            sums[3, column] += x
+            sums[4, column] += v * x
     for u in range(n_columns):
         n_saturated += saturated[u]
     return n_saturated / (len(ROWS) * height * n_columns)
 
 
 @compiled
-def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
-    """Least squares plane through some of the values (h, w): in the middle, and its slopes along u and v.
+def _plane(sums: Sums) -> tuple[float, float, float]:
+    """Least squares plane through values of which there are sums (5, w), see `_light`: in the middle, and its slopes.
 
     u and v go from -1 to 1, from border to border.
     """
-    height, width = values.shape
-    step_u, step_v = 2 / width, 2 / height
     n = su = sv = suu = suv = svv = sx = sux = svx = 0.0
-    for row in range(height):
-        v = (row + 0.5) * step_v - 1
-        n_row = su_row = suu_row = sx_row = sux_row = 0.0
-        for column in range(width):
-            if is_wall[row, column]:
-                u, x = (column + 0.5) * step_u - 1, values[row, column]
-                n_row += 1
-                su_row += u
-                suu_row += u * u
-                sx_row += x
-                sux_row += u * x
-        n, su, sv = n + n_row, su + su_row, sv + v * n_row
-        suu, suv, svv = suu + suu_row, suv + v * su_row, svv + v * v * n_row
-        sx, sux, svx = sx + sx_row, sux + sux_row, svx + v * sx_row
+    for column in range(sums.shape[1]):
+        u = (2 * column + 1) / sums.shape[1] - 1
+        n, sv, svv = n + sums[0, column], sv + sums[1, column], svv + sums[2, column]
+        sx, svx = sx + sums[3, column], svx + sums[4, column]
+        su, suu = su + u * sums[0, column], suu + u * u * sums[0, column]
+        suv, sux = suv + u * sums[1, column], sux + u * sums[3, column]
     u_mean, v_mean, x_mean = su / n, sv / n, sx / n
     # the little that is added only matters where all lie on one line
     uu, uv, vv = suu - su * u_mean + RIDGE, suv - su * v_mean, svv - sv * v_mean + RIDGE
@@ -184,29 +203,21 @@ def _plane(values: Array, is_wall: Mask) -> tuple[float, float, float]:
 
 
 @compiled
-def _levels(
-    values: Array, is_wall: Mask, middle: float, slope_u: float, slope_v: float, levels: Array
-) -> float:
-    """Fill in the values (N,) at some places (h, w), relative to a plane; returns their mean."""
-    height, width = values.shape
+def _level(light: Array, middle: float, slope_u: float, slope_v: float, levels: Array) -> None:
+    """Fill in the light (h, w) relative to a plane (h, w)."""
+    height, width = light.shape
     step = 2 * slope_u / width
-    n, total = 0, 0.0
     for row in range(height):
         first = middle + slope_v * ((2 * row + 1) / height - 1) - slope_u + step / 2
         for column in range(width):
-            if is_wall[row, column]:
-                levels[n] = values[row, column] / max(first + column * step, LEAST_LIGHT)
-                total += levels[n]
-                n += 1
-    return total / n
+            levels[row, column] = light[row, column] / max(first + column * step, LEAST_LIGHT)
 
 
 def _spots_share(light: Array, is_wall: Mask) -> float:
-    """Share of the wall, some blocks (h, w), that is darker than the wall around it."""
+    """Share of the wall, some blocks (h, w), that is darker than the wall around it; elsewhere there is no light."""
     (height, width), reach = light.shape, SURROUNDINGS // 2
-    of_wall = np.where(is_wall, light, np.float32(0))
     # no other block is darker than any
-    is_dark = is_wall & (light < (1 - SPOT) * of_wall.max())
+    is_dark = is_wall & (light < (1 - SPOT) * light.max())
     if not is_dark.any():  # nor of a clean rig
         return 0.0
     rows, columns = np.nonzero(is_dark)
@@ -214,7 +225,7 @@ def _spots_share(light: Array, is_wall: Mask) -> float:
     left, right = np.maximum(columns - reach, 0), np.minimum(columns + reach + 1, width)
     lit, n_lit = (
         before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left]
-        for before in (cv2.integral(of_wall), cv2.integral(is_wall.view(np.uint8)))
+        for before in (cv2.integral(light), cv2.integral(is_wall.view(np.uint8)))
     )
     n_spots = np.count_nonzero(light[rows, columns] * n_lit < (1 - SPOT) * lit)
     return n_spots / np.count_nonzero(is_wall)

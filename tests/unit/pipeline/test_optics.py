@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import rendered
 from support.silhouettes import sphere_silhouette
@@ -14,11 +14,14 @@ from support.silhouettes import sphere_silhouette
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import BackgroundModel, learn_background
 from pipeline.segmentation.optics import (
+    BLOCK_PX,
     LEAST_LIGHT,
+    ROWS,
     SPOT,
     SURROUNDINGS,
     ViewOptics,
-    _levels,
+    _level,
+    _light,
     _plane,
     _spots_share,
     observe_all,
@@ -205,16 +208,44 @@ def lights(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
     return light, is_wall
 
 
+def sums_of(light: np.ndarray, is_wall: np.ndarray) -> np.ndarray:
+    """What `_light` adds up in each column."""
+    v = np.broadcast_to((2 * np.arange(len(light))[:, None] + 1) / len(light) - 1, light.shape)
+    return np.stack(
+        [
+            np.where(is_wall, x, 0).sum(axis=0, dtype=float)
+            for x in (np.ones(v.shape), v, v * v, light, v * light)
+        ]
+    )
+
+
+@settings(max_examples=30)
+@given(lights(), st.integers(0, 2**32), st.integers(-3, 15), st.integers(0, 15))
+def test_the_light_is_that_of_rows_of_blocks(
+    case: tuple[np.ndarray, np.ndarray], seed: int, more_rows: int, more_columns: int
+) -> None:
+    flat_field, is_wall = 255 * case[0], case[1]
+    height, width = is_wall.shape
+    shape = BLOCK_PX * height + more_rows, BLOCK_PX * width + more_columns
+    image = np.random.default_rng(seed).integers(200, 256, shape, np.uint8)
+    looked_at = image[np.arange(height)[:, None] * BLOCK_PX + ROWS, : BLOCK_PX * width]
+    means = looked_at.reshape(height, 2, width, BLOCK_PX).mean(axis=(1, 3))
+    light, sums = np.empty(is_wall.shape, np.float32), np.zeros((5, width))
+    room = np.zeros((2, width * BLOCK_PX), np.uint16)
+    saturated_share = _light(image, flat_field, is_wall, room, room[0].view(np.uint64), light, sums)
+    assert saturated_share == pytest.approx(np.mean(looked_at == 255))
+    assert light == pytest.approx(np.where(is_wall, means / np.maximum(flat_field, 1), 0), rel=1e-5)
+    assert sums == pytest.approx(sums_of(light, is_wall), abs=1e-6)
+
+
 @given(lights())
 def test_the_plane_is_that_of_least_squares(case: tuple[np.ndarray, np.ndarray]) -> None:
     light, is_wall = case
     v, u = ((2 * at + 1) / size - 1 for at, size in zip(np.indices(light.shape), light.shape, strict=True))
     terms = np.stack([np.ones_like(u), u, v], axis=-1)
-    found = np.array(_plane(light, is_wall))
-    levels = np.empty(np.count_nonzero(is_wall), np.float32)
-    mean = _levels(light, is_wall, *found, levels)
-    assert levels == pytest.approx((light / np.maximum(terms @ found, LEAST_LIGHT))[is_wall], rel=1e-5)
-    assert mean == pytest.approx(levels.mean(), rel=1e-5)
+    found, levels = np.array(_plane(sums_of(light, is_wall))), np.empty_like(light)
+    _level(light, *found, levels)
+    assert levels == pytest.approx(light / np.maximum(terms @ found, LEAST_LIGHT), rel=1e-5)
     # no other plane is nearer, but for the little that keeps places on one line from having none
     misses, best = (light - terms @ found)[is_wall], np.linalg.lstsq(terms[is_wall], light[is_wall])[0]
     assert misses @ misses <= np.sum((light[is_wall] - terms[is_wall] @ best) ** 2) + 0.01
@@ -230,4 +261,4 @@ def test_spots_are_darker_than_the_wall_around_them(case: tuple[np.ndarray, np.n
     with np.errstate(invalid="ignore"):
         below = light / np.nanmean(np.where(is_wall[..., None, None], around, 1.0), axis=(2, 3)) - (1 - SPOT)
     least, most = (np.mean(below[is_wall] < margin) for margin in (-1e-6, 1e-6))
-    assert least <= _spots_share(light, is_wall) <= most
+    assert least <= _spots_share(np.where(is_wall, light, np.float32(0)), is_wall) <= most
