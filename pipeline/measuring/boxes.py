@@ -5,31 +5,31 @@ Both depend on nothing but the widths w(e) of the body along the axes of an orth
 - a box along the frame holds the body if its edges are w(e1), w(e2), w(e3);
 - the body passes along e3 through a square with sides along e1 and e2 and edge max(w(e1), w(e2)).
 
-Both have many local minima. A beam of the best frames, chosen among 20 000 coarse ones (`near_frames`), is turned
+Both have many local minima. A beam of the best frames, chosen among 10 000 coarse ones (`near_frames`), is turned
 by smaller and smaller angles; frames that come close to a better one, or fall behind, give way to others.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled, whole
+from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere, near_frames
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
-FIRST = whole(0)
-"""Frame of a list."""
-N_RANKED = 200
-"""Coarse frames among which the starts are chosen."""
-N_STARTS = 40
+FIRST, TWO_AXES, ALL_AXES = whole(0), whole(2), whole(3)
+N_COARSE = whole(40)
+"""Coarse frames, of different neighbourhoods, among which the starts are chosen."""
+N_STARTS = 20
 START_SPACING_RAD = 0.1
 BEAM = 16
 """Frames followed while a turn may still lead from one local minimum to another."""
-NARROW_BEAM = 5
+NARROW_BEAM = 6
 """Frames followed at turns of less than `NARROW_RAD`."""
 NARROW_RAD = 0.006
 MAX_LAG = 0.5
@@ -37,8 +37,9 @@ MAX_LAG = 0.5
 N_CHILDREN = 4
 """Of the turns of a frame so many are looked at closely."""
 ZOOM = 0.6
-FINAL_RADIUS_RAD = 2e-5
-"""Turning a body of extent D by this changes a width by at most 2e-5 D."""
+NARROW_ZOOM = 0.5
+FINAL_RADIUS_RAD = 1e-5
+"""Turning a body of extent D by this changes a width by at most 1e-5 D."""
 N_STEPS = 7
 """Turns about each axis, from minus to plus the radius."""
 N_TURNS = N_STEPS**2  # of one axis: about itself it does not turn
@@ -49,255 +50,235 @@ class _Frames(NamedTuple):
 
     axes: Array  # (F, 3, 3) axes in rows
     touching: Indices  # (3 F, 2) vertices at the upper and the lower plane of each axis
-    width_mm: Array  # (3 F,)
     score: Array  # (F,) what is to be least; infinite: not wanted
 
 
 class _Turns(NamedTuple):
     """Small turns of any axis, and room for what they measure."""
 
-    towards: Array  # (N_TURNS,) how far, in rad, towards the axis after it
-    away: Array  # (N_TURNS,) and away from the last one
-    shrink: Array  # (N_TURNS,) what makes it a unit vector again
-    height_mm: Array  # (2, N_TURNS) of the plane above the body and of the one below it
-    width_mm: Array  # (3, N_TURNS) for each axis of a frame
-    queue: Indices  # (N,) vertices
-    is_queued: NDArray[np.bool_]  # (N,)
+    steps: Array  # (2, N_TURNS) towards the axis after it and away from the last one, in radii
+    width_mm: Array  # (4, N_TURNS) for each axis of a frame, and room for one
+    queue: Indices  # (2, N) vertices, and which of all are among these
 
 
-def min_box_mm(body: ConvexBody) -> Array:
-    """Edges (3,), longest first, of the box of least volume around the body."""
-    return np.sort(_least(body, is_box=True))[::-1]
+def smallest_around_mm(body: ConvexBody) -> tuple[Array, float]:
+    """Edges (3,), longest first, of the box of least volume, and the edge of the smallest square hole passed.
 
-
-def sieve_size_mm(body: ConvexBody) -> float:
-    """Edge of the smallest square hole the body passes by translation.
-
-    The least of max(w(e1), w(e2)) over all pairs of orthogonal directions: the smallest square around
-    a projection, over all directions of projection.
+    The body passes by translation. The hole is the least of max(w(e1), w(e2)) over all pairs of orthogonal
+    directions: the smallest square around a projection, over all directions of projection.
     """
-    return float(_least(body, is_box=False)[:2].max())
+    one_mm, two_mm, three_mm = body.width_mm[near_frames()]
+    product_mm3 = one_mm * two_mm * three_mm
+    median_mm = np.maximum(np.minimum(one_mm, two_mm), np.minimum(np.maximum(one_mm, two_mm), three_mm))
+    return np.sort(_least(body, product_mm3, True))[::-1], float(_least(body, median_mm, False)[:2].max())
 
 
-def _least(body: ConvexBody, is_box: bool) -> Array:
-    """The widths (3,) along the axes of the best frame; where it is no box the third is 0."""
-    triples = near_frames()
-    scores = np.empty(len(triples))
-    _score_all(body.width_mm, triples, is_box, scores)
-    ranked = np.argpartition(scores, N_RANKED)[:N_RANKED]
-    starts = triples[ranked]
-    frames, kept = _room(N_RANKED), _room(N_STARTS)
-    frames.axes[:] = half_sphere().directions[starts]
-    frames.touching[:] = body.touching[starts.reshape(-1)]
-    frames.score[:] = scores[ranked]
-    best_mm = np.zeros(3)
-    _search(body.edges, frames, kept, is_box, _turns(len(body.vertices_mm)), best_mm)
+def _least(body: ConvexBody, scores: Array, is_box: bool) -> Array:
+    """The widths (3,) along the axes of the best frame, given the `near_frames`' scores; the third only of a box."""
+    hoods = np.argpartition(scores.min(axis=0), N_COARSE)[:N_COARSE]
+    best = scores[:, hoods].argmin(axis=0)
+    coarse = near_frames()[:, best, hoods].T
+    if not is_box:  # the widest direction is the one to pass along
+        coarse = np.take_along_axis(coarse, body.width_mm[coarse].argsort(axis=1), axis=1)
+    frames, kept = _room(N_CHILDREN * N_STARTS), _room(N_STARTS)
+    frames.axes[:N_COARSE] = half_sphere().directions[coarse]
+    frames.touching[: 3 * N_COARSE] = body.touching[coarse.reshape(-1)]
+    frames.score[:N_COARSE] = scores[best, hoods]
+    widths_mm, best_mm = np.zeros((2, 3))
+    _search(body.edges, frames, kept, is_box, _turns(len(body.vertices_mm)), widths_mm, best_mm)
     return best_mm
 
 
 def _room(n: int) -> _Frames:
-    return _Frames(np.empty((n, 3, 3)), np.empty((3 * n, 2), np.int32), np.empty(3 * n), np.empty(n))
+    return _Frames(np.empty((n, 3, 3)), np.empty((3 * n, 2), np.int32), np.empty(n))
+
+
+@cache
+def _steps() -> Array:
+    steps = np.linspace(-1, 1, N_STEPS)
+    return np.array([np.repeat(steps, N_STEPS), np.tile(steps, N_STEPS)])
 
 
 def _turns(n_vertices: int) -> _Turns:
-    towards, away, shrink = np.empty((3, N_TURNS))
-    height_mm, width_mm = np.empty((2, N_TURNS)), np.empty((3, N_TURNS))
-    queue, is_queued = np.empty(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
-    return _Turns(towards, away, shrink, height_mm, width_mm, queue, is_queued)
-
-
-@compiled
-def _score_all(width_mm: Array, triples: Indices, is_box: bool, scores: Array) -> None:
-    for i in range(len(triples)):
-        a_mm, b_mm, c_mm = width_mm[triples[i, 0]], width_mm[triples[i, 1]], width_mm[triples[i, 2]]
-        scores[i] = _score(a_mm, b_mm, c_mm, is_box)
-
-
-@compiled
-def _score(a_mm: float, b_mm: float, c_mm: float, is_box: bool) -> float:
-    return a_mm * b_mm * c_mm if is_box else max(a_mm, b_mm)
+    return _Turns(_steps(), np.empty((4, N_TURNS)), np.zeros((2, n_vertices), np.int32))
 
 
 @compiled
 def _search(
-    edges: Edges, frames: _Frames, kept: _Frames, is_box: bool, turns: _Turns, best_mm: Array
+    edges: Edges, frames: _Frames, kept: _Frames, is_box: bool, turns: _Turns, widths_mm: Array, best_mm: Array
 ) -> None:
-    """Set the widths (3,) of the best frame, starting from some of those given, whose room is used again."""
-    n_frames, n_most = len(frames.score), len(kept.score)
-    spacing_rad, limit = START_SPACING_RAD, np.inf
+    """Set the widths (3,) of the best frame, starting from the first `N_COARSE` given, whose room is used again."""
+    n_axes = ALL_AXES if is_box else TWO_AXES
+    n_frames, n_most, spacing_rad, limit = N_COARSE, N_STARTS, START_SPACING_RAD, np.inf
     radius, best = COVERING_RAD, np.inf
     while True:
-        n_kept = _choose(edges, frames, n_frames, is_box, kept, n_most, spacing_rad, limit)
-        for i in range(n_kept):
-            if kept.score[i] < best:
-                best = kept.score[i]
-                for axis in range(3 if is_box else 2):
-                    best_mm[axis] = kept.width_mm[3 * i + axis]
+        n_kept, cos_spacing = FIRST, np.cos(spacing_rad)
+        while n_kept < n_most:
+            nearest = _lowest(frames.score, n_frames)
+            if not frames.score[nearest] < limit:
+                break
+            _settle(edges, frames, nearest, kept, n_kept, n_axes, widths_mm)
+            score = _score(widths_mm[0], widths_mm[1], widths_mm[2], is_box)
+            kept.score[n_kept] = score
+            if score < best:
+                best = score
+                for axis in range(n_axes):
+                    best_mm[axis] = widths_mm[axis]
+            _strike_twins(frames, n_frames, nearest, cos_spacing)
+            n_kept += 1
         if radius < FINAL_RADIUS_RAD:
             return
-        n_frames = _turn(edges, kept, n_kept, radius, is_box, turns, frames)
-        n_most = BEAM if radius >= NARROW_RAD else NARROW_BEAM
+        for parent in range(n_kept):
+            for axis in range(n_axes):
+                _turn(edges, kept, parent, axis, radius, turns)
+            _breed(kept, parent, turns.width_mm, radius, is_box, frames)
+        n_frames = N_CHILDREN * n_kept
+        is_wide = radius >= NARROW_RAD
+        n_most = BEAM if is_wide else NARROW_BEAM
         spacing_rad, limit = radius / 2, best * (1 + MAX_LAG * radius)
-        radius *= ZOOM
+        radius *= ZOOM if is_wide else NARROW_ZOOM
 
 
-@compiled
-def _choose(
-    edges: Edges,
-    frames: _Frames,
-    n_frames: int,
-    is_box: bool,
-    kept: _Frames,
-    n_most: int,
-    spacing_rad: float,
-    limit: float,
-) -> int:
-    """Keep the best of some frames, best first, none a near twin of a better one; returns how many."""
-    cos_spacing = np.cos(spacing_rad)
-    for n_kept in range(n_most):
-        best = FIRST
-        for i in range(n_frames):
-            if frames.score[i] < frames.score[best]:
-                best = i
-        if not frames.score[best] < limit:
-            return n_kept
-        _copy(frames, best, kept, n_kept)
-        _settle(edges, kept, n_kept, is_box)
-        for i in range(n_frames):
-            if i == best or _are_twins(frames.axes, i, best, cos_spacing):
-                frames.score[i] = np.inf
-    return n_most
+@compiled_within
+def _lowest(score: Array, n: int) -> int:
+    best = FIRST
+    for i in range(1, n):
+        if score[i] < score[best]:
+            best = i
+    return best
 
 
-@compiled
-def _copy(frames: _Frames, i: int, to_frames: _Frames, to_i: int) -> None:
-    """Copy axes and touching vertices."""
-    for axis in range(3):
-        for k in range(3):
-            to_frames.axes[to_i, axis, k] = frames.axes[i, axis, k]
-        for k in range(2):
-            to_frames.touching[3 * to_i + axis, k] = frames.touching[3 * i + axis, k]
+@compiled_within
+def _score(a_mm: float, b_mm: float, c_mm: float, is_box: bool) -> float:
+    if is_box:
+        return a_mm * b_mm * c_mm
+    return a_mm if a_mm > b_mm else b_mm
 
 
-@compiled
-def _settle(edges: Edges, frames: _Frames, i: int, is_box: bool) -> None:
-    """Make a frame orthonormal, keeping its first axis; climb to where it touches."""
+@compiled_within
+def _settle(
+    edges: Edges, frames: _Frames, i: int, kept: _Frames, to_i: int, n_axes: int, widths_mm: Array
+) -> None:
+    """Keep a frame, made orthonormal with its first axis as it is; climb to where it touches, which tells widths."""
     axes = frames.axes
     x, y, z = unit(axes[i, 0, 0], axes[i, 0, 1], axes[i, 0, 2])
     u, v, w = axes[i, 1, 0], axes[i, 1, 1], axes[i, 1, 2]
     along = u * x + v * y + w * z
     u, v, w = unit(u - along * x, v - along * y, w - along * z)
-    axes[i, 0, 0], axes[i, 0, 1], axes[i, 0, 2] = x, y, z
-    axes[i, 1, 0], axes[i, 1, 1], axes[i, 1, 2] = u, v, w
-    axes[i, 2, 0], axes[i, 2, 1], axes[i, 2, 2] = y * w - z * v, z * u - x * w, x * v - y * u
-    for axis in range(3 if is_box else 2):
-        x, y, z = axes[i, axis, 0], axes[i, axis, 1], axes[i, axis, 2]
-        frames.width_mm[3 * i + axis] = touch(edges, x, y, z, frames.touching, 3 * i + axis)
-    width_mm = frames.width_mm
-    frames.score[i] = _score(width_mm[3 * i], width_mm[3 * i + 1], width_mm[3 * i + 2], is_box)
+    axes = kept.axes
+    axes[to_i, 0, 0], axes[to_i, 0, 1], axes[to_i, 0, 2] = x, y, z
+    axes[to_i, 1, 0], axes[to_i, 1, 1], axes[to_i, 1, 2] = u, v, w
+    axes[to_i, 2, 0], axes[to_i, 2, 1], axes[to_i, 2, 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    for axis in range(n_axes):
+        row = 3 * to_i + axis
+        for end in range(2):
+            kept.touching[row, end] = frames.touching[3 * i + axis, end]
+        x, y, z = axes[to_i, axis, 0], axes[to_i, axis, 1], axes[to_i, axis, 2]
+        widths_mm[axis] = touch(edges, x, y, z, kept.touching, row)
 
 
-@compiled
-def _are_twins(axes: Array, i: int, j: int, cos_spacing: float) -> bool:
-    """Whether two frames have nearly the same three axes, in any order and sense."""
-    for k in range(3):
-        nearest = 0.0
-        for m in range(3):
-            cosine = (
-                axes[i, k, 0] * axes[j, m, 0] + axes[i, k, 1] * axes[j, m, 1] + axes[i, k, 2] * axes[j, m, 2]
-            )
-            nearest = max(nearest, abs(cosine))
-        if nearest < cos_spacing:
-            return False
-    return True
+@compiled_within
+def _strike_twins(frames: _Frames, n_frames: int, best: int, cos_spacing: float) -> None:
+    """Frames with nearly the same three axes as another, in any order and sense, are no longer wanted."""
+    axes = frames.axes
+    for i in range(n_frames):
+        n_near = 0
+        for k in range(3):
+            for m in range(3):
+                cosine = (
+                    axes[i, k, 0] * axes[best, m, 0]
+                    + axes[i, k, 1] * axes[best, m, 1]
+                    + axes[i, k, 2] * axes[best, m, 2]
+                )
+                n_near += abs(cosine) >= cos_spacing
+        if n_near == 3:
+            frames.score[i] = np.inf
+    frames.score[best] = np.inf
 
 
-@compiled
-def _turn(
-    edges: Edges, kept: _Frames, n_kept: int, radius: float, is_box: bool, turns: _Turns, frames: _Frames
-) -> int:
-    """For each of the frames kept the best of those turned by (x, y, z) in a cube of +-radius; returns how many.
-
-    To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths along 3 m^2
-    directions give the score at m^3 rotations.
-    """
-    axes, width_mm, shrink = kept.axes, turns.width_mm, turns.shrink
-    step = 2 * radius / (N_STEPS - 1)
-    for i in range(N_STEPS):
-        for j in range(N_STEPS):
-            towards, away = i * step - radius, j * step - radius
-            turns.towards[N_STEPS * i + j], turns.away[N_STEPS * i + j] = towards, away
-            shrink[N_STEPS * i + j] = 1 / np.sqrt(1 + towards * towards + away * away)
-    for parent in range(n_kept):
-        for axis in range(3 if is_box else 2):
-            for end in range(2):
-                _measure_heights(edges, kept, parent, axis, end, radius, turns)
-            for turn in range(N_TURNS):
-                both_mm = turns.height_mm[0, turn] + turns.height_mm[1, turn]
-                width_mm[axis, turn] = both_mm * shrink[turn]
-        children = range(parent * N_CHILDREN, (parent + 1) * N_CHILDREN)
-        for child in children:
-            _copy(kept, parent, frames, child)
-            frames.score[child] = np.inf
-        worst = parent * N_CHILDREN
-        for x in range(N_STEPS):
-            for y in range(N_STEPS):
-                for z in range(N_STEPS):
-                    first, second, third = N_STEPS * z + y, N_STEPS * x + z, N_STEPS * y + x
-                    score = _score(width_mm[0, first], width_mm[1, second], width_mm[2, third], is_box)
-                    if score >= frames.score[worst]:
-                        continue
-                    frames.score[worst] = score
-                    about_x, about_y, about_z = x * step - radius, y * step - radius, z * step - radius
-                    for k in range(3):
-                        e1, e2, e3 = axes[parent, 0, k], axes[parent, 1, k], axes[parent, 2, k]
-                        frames.axes[worst, 0, k] = (e1 + about_z * e2 - about_y * e3) * shrink[first]
-                        frames.axes[worst, 1, k] = (e2 + about_x * e3 - about_z * e1) * shrink[second]
-                        frames.axes[worst, 2, k] = (e3 + about_y * e1 - about_x * e2) * shrink[third]
-                    for child in children:
-                        if frames.score[child] > frames.score[worst]:
-                            worst = child
-    return n_kept * N_CHILDREN
-
-
-@compiled
-def _measure_heights(
-    edges: Edges, kept: _Frames, frame: int, axis: int, end: int, radius: float, turns: _Turns
-) -> None:
-    """Heights of the body's upper (`end` 0) or lower plane along an axis turned in all ways.
+@compiled_within
+def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, turns: _Turns) -> None:
+    """Widths of the body along an axis of a frame, turned in all ways.
 
     The vertices that touch in one of these ways are connected. So, from the one that touches now outwards,
     those are looked at which the turns may lift as high as it.
     """
-    axes, points, height_mm = kept.axes, edges.vertices_mm, turns.height_mm
-    sense = 1.0 - 2.0 * end
+    axes, points, steps, width_mm, queue = kept.axes, edges.vertices_mm, turns.steps, turns.width_mm, turns.queue
     after, last = (axis + 1) % 3, (axis + 2) % 3
-    x, y, z = sense * axes[frame, axis, 0], sense * axes[frame, axis, 1], sense * axes[frame, axis, 2]
-    u, v, w = sense * axes[frame, after, 0], sense * axes[frame, after, 1], sense * axes[frame, after, 2]
-    a, b, c = sense * axes[frame, last, 0], sense * axes[frame, last, 1], sense * axes[frame, last, 2]
-    top = kept.touching[3 * frame + axis, end]
-    px, py, pz = points[top, 0], points[top, 1], points[top, 2]
-    top_mm = px * x + py * y + pz * z
-    top_after_mm, top_last_mm = px * u + py * v + pz * w, px * a + py * b + pz * c
     for turn in range(N_TURNS):
-        height_mm[end, turn] = -np.inf
-    turns.queue[0], turns.is_queued[top] = top, True
-    n_seen, n_queued = 0, 1
-    while n_seen < n_queued:
-        vertex = turns.queue[n_seen]
-        n_seen += 1
-        px, py, pz = points[vertex, 0], points[vertex, 1], points[vertex, 2]
-        own_mm = px * x + py * y + pz * z
-        after_mm, last_mm = px * u + py * v + pz * w, px * a + py * b + pz * c
-        if own_mm + radius * (abs(after_mm - top_after_mm) + abs(last_mm - top_last_mm)) < top_mm:
-            continue
+        width_mm[axis, turn] = 0.0
+    for end in range(2):
+        sense = 1.0 - 2.0 * end
+        x, y, z = sense * axes[frame, axis, 0], sense * axes[frame, axis, 1], sense * axes[frame, axis, 2]
+        far = sense * radius
+        u, v, w = far * axes[frame, after, 0], far * axes[frame, after, 1], far * axes[frame, after, 2]
+        a, b, c = far * axes[frame, last, 0], far * axes[frame, last, 1], far * axes[frame, last, 2]
         for turn in range(N_TURNS):
-            turned_mm = own_mm + turns.towards[turn] * after_mm - turns.away[turn] * last_mm
-            height_mm[end, turn] = max(height_mm[end, turn], turned_mm)
-        for k in range(edges.first[vertex], edges.first[vertex + 1]):
-            other = edges.neighbors[k]
-            if not turns.is_queued[other]:
-                turns.queue[n_queued], turns.is_queued[other] = other, True
-                n_queued += 1
-    for k in range(n_queued):
-        turns.is_queued[turns.queue[k]] = False
+            width_mm[3, turn] = -np.inf
+        top = kept.touching[3 * frame + axis, end]
+        top_mm = top_after_mm = top_last_mm = 0.0
+        queue[0, 0], queue[1, top] = top, 1
+        n_seen, n_queued = 0, 1
+        while n_seen < n_queued:
+            vertex = queue[0, n_seen]
+            px, py, pz = points[vertex, 0], points[vertex, 1], points[vertex, 2]
+            own_mm = px * x + py * y + pz * z
+            after_mm, last_mm = px * u + py * v + pz * w, px * a + py * b + pz * c
+            if n_seen == 0:
+                top_mm, top_after_mm, top_last_mm = own_mm, after_mm, last_mm
+            n_seen += 1
+            if own_mm + abs(after_mm - top_after_mm) + abs(last_mm - top_last_mm) < top_mm:
+                continue
+            for turn in range(N_TURNS):
+                turned_mm = own_mm + steps[0, turn] * after_mm - steps[1, turn] * last_mm
+                if turned_mm > width_mm[3, turn]:
+                    width_mm[3, turn] = turned_mm
+            for k in range(edges.first[vertex], edges.first[vertex + 1]):
+                other = edges.neighbors[k]
+                if queue[1, other] == 0:
+                    queue[0, n_queued], queue[1, other] = other, 1
+                    n_queued += 1
+        for k in range(n_queued):
+            queue[1, queue[0, k]] = 0
+        for turn in range(N_TURNS):
+            width_mm[axis, turn] += width_mm[3, turn]
+    for turn in range(N_TURNS):  # a turned axis is longer
+        towards, away = radius * steps[0, turn], radius * steps[1, turn]
+        width_mm[axis, turn] /= np.sqrt(1 + towards * towards + away * away)
+
+
+@compiled_within
+def _breed(
+    kept: _Frames, parent: int, width_mm: Array, radius: float, is_box: bool, frames: _Frames
+) -> None:
+    """The best of the frames that come of one turned by (x, y, z) in a cube of +-radius.
+
+    To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths along 3 m^2
+    directions give the score at m^3 rotations.
+    """
+    axes = kept.axes
+    first_child = N_CHILDREN * parent
+    for child in range(first_child, first_child + N_CHILDREN):
+        frames.score[child] = np.inf
+        for axis in range(3):
+            for end in range(2):
+                frames.touching[3 * child + axis, end] = kept.touching[3 * parent + axis, end]
+    worst = first_child
+    step = 2 * radius / (N_STEPS - 1)
+    for i in range(N_STEPS):
+        for j in range(N_STEPS):
+            for k in range(N_STEPS):
+                a_mm, b_mm = width_mm[0, N_STEPS * k + j], width_mm[1, N_STEPS * i + k]
+                score = _score(a_mm, b_mm, width_mm[2, N_STEPS * j + i], is_box)
+                if score >= frames.score[worst]:
+                    continue
+                frames.score[worst] = score
+                x, y, z = i * step - radius, j * step - radius, k * step - radius
+                for m in range(3):
+                    e1, e2, e3 = axes[parent, 0, m], axes[parent, 1, m], axes[parent, 2, m]
+                    frames.axes[worst, 0, m] = (e1 + z * e2 - y * e3) / np.sqrt(1 + y * y + z * z)
+                    frames.axes[worst, 1, m] = (e2 + x * e3 - z * e1) / np.sqrt(1 + z * z + x * x)
+                    frames.axes[worst, 2, m] = (e3 + y * e1 - x * e2) / np.sqrt(1 + x * x + y * y)
+                for child in range(first_child, first_child + N_CHILDREN):
+                    if frames.score[child] > frames.score[worst]:
+                        worst = child

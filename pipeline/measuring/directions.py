@@ -24,6 +24,11 @@ NEARLY_RAD = 0.024
 """Directions that are so nearly orthogonal can be the axes of a coarse frame. With twice as much there are twice as
 many frames and their widths tell less of those of the frames nearby: searches from them end worse."""
 
+N_COARSEST = 93
+"""Directions after two of the splits; frames are neighbours whose axes are nearest to the same of these."""
+HOOD = 8
+"""Neighbours among which the best is looked for."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfSphere:
@@ -52,13 +57,19 @@ def half_sphere() -> HalfSphere:
 
 
 @cache
-def near_frames() -> Indices:
-    """Triples (F, 3) of indices of directions, each within `NEARLY_RAD` of being orthogonal to the first of them."""
+def near_frames() -> NDArray[np.intp]:
+    """Frames of three directions (3, `HOOD`, C), nearly orthogonal, by their indices; those of a column are near."""
     directions = half_sphere().directions
-    first, second = np.nonzero(np.triu(np.abs(directions @ directions.T) < np.sin(NEARLY_RAD)))
+    cosines = np.abs(directions @ directions.T)
+    first, second = np.nonzero(np.triu(cosines < np.sin(NEARLY_RAD)))
     nearest = scipy.spatial.cKDTree(np.concatenate([directions, -directions]))
     _, third = nearest.query(np.cross(directions[first], directions[second]))
-    return _constant(np.column_stack([first, second, third % len(directions)]).astype(np.int32))
+    frames = np.unique(np.sort([first, second, third % len(directions)], axis=0), axis=1)
+    coarse = cosines[:, :N_COARSEST].argmax(axis=1)
+    ordered = frames[:, np.lexsort(np.sort(coarse[frames], axis=0))]
+    n_hoods = -(-ordered.shape[1] // HOOD)
+    padded = ordered[:, np.arange(HOOD * n_hoods) % ordered.shape[1]]
+    return _constant(np.ascontiguousarray(padded.reshape(3, n_hoods, HOOD).transpose(0, 2, 1)))
 
 
 def _constant(array: NDArray[Any]) -> NDArray[Any]:

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipeline.measuring.boxes import min_box_mm, sieve_size_mm
+from pipeline.measuring.boxes import smallest_around_mm
 from pipeline.measuring.calipers import extents_across, max_feret, min_feret_mm
 from pipeline.measuring.convex import convex_body
 from pipeline.measuring.solid import solid_of
@@ -84,7 +84,8 @@ def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
     longest = max_feret(body)
     length_mm = float(np.linalg.norm(longest))
     across_mm, thickness_mm = extents_across(body, longest)
-    a, b, c = (float(edge) for edge in min_box_mm(body))
+    box_mm, sieve_mm = smallest_around_mm(body)
+    a, b, c = (float(edge) for edge in box_mm)
     # each of these is a width, so the least width cannot exceed it
     least_mm = min(min_feret_mm(body), c, thickness_mm)
     x, y, z = (float(coordinate) for coordinate in solid.center_mm)
@@ -98,7 +99,7 @@ def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
         max_feret_mm=length_mm,
         min_feret_mm=least_mm,
         min_box_mm=(a, b, c),
-        sieve_size_mm=sieve_size_mm(body),
+        sieve_size_mm=sieve_mm,
         equivalent_diameter_mm=float(np.cbrt(6 * solid.volume_mm3 / np.pi)),
         sphericity=float(np.cbrt(np.pi * (6 * solid.volume_mm3) ** 2) / solid.surface_area_mm2),
         convexity=min(solid.volume_mm3 / body.volume_mm3, 1.0),

@@ -1,4 +1,4 @@
-"""The heights that the search for boxes takes from a few vertices, against those of all of them."""
+"""The search for boxes: widths that it takes from a few vertices, and that it finds what it starts from."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -7,9 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.measuring import boxes
 from pipeline.measuring.convex import convex_body
+from pipeline.measuring.directions import half_sphere, near_frames
 
 
-@settings(max_examples=50)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(6, 400), st.floats(1e-5, 0.05), st.booleans())
 def test_no_vertex_is_higher_than_those_looked_at(seed: int, n: int, radius: float, is_round: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -17,17 +18,27 @@ def test_no_vertex_is_higher_than_those_looked_at(seed: int, n: int, radius: flo
     if is_round:
         points_mm /= np.linalg.norm(points_mm, axis=1, keepdims=True)
     body = convex_body(points_mm * rng.uniform(3, 12, size=3))
-    kept, frames, turns = boxes._room(1), boxes._room(boxes.N_CHILDREN), boxes._turns(len(body.vertices_mm))
-    kept.axes[:], kept.touching[:] = Rotation.random(rng=rng).as_matrix(), 0
-    boxes._settle(body.edges, kept, 0, True)
-
-    boxes._turn(body.edges, kept, 1, radius, True, turns, frames)
+    frame, turns = boxes._room(1), boxes._turns(len(body.vertices_mm))
+    frame.axes[0] = Rotation.random(rng=rng).as_matrix()
+    heights_mm = frame.axes[0] @ body.vertices_mm.T
+    frame.touching[:] = np.column_stack([heights_mm.argmax(axis=1), heights_mm.argmin(axis=1)])
 
     for axis in range(3):
-        e, after, last = (kept.axes[0, (axis + k) % 3] for k in range(3))
-        turned = e + np.outer(turns.towards, after) - np.outer(turns.away, last)
+        boxes._turn(body.edges, frame, 0, axis, radius, turns)
+
+        e, after, last = (frame.axes[0, (axis + k) % 3] for k in range(3))
+        towards, away = radius * turns.steps
+        turned = e + np.outer(towards, after) - np.outer(away, last)
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         np.testing.assert_allclose(
             turns.width_mm[axis], np.ptp(turned @ body.vertices_mm.T, axis=1), rtol=1e-12
         )
-    assert not turns.is_queued.any()
+    assert not turns.queue[1].any()
+
+
+def test_frames_of_a_neighbourhood_are_near_and_nearly_orthogonal() -> None:
+    axes = half_sphere().directions[near_frames()]  # (3, HOOD, C, 3)
+
+    products = np.abs(np.einsum("ahci,bhci->habc", axes, axes))
+    assert products[:, ~np.eye(3, dtype=bool)].max() < 0.08
+    assert (np.sort(near_frames(), axis=0)[0] != np.sort(near_frames(), axis=0)[2]).all()
