@@ -19,7 +19,7 @@ Solver = Callable[[SolveJob], Awaitable[Solution]]
 
 async def solve_apart(job: SolveJob) -> Solution:
     """Solve in a process of its own; raises `JobLostError` or `WorkerStartError`."""
-    return await run_apart(solve, job, deadline_s=SOLVE_DEADLINE_S, initialize=step_back)
+    return await run_apart(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=step_back)
 
 
 async def attempt(

@@ -13,6 +13,7 @@ import typer
 COMMANDS = {
     "serve": "service.commands.serve",
     "check-config": "service.commands.check_config",
+    "compile": "service.commands.compile",
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.import_images",
     "export": "service.commands.export_images",

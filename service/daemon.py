@@ -45,7 +45,7 @@ from service.store import Store, open_store
 from service.supervision import Heartbeats
 from service.systemd import ServiceManager, feed_watchdog
 from service.verifications import open_verifications
-from service.worker_job import WorkerContext, initialize
+from service.worker_job import WorkerContext, prepare
 from service.workers import WorkerPool
 
 log = logging.getLogger(__name__)
@@ -74,7 +74,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     pool = WorkerPool(
         slots=settings.workers.slots,
         deadline_s=settings.workers.deadline_s,
-        initialize=initialize,
+        prepare=prepare,
         context=WorkerContext(
             parameters=settings.pipeline,
             is_simulated=devices.is_simulated,
@@ -237,7 +237,9 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 settled.cancel()
             if not requests.stop.is_set():
                 manager.notify("READY=1")
+            renewing = tasks.create_task(daemon.pool.renew())
             await stopping
+            renewing.cancel()
 
             manager.notify("STOPPING=1", "STATUS=disarming")
             daemon.rig.stop()

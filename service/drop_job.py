@@ -28,7 +28,7 @@ from pipeline.rig import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
 from service.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
 from service.worker_job import RigFile, this_worker
-from service.workers import worker_boundary
+from service.worker_process import worker_boundary
 
 Method = Literal["bundle", "paper", "stones"]
 

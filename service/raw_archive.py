@@ -18,7 +18,8 @@ from drivers.bundle_file import Compression, read_bundle, write_bundle
 from drivers.errors import RecordingError
 from drivers.files import sync
 from pipeline.frames import CameraId
-from service.workers import JobLostError, WorkerPool, worker_boundary
+from service.worker_process import WarmUp, worker_boundary
+from service.workers import JobLostError, WorkerPool
 
 log = logging.getLogger(__name__)
 
@@ -48,10 +49,10 @@ class KeepJob:
     compression: Compression
 
 
-def yield_to_all(context: None, number: int) -> bool:
+def yield_to_all(context: None) -> tuple[WarmUp, ...]:
     """Run when nobody else wants to; the nicest of processes would still take an eighth of a worker's time."""
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    return False
+    return ()
 
 
 def keep(job: KeepJob) -> None:
@@ -116,7 +117,7 @@ class RawArchive:
 
     async def run(self) -> None:
         """Write what is taken, one after the other."""
-        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, initialize=yield_to_all, context=None, name=NAME)
+        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=yield_to_all, context=None, name=NAME)
         try:
             while (item := await self._waiting.get()) is not None:
                 path, seq = item

@@ -37,7 +37,7 @@ from service.errors import WorkerFailure
 from service.process_memory import keep_freed_memory
 from service.record import optics_record, result_record
 from service.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
-from service.workers import worker_boundary
+from service.worker_process import WarmUp, worker_boundary
 
 MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
 """Files of a result."""
@@ -121,38 +121,45 @@ class Worker:
 _worker: Worker | None = None
 
 
-def initialize(context: WorkerContext, number: int = 0) -> bool:
-    """Prepare this process, and have everything compiled that a stone needs; whether that took a compiler.
-
-    Every other process begins at the other end: two that start with nothing compiled share the work.
-    """
+def prepare(context: WorkerContext) -> list[WarmUp]:
+    """Prepare this process; returns what has everything compiled that a stone needs, the longest first."""
     global _worker
     step_back()
     keep_freed_memory()
+    gc.set_threshold(COMPILER_THRESHOLD)
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
     _worker = Worker(context=context, segmenter=segmenter)
     steps: list[Callable[[], object]] = [
         partial(warm_up, segmenter),
+        measuring.warm_up,
         consistency.warm_up,
+        estimate.warm_up,
         partial(carving.warm_up, context.parameters.carving),
         meshing.warm_up,
-        estimate.warm_up,
-        measuring.warm_up,
     ]
-    gc.set_threshold(COMPILER_THRESHOLD)
+    return [partial(takes_compiler, step) for step in steps]
+
+
+def takes_compiler(step: Callable[[], object]) -> bool:
+    """Run the step; whether something was compiled."""
     with event.install_recorder("numba:compile") as compilations:
-        for step in steps if number % 2 == 0 else reversed(steps):
-            step()
+        step()
     return bool(compilations.buffer)
 
 
-def step_back(context: None = None, number: int = 0) -> bool:
+def initialize(context: WorkerContext) -> None:
+    """Prepare this process, and have everything compiled."""
+    for step in prepare(context):
+        step()
+
+
+def step_back(context: None = None) -> tuple[WarmUp, ...]:
     """Frames come first: this process yields the processor to the daemon, and uses one core."""
     os.nice(10)
     # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
     threadpool_limits(1)
-    return False
+    return ()
 
 
 def this_worker() -> Worker:

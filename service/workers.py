@@ -10,24 +10,20 @@ import logging
 import multiprocessing
 import os
 import re
-import signal
-import threading
-import traceback
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from service.errors import ServiceError, WorkerFailure
 from service.process_memory import spare_collections
+from service.worker_process import Prepare, begin, prepare_process, warm_up
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-Initialize = Callable[[Any, int], bool]
 
 log = logging.getLogger(__name__)
 
@@ -52,21 +48,12 @@ class JobLostError(ServiceError):
         self.detail = detail
 
 
-@contextmanager
-def worker_boundary() -> Iterator[None]:
-    """Turn whatever goes wrong within into a `WorkerFailure` with the traceback as text: it travels home as it is."""
-    try:
-        yield
-    except Exception as err:  # noqa: BLE001 - the one place where everything is caught
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
-
-
 class WorkerPool:
     """Life cycle: `start`, any number of concurrent `run`, `close`; all on the event loop.
 
-    `initialize(context, number)` runs once in each new process, the `number`th; it and the context must be
-    picklable, like jobs and results. If it returns True, the process is replaced by another: it had to compile,
-    and the compiler's memory stays. The processes are called `name` (15 bytes).
+    `prepare` and the context must be picklable, like jobs and results. Processes that start together share what there
+    is to compile: none begins a warm-up that another is at. `renew` replaces those that had to compile: the
+    compiler's memory stays. The processes are called `name` (15 bytes).
     """
 
     def __init__(
@@ -74,11 +61,12 @@ class WorkerPool:
         *,
         slots: int,
         deadline_s: float,
-        initialize: Initialize,
+        prepare: Prepare,
         context: object,
         name: str = WORKER_NAME,
     ) -> None:
-        self._slots = [_Slot(name, initialize, (context, number)) for number in range(slots)]
+        warming: Mapping[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._slots = [_Slot(name, prepare, context, warming) for _ in range(slots)]
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
         self.restarts = 0
@@ -120,18 +108,33 @@ class WorkerPool:
         """
         slot = await self._idle.get()
         try:
-            try:
-                return await slot.run(function, job, self._deadline_s)
-            except JobLostError as err:
-                log.warning("%s; retrying in a fresh worker", err)
-            await self._rebuild(slot)
-            try:
-                return await slot.run(function, job, self._deadline_s)
-            except JobLostError:
-                await self._rebuild(slot)
-                raise
+            async with slot.at_work:
+                return await self._run_in(slot, function, job)
         finally:
             self._idle.put_nowait(slot)
+
+    async def renew(self) -> None:
+        """Replace the processes that had to compile, one by one, while they measure on.
+
+        Raises
+        ------
+        WorkerStartError
+        """
+        for slot in self._slots:
+            if slot.is_spent:
+                await slot.renew()
+
+    async def _run_in(self, slot: "_Slot", function: Callable[[Job], Result], job: Job) -> Result:
+        try:
+            return await slot.run(function, job, self._deadline_s)
+        except JobLostError as err:
+            log.warning("%s; retrying in a fresh worker", err)
+        await self._rebuild(slot)
+        try:
+            return await slot.run(function, job, self._deadline_s)
+        except JobLostError:
+            await self._rebuild(slot)
+            raise
 
     async def _rebuild(self, slot: "_Slot") -> None:
         self.restarts += 1
@@ -148,7 +151,7 @@ class WorkerPool:
 
 
 async def run_apart(
-    function: Callable[[Job], Result], job: Job, *, deadline_s: float, initialize: Initialize
+    function: Callable[[Job], Result], job: Job, *, deadline_s: float, prepare: Prepare
 ) -> Result:
     """Return `function(job)`, computed in a process made for it: bundles do not wait for what takes long.
 
@@ -159,7 +162,7 @@ async def run_apart(
     WorkerStartError
         The process does not start.
     """
-    pool = WorkerPool(slots=1, deadline_s=deadline_s, initialize=initialize, context=None)
+    pool = WorkerPool(slots=1, deadline_s=deadline_s, prepare=prepare, context=None)
     try:
         await pool.start()
         return await pool.run(function, job)
@@ -168,26 +171,31 @@ async def run_apart(
 
 
 class _Slot:
-    def __init__(self, name: str, initialize: Initialize, arguments: tuple[object, int]) -> None:
+    def __init__(
+        self, name: str, prepare: Prepare, context: object, warming: Mapping[int, asyncio.Lock]
+    ) -> None:
+        """`warming`: held by the slot that is at the warm-up of this number."""
         self._name = name
-        self._initialize = initialize
-        self._arguments = arguments
+        self._prepare = prepare
+        self._context = context
+        self._warming = warming
         self._executor: ProcessPoolExecutor | None = None
         self.process: BaseProcess | None = None
+        self.is_spent = False
+        self.at_work = asyncio.Lock()
 
     @property
     def pid(self) -> int | None:
         return None if self.process is None else self.process.pid
 
     async def start(self) -> None:
-        """Spawn a process and initialize it."""
-        is_second = False
+        """Spawn a process and have it ready for jobs."""
         for attempt in range(1, START_ATTEMPTS + 1):
             executor = self._executor = ProcessPoolExecutor(
                 max_workers=1,
                 mp_context=multiprocessing.get_context("spawn"),
-                initializer=_begin,
-                initargs=(self._name, self._initialize),
+                initializer=begin,
+                initargs=(self._name, self._prepare),
             )
             others = set(multiprocessing.active_children())
             begun = executor.submit(os.getpid)  # starts the process
@@ -195,18 +203,39 @@ class _Slot:
             try:
                 async with asyncio.timeout(START_DEADLINE_S):
                     await asyncio.wrap_future(begun)
-                    is_spent = await asyncio.wrap_future(
-                        executor.submit(_warm_up, self._initialize, self._arguments)
-                    )
+                    self.is_spent = await self._warm_up(executor)
+                return
             except (BrokenProcessPool, TimeoutError, WorkerFailure) as err:
                 self.kill()
                 log.error("worker did not start: %s attempt=%d", str(err) or "deadline", attempt)
-            else:
-                if not is_spent or is_second:
-                    return
-                is_second = True
-                self.kill()
         raise WorkerStartError(f"a worker process failed to start {START_ATTEMPTS} times in a row")
+
+    async def _warm_up(self, executor: ProcessPoolExecutor) -> bool:
+        """Whether it took a compiler."""
+        left = list(
+            range(await asyncio.wrap_future(executor.submit(prepare_process, self._prepare, self._context)))
+        )
+        has_compiled = False
+        while left:
+            number = next((number for number in left if not self._warming[number].locked()), left[0])
+            left.remove(number)
+            async with self._warming[number]:
+                has_compiled |= await asyncio.wrap_future(executor.submit(warm_up, number))
+        await asyncio.wrap_future(executor.submit(spare_collections))
+        return has_compiled
+
+    async def renew(self) -> None:
+        """Replace the process by another, ready for jobs, between two jobs."""
+        successor = _Slot(self._name, self._prepare, self._context, self._warming)
+        try:
+            await successor.start()
+            async with self.at_work:
+                self.kill()
+                self.process, successor.process = successor.process, None
+                self._executor, successor._executor = successor._executor, None
+                self.is_spent = False
+        finally:
+            successor.kill()
 
     async def run(self, function: Callable[[Job], Result], job: Job, deadline_s: float) -> Result:
         if self._executor is None:
@@ -233,30 +262,3 @@ class _Slot:
 def _last_line(traceback: str) -> str:
     """Type and message of the exception, without the folders of paths: clients get to read it."""
     return re.sub(r"(?<![\w.])/\S*/", "", traceback.strip().rpartition("\n")[2])
-
-
-def _begin(name: str, initialize: Initialize) -> None:
-    """First thing in a new worker process, which has by now imported what `initialize` needs."""
-    Path("/proc/self/comm").write_text(name)
-    for number in (signal.SIGINT, signal.SIGTERM):  # a terminal sends them to the whole process group
-        signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, name="end-with-parent", daemon=True).start()
-
-
-def _warm_up(initialize: Initialize, arguments: tuple[object, int]) -> bool:
-    with worker_boundary():
-        is_spent = initialize(*arguments)
-    spare_collections()
-    return is_spent
-
-
-def _end_with_parent() -> None:
-    """Kill this process as soon as its parent is gone.
-
-    The sentinel is a pipe whose other end only the parent holds. PR_SET_PDEATHSIG would not do: it
-    fires when the parent's *thread* that spawned us ends (prctl(2)).
-    """
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os.kill(os.getpid(), signal.SIGKILL)

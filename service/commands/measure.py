@@ -35,7 +35,7 @@ from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.segmenters import SegmenterPlan
 from service.settings import load_settings
 from service.spool import Loss, SpooledBundle
-from service.worker_job import MESH, SILHOUETTES, RigFile, WorkerContext, initialize
+from service.worker_job import MESH, SILHOUETTES, RigFile, WorkerContext, prepare
 from service.workers import WorkerPool
 
 DEADLINE_S = 600.0
@@ -236,7 +236,7 @@ async def _run(
 ) -> None:
     playback = _Playback(source, IN_FLIGHT * workers)
     bar = progress.add_task("measuring", total=playback.n_particles)
-    pool = WorkerPool(slots=workers, deadline_s=DEADLINE_S, initialize=initialize, context=context)
+    pool = WorkerPool(slots=workers, deadline_s=DEADLINE_S, prepare=prepare, context=context)
     processing = Processing(
         processing_context,
         spool=playback,

@@ -4,9 +4,11 @@ import os
 import signal
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from service.errors import WorkerFailure
+from service.worker_process import WarmUp
 
 TRACEBACK = """Traceback (most recent call last):
   File "/opt/stonefall/service/worker_job.py", line 1, in measure
@@ -16,17 +18,26 @@ FileNotFoundError: 3 mm/s: '/run/stonefall/7/mesh.ply'
 GREETING: list[str] = []
 
 
-def initialize(context: str, number: int) -> bool:
+def prepare(context: str) -> list[WarmUp]:
     if context == "die":
         os._exit(7)
     GREETING.append(context)
-    return False
+    return []
 
 
-def compile_once(notes: Path, number: int) -> bool:
-    """Compile only what no earlier process of this number has."""
-    (notes / f"{number}-{os.getpid()}").touch()
-    return len(list(notes.glob(f"{number}-*"))) == 1
+def share(notes: Path) -> list[WarmUp]:
+    return [partial(compile_once, notes, part) for part in ("a", "b", "c")]
+
+
+def compile_once(notes: Path, part: str) -> bool:
+    """Compile what no process has; two at the same time would fail."""
+    kept, begun = notes / part, notes / f"{part}.begun"
+    if kept.exists():
+        return False
+    begun.touch(exist_ok=False)
+    time.sleep(0.1)
+    kept.touch()
+    return True
 
 
 def greeting_and_pid(name: str) -> tuple[str, int]:
@@ -56,3 +67,9 @@ def stumble(job: Stumble) -> str:
 
 def stay(_: None) -> None:
     time.sleep(60)
+
+
+def wait_for(path: Path) -> int:
+    while not path.exists():
+        time.sleep(0.01)
+    return os.getpid()

@@ -13,11 +13,12 @@ import pytest
 from support.worker_jobs import (
     TRACEBACK,
     Stumble,
-    compile_once,
     greeting_and_pid,
-    initialize,
+    prepare,
+    share,
     stay,
     stumble,
+    wait_for,
 )
 
 from service.worker_job import step_back
@@ -26,7 +27,7 @@ from service.workers import JobLostError, WorkerPool, WorkerStartError, run_apar
 
 @asynccontextmanager
 async def pool_of(slots: int, deadline_s: float = 10.0) -> AsyncIterator[WorkerPool]:
-    pool = WorkerPool(slots=slots, deadline_s=deadline_s, initialize=initialize, context="hello")
+    pool = WorkerPool(slots=slots, deadline_s=deadline_s, prepare=prepare, context="hello")
     await pool.start()
     try:
         yield pool
@@ -89,30 +90,35 @@ async def test_a_worker_killed_while_idle_is_replaced():
         assert other != pid
 
 
-async def test_a_process_that_had_to_compile_is_replaced(tmp_path: Path):
-    pool = WorkerPool(slots=2, deadline_s=10.0, initialize=compile_once, context=tmp_path)
+async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_they_work(tmp_path: Path):
+    pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
     await pool.start()
-    pids = noted_pids(tmp_path)
-    assert len(pids) == 4
-    assert set(pool.pids) < set(pids)
+    before = pool.pids
+    job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
+    renewing = asyncio.create_task(pool.renew())
+    while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - nobody signals it
+        await asyncio.sleep(0.01)
+    assert pool.pids == before
+    (tmp_path / "go").touch()
+    assert await job in before
+    await renewing
     assert len(pool.pids) == 2
+    assert not set(before) & set(pool.pids)
     pool.close()
 
 
 async def test_a_worker_that_cannot_start_is_fatal():
-    pool = WorkerPool(slots=1, deadline_s=5, initialize=initialize, context="die")
+    pool = WorkerPool(slots=1, deadline_s=5, prepare=prepare, context="die")
     with pytest.raises(WorkerStartError):
         await pool.start()
 
 
 async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
-    assert (
-        await run_apart(stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, initialize=step_back) == "done"
-    )
+    assert await run_apart(stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, prepare=step_back) == "done"
     (pid,) = noted_pids(tmp_path)
     assert pid != os.getpid()
     others = set(multiprocessing.active_children())
-    staying = asyncio.create_task(run_apart(stay, None, deadline_s=60.0, initialize=step_back))
+    staying = asyncio.create_task(run_apart(stay, None, deadline_s=60.0, prepare=step_back))
     while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - nobody signals it
         await asyncio.sleep(0.01)
     staying.cancel()
@@ -125,10 +131,10 @@ async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
 DAEMON = """
 import asyncio, sys
 from service.workers import WorkerPool
-from support.worker_jobs import initialize, stay
+from support.worker_jobs import prepare, stay
 
 async def main():
-    pool = WorkerPool(slots=2, deadline_s=60, initialize=initialize, context="hello")
+    pool = WorkerPool(slots=2, deadline_s=60, prepare=prepare, context="hello")
     await pool.start()
     print(*pool.pids, flush=True)
     await pool.run(stay, None)

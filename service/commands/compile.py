@@ -1,0 +1,36 @@
+"""`stonefall compile`: what the first start would compile."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.segmentation_settings import plan_segmenter
+from service.settings import Settings, load_settings
+from service.worker_job import WorkerContext, prepare
+from service.workers import WorkerPool
+
+
+def command(
+    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
+) -> None:
+    """Compile all loops and keep them where the daemon looks for them (NUMBA_CACHE_DIR), so that it starts at once.
+
+    To be run with every installation, by the user that the daemon runs as.
+    """
+    asyncio.run(_compile(load_settings(config)))
+
+
+async def _compile(settings: Settings) -> None:
+    context = WorkerContext(
+        parameters=settings.pipeline,
+        is_simulated=False,
+        segmentation=plan_segmenter(settings.segmentation),
+    )
+    workers = settings.workers
+    pool = WorkerPool(slots=workers.slots, deadline_s=workers.deadline_s, prepare=prepare, context=context)
+    try:
+        await pool.start()
+    finally:
+        pool.close()
