@@ -1,8 +1,8 @@
 """Worker processes: N slots of one process each; a crash or a deadline costs one job one retry.
 
 A `ProcessPoolExecutor` of several workers breaks as a whole when one dies, so every slot has its own.
-Processes are spawned, never forked (drivers have threads of their own), end with the daemon however
-it ends, and leave Ctrl-C to it.
+Processes are never forked from this one (drivers have threads of their own) but from a server that does nothing else,
+end with the daemon however it ends, and leave Ctrl-C to it.
 """
 
 import asyncio
@@ -10,10 +10,12 @@ import logging
 import multiprocessing
 import os
 import re
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from typing import TypeVar
@@ -46,6 +48,19 @@ class JobLostError(ServiceError):
         super().__init__(f"{reason}: {detail}")
         self.reason = reason
         self.detail = detail
+
+
+def import_for_workers(module: str) -> None:
+    """Start the server that workers are forked from: it imports the module while this process does something else."""
+    multiprocessing.set_forkserver_preload([module])
+    before = dict(os.environ)
+    # it would look into the working directory first
+    os.environ |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    try:
+        forkserver.ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 class WorkerPool:
@@ -193,7 +208,7 @@ class _Slot:
         for attempt in range(1, START_ATTEMPTS + 1):
             executor = self._executor = ProcessPoolExecutor(
                 max_workers=1,
-                mp_context=multiprocessing.get_context("spawn"),
+                mp_context=multiprocessing.get_context("forkserver"),
                 initializer=begin,
                 initargs=(self._name, self._prepare),
             )

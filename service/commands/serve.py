@@ -10,11 +10,10 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from service.daemon import run
 from service.errors import SettingsError
 from service.keeper import CONTROL_THREAD
-from service.settings import load_settings, problems
 from service.systemd import configure_logging, service_manager
+from service.workers import import_for_workers
 
 log = logging.getLogger(__name__)
 
@@ -23,6 +22,11 @@ def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
     """Measure the stones of a rig, keep the results and serve them, until SIGTERM."""
+    import_for_workers("service.worker_job")
+    # imported here: takes as long as what the workers need
+    from service.daemon import run
+    from service.settings import load_settings, problems
+
     settings = load_settings(config)
     if wrong := "; ".join(problems(settings)):
         raise SettingsError(f"{config}: {wrong}")

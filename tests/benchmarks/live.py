@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.daemon_process import STONEFALL, DaemonProcess, children_of
+from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
 
@@ -126,7 +126,7 @@ def watch(folder: Path, daemon: DaemonProcess, simulator: int, seconds: float) -
                 "loop_ms": health["loop"]["observed_value"],
                 "waiting": health["queue"]["observed_value"],
                 "daemon_cpu_s": cpu_s([daemon.process.pid]),
-                "workers_cpu_s": cpu_s(children_of(daemon.process.pid)),
+                "workers_cpu_s": cpu_s(descendants_of(daemon.process.pid)),
                 "simulator_cpu_s": cpu_s([simulator]),
             }
         )

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.daemon_process import DaemonProcess
+from support.daemon_process import DaemonProcess, descendants_of
 from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
@@ -121,9 +121,10 @@ def start(folder: Path, arguments: Any) -> Start:
         daemon.hear("READY=1", timeout_s=PATIENCE_S)
         ready_s = time.monotonic() - begin_s
         pids = [daemon.process.pid, *daemon.worker_pids()]
+        all_pids = [daemon.process.pid, *descendants_of(daemon.process.pid)]
         return Start(
             ready_s=ready_s,
-            cpu_s=cpu_s(pids, with_ended_children=True),
+            cpu_s=cpu_s(all_pids, with_ended_children=True),
             memory_mb=[rss_mb(pid) for pid in pids],
             own_mb=[own_mb(pid) for pid in pids],
         )

@@ -163,7 +163,7 @@ class DaemonProcess:
 
     def worker_pids(self) -> list[int]:
         """Processes of the pool that measures."""
-        return [pid for pid in children_of(self.process.pid) if process_name(pid) == WORKER_NAME]
+        return [pid for pid in descendants_of(self.process.pid) if process_name(pid) == WORKER_NAME]
 
     def signal_workers(self, number: signal.Signals) -> None:
         for pid in self.worker_pids():
@@ -175,12 +175,13 @@ class DaemonProcess:
         return self.process.wait(PATIENCE_S)
 
 
-def children_of(pid: int) -> list[int]:
-    """Child processes, none if the process is gone."""
+def descendants_of(pid: int) -> list[int]:
+    """Child processes and theirs, none if the process is gone."""
     try:
-        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
         return []
+    return children + [theirs for child in children for theirs in descendants_of(child)]
 
 
 def process_name(pid: int) -> str:
