@@ -54,8 +54,11 @@ def import_for_workers(module: str) -> None:
     """Start the server that workers are forked from: it imports the module while this process does something else."""
     multiprocessing.set_forkserver_preload([module])
     before = dict(os.environ)
-    # it would look into the working directory first
-    os.environ |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    os.environ |= {
+        "PYTHONSAFEPATH": "1",  # it would look into the working directory first
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "OPENBLAS_NUM_THREADS": "1",  # or it has a thread, and who has threads is not forked well
+    }
     try:
         forkserver.ensure_running()
     finally:

@@ -107,6 +107,12 @@ async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_they
     pool.close()
 
 
+def test_what_workers_are_forked_with_has_no_thread():
+    code = "import os, sys, pipeline.particle; sys.exit(len(os.listdir('/proc/self/task')))"
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 1
+
+
 async def test_a_worker_that_cannot_start_is_fatal():
     pool = WorkerPool(slots=1, deadline_s=5, prepare=prepare, context="die")
     with pytest.raises(WorkerStartError):
