@@ -214,9 +214,11 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         ending.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder, ignore_errors=True)
         ending.callback(daemon.pool.close)
         ending.push_async_callback(daemon.recordings.close)
-        server = RestServer(server_config(create_app(store, daemon, settings.api), settings.api))
+        app = create_app(store, daemon, settings.api)
+        server = RestServer(server_config(app, settings.api))
         manager.notify("STATUS=warming up the workers")
-        await daemon.pool.start()
+        # else FastAPI prepares routes and their description when first asked, and holds the loop for 0.2 s
+        await asyncio.gather(daemon.pool.start(), asyncio.to_thread(app.openapi))
         spare_collections()
         async with asyncio.TaskGroup() as tasks:
             serving = tasks.create_task(server.serve([listener]))
