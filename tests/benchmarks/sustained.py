@@ -6,7 +6,8 @@ Run: .venv/bin/python tests/benchmarks/sustained.py [--rates 4,10,20] [--seconds
 `--recording` is where the stones are kept that are rendered for it; `--record` records that many more bundles live.
 They fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before each round.
 A trigger's time is when the store knew of it, or earlier if the recording's own pace says so; a result is there when
-the store shows it. Exits with 1 if a stone is lost at up to ten a second or in the burst, or results come too late.
+the store shows it. Exits with 1 if a stone is lost at up to ten a second or in the burst, results come too late, or a
+call in the daemon holds the interpreter's lock for more than 20 ms.
 """
 
 import argparse
@@ -30,7 +31,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import DaemonProcess
-from support.lock_probe import waits_ms
+from support.lock_probe import LONG_S, waits_ms
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.usage import cpu_s, own_mb, percentiles, rss_mb
 
@@ -90,6 +91,7 @@ class Run:
                 f"{self.counts['lost']} stones were lost": self.counts["lost"],
                 "results come too late": np.quantile(self.latency_ms or [0.0], 0.99) > REQUIRED_MS
                 and self.rate_hz <= REQUIRED_HZ,
+                "a call held the interpreter's lock too long": self.lock_ms > 1000 * LONG_S,
             }.items()
             if is_so
         ]
