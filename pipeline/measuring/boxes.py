@@ -105,7 +105,13 @@ def _turns(n_vertices: int) -> _Turns:
 
 @compiled
 def _search(
-    edges: Edges, frames: _Frames, kept: _Frames, is_box: bool, turns: _Turns, widths_mm: Array, best_mm: Array
+    edges: Edges,
+    frames: _Frames,
+    kept: _Frames,
+    is_box: bool,
+    turns: _Turns,
+    widths_mm: Array,
+    best_mm: Array,
 ) -> None:
     """Set the widths (3,) of the best frame, starting from the first `N_COARSE` given, whose room is used again."""
     n_axes = ALL_AXES if is_box else TWO_AXES
@@ -203,7 +209,13 @@ def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, tur
     The vertices that touch in one of these ways are connected. So, from the one that touches now outwards,
     those are looked at which the turns may lift as high as it.
     """
-    axes, points, steps, width_mm, queue = kept.axes, edges.vertices_mm, turns.steps, turns.width_mm, turns.queue
+    axes, points, steps, width_mm, queue = (
+        kept.axes,
+        edges.vertices_mm,
+        turns.steps,
+        turns.width_mm,
+        turns.queue,
+    )
     after, last = (axis + 1) % 3, (axis + 2) % 3
     for turn in range(N_TURNS):
         width_mm[axis, turn] = 0.0
@@ -248,9 +260,7 @@ def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, tur
 
 
 @compiled_within
-def _breed(
-    kept: _Frames, parent: int, width_mm: Array, radius: float, is_box: bool, frames: _Frames
-) -> None:
+def _breed(kept: _Frames, parent: int, width_mm: Array, radius: float, is_box: bool, frames: _Frames) -> None:
     """The best of the frames that come of one turned by (x, y, z) in a cube of +-radius.
 
     To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths along 3 m^2

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.segmentation.background import COARSE
 from pipeline.segmentation.grey_levels import FINE, OPEN
 from pipeline.segmentation.light import EVEN, LIT, UNLIKE
@@ -103,7 +103,7 @@ def compare(
     return left, top, right, bottom, n_uneven
 
 
-@compiled
+@compiled_within
 def _mark(seen: np.uint8, level: np.uint8, darkest: np.uint8, thresholds: Thresholds) -> np.uint8:
     behind = thresholds.gain * np.float32(level)
     differs = abs(np.float32(seen) - behind) > thresholds.min_contrast * behind + NOISE_GREY

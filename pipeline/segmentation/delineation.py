@@ -54,6 +54,8 @@ def delineate(
 ) -> Delineation:
     """The largest body with its sub-pixel edge between its core and the border of what is possible.
 
+    Arrays must be contiguous and writable: compiled loops are compiled again for other kinds.
+
     Parameters
     ----------
     image
@@ -71,12 +73,7 @@ def delineate(
     hole_px
         Holes of the body up to this area are filled.
     """
-    view = GreyLevels(
-        image=np.ascontiguousarray(image),
-        expected=np.ascontiguousarray(expected),
-        gain=np.float32(gain),
-        limits=limits,
-    )
+    view = GreyLevels(image=image, expected=expected, gain=np.float32(gain), limits=limits)
     labels, levels, is_inside = decided(view, min_contrast)
     if not is_inside:
         return Delineation(labels=labels, edge=None)
@@ -84,7 +81,7 @@ def delineate(
         body, contours = _largest_with_holes_filled(labels, hole_px)
         if body is not labels:  # of the labels the body's are kept, and what is unknown
             np.copyto(labels, body, where=labels != UNKNOWN)
-        pixels_uv = np.concatenate(contours)[:, 0]
+        pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
         points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
         notes = np.empty((len(pixels_uv), N_NOTES), np.float32)
         cross(view, levels, body, labels, pixels_uv, points_uv, seen)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.segmentation.silhouette import MARGIN_PX, SPACING_PX
 
 Grey = NDArray[np.uint8]
@@ -92,7 +92,7 @@ def _between(nodes: Array, body: Grey) -> Array:
     return distances
 
 
-@compiled
+@compiled_within
 def _piece(points_uv: NDArray[np.float64], first: int, n: int, i: int, half: int) -> tuple[np.float32, ...]:
     """Point, a little smoothed, inward normal and half the length of a piece of edge, as long as `half` points do.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled, whole
+from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]
@@ -54,7 +54,7 @@ def decided(view: GreyLevels, min_contrast: float) -> tuple[Grey, Array, bool]:
     height, width = view.image.shape
     n_rows, n_columns = view.limits.shape
     twice = np.empty((FINE * n_rows, n_columns), np.uint16)
-    levels = np.full((n_rows // CELLS + 1, n_columns // CELLS + 1), NOT_ASKED)
+    levels = np.empty((n_rows // CELLS + 1, n_columns // CELLS + 1), np.float32)
     labels = twice.view(np.uint8)
     is_inside = _decide(view, np.float32(min_contrast), levels, twice, labels)
     return np.ascontiguousarray(labels[:height, :width]), levels, is_inside or bool(INSIDE in view.limits)
@@ -73,9 +73,12 @@ def _decide(
     n_rows, n_columns = limits.shape
     open_columns = np.empty(n_columns + 1, np.int64)
     typical, is_inside = NOT_ASKED, False
+    for y in range(len(levels)):
+        for x in range(len(levels[0])):
+            levels[y, x] = NOT_ASKED
     for row in range(n_rows):
         here, upper, lower = limits[row], twice[FINE * row], twice[FINE * row + 1]
-        for column in range(n_columns):  # vectorized, but not with the next one
+        for column in range(n_columns):  # vectorized, but only one after the other
             upper[column] = here[column] * np.uint16(0x0101)
         for column in range(n_columns):
             lower[column] = upper[column]
@@ -106,7 +109,7 @@ def _decide(
     return is_inside
 
 
-@compiled
+@compiled_within
 def _level(image: Grey, limits: Grey, y: int, x: int) -> np.float32:
     """Grey level of the body in a block: of the core near it, or else far; NaN of none."""
     row, column, end = CELLS * y, CELLS * x, 2 * CELLS
@@ -117,7 +120,7 @@ def _level(image: Grey, limits: Grey, y: int, x: int) -> np.float32:
     return level
 
 
-@compiled
+@compiled_within
 def _mean(
     image: Grey, limits: Grey, limit: np.uint8, top: int, left: int, bottom: int, right: int, step: int
 ) -> np.float32:
@@ -190,7 +193,7 @@ def cross(
         points_uv[i, 0], points_uv[i, 1] = u + sum_u / max(n, 1), v + sum_v / max(n, 1)
 
 
-@compiled
+@compiled_within
 def _probit(coverage: float) -> float:
     """Quantile of the normal distribution for 0.025..0.975, the middle of P. J. Acklam's approximation (1e-8)."""
     q = coverage - 0.5

@@ -9,7 +9,7 @@ the body's edge the image is what was expected there.
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled, whole
+from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.segmentation.grey_levels import GreyLevels
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 
@@ -113,7 +113,7 @@ def to_steepest(
     return n_doubtful
 
 
-@compiled
+@compiled_within
 def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: Grey, notes: Array) -> None:
     """Note inward normals of a contour; points that have none, or are at the border of the region, are not seen."""
     height, width = shape
@@ -134,7 +134,7 @@ def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: 
             seen[i] = 0
 
 
-@compiled
+@compiled_within
 def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, notes: Array) -> None:
     """Note how the grey level changes across the edge, over `SPAN` steps, at `N_SLOPES` of them."""
     # unsigned indices of a flat image: numba asks of any other whether it is negative
@@ -170,7 +170,7 @@ def _note_slopes(view: GreyLevels, points_uv: NDArray[np.float64], seen: Grey, n
             notes[i, k] = 0
 
 
-@compiled
+@compiled_within
 def _doubt(labels: Grey, u: int, v: int) -> None:
     """What is outside around a point is unknown."""
     height, width = labels.shape
@@ -180,7 +180,7 @@ def _doubt(labels: Grey, u: int, v: int) -> None:
                 labels[y, x] = UNKNOWN
 
 
-@compiled
+@compiled_within
 def _along(i: int, steps: int, n: int) -> int:
     """The index of the point so many steps after number i of n around a closed line, at most one turn away."""
     after = i + steps

@@ -104,9 +104,12 @@ class BackgroundSegmenter:
             u, v, width, height = boxes[number]
             if width * height * COARSE**2 < max(p.min_body_px, p.second_body_share * largest_px):
                 break  # this one and the smaller ones are dust
-            part = np.zeros((height, width), np.uint8)
-            cv2.drawContours(part, contours, number, int(DIFFERS), cv2.FILLED, offset=(-u, -v))
-            n_px = COARSE**2 * cv2.countNonZero(part & marks[v : v + height, u : u + width])
+            differs = marks[v : v + height, u : u + width] & DIFFERS
+            if len(contours) > 1:
+                part = np.zeros((height, width), np.uint8)
+                cv2.drawContours(part, contours, number, 1, cv2.FILLED, offset=(-u, -v))
+                differs &= part
+            n_px = COARSE**2 * cv2.countNonZero(differs)
             if n_px > largest_px:
                 largest_px, second_px, largest = n_px, largest_px, (u, v, width, height)
             else:

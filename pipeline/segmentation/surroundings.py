@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.segmentation.background import COARSE
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE
 
@@ -47,7 +47,7 @@ def errors_beside(
     height, width = (top + labels.shape[0]) // COARSE - row, (left + labels.shape[1]) // COARSE - column
     smooth = cv2.blur(seen[row : row + height, column : column + width], LESS_NOISE)
     bits = np.zeros((2, (height + 2 * BORDER) * (width + 2 * BORDER)), np.uint8)
-    errors = np.empty((2, height * width + 1), np.float32)
+    around, rim, errors = (np.empty(n, np.float32) for n in (height * width + 1, height * width + 1, width))
     n_around, n_rim = _write_errors(
         labels,
         COARSE * row + COARSE // 2 - top,
@@ -61,9 +61,11 @@ def errors_beside(
         np.float32(gain),
         bits[0],
         bits[1],
+        around,
+        rim,
         errors,
     )
-    return errors[0, :n_around], errors[1, :n_rim]
+    return around[:n_around], rim[:n_rim]
 
 
 @compiled
@@ -80,39 +82,43 @@ def _write_errors(
     gain: np.float32,
     bits: Grey,
     wider: Grey,
+    around: Array,
+    rim: Array,
     errors: Array,
 ) -> tuple[int, int]:
     """The same, written one after the other, for blocks (h, w) that begin at `first_row` and `first_column`.
 
-    The first block's label is at row `v` and column `u`; `bits` and `wider` are zeros, as many as blocks with a border.
+    The first block's label is at row `v` and column `u`; `bits` and `wider` are zeros, as many as blocks with a border,
+    and `errors` (w,) is room for a row.
     """
     height, width = seen.shape
     line_length = width + 2 * BORDER
     for row in range(height):
-        label_row, first = labels[v + COARSE * row], (row + BORDER) * line_length + BORDER
+        first = (row + BORDER) * line_length + BORDER
+        here, of_blocks = bits[first : first + width], labels[v + COARSE * row, u:]
         for column in range(width):
-            label = label_row[u + COARSE * column]
-            bits[first + column] = (BODY if label == INSIDE else REST) | (
-                BARE if label == OUTSIDE else COVERED
-            )
+            label = of_blocks[COARSE * column]
+            here[column] = (BODY if label == INSIDE else REST) | (BARE if label == OUTSIDE else COVERED)
     for step in range(len(GROWTH)):
         _grow(bits, GROWTH[step, 0], np.uint8(GROWTH[step, 1]), wider)
         _grow(wider, GROWTH[step, 0] * np.uint64(line_length), np.uint8(GROWTH[step, 1]), bits)
     n_around = n_rim = 0
     for row in range(height):
-        seen_row, empty_row, wall_row = seen[row], empty[first_row + row], wall[first_row + row]
         first = (row + BORDER) * line_length + BORDER
+        here, seen_here = bits[first : first + width], seen[row]
+        empty_here, wall_here = empty[first_row + row, first_column:], wall[first_row + row, first_column:]
+        for column in range(width):
+            expected = gain * np.float32(empty_here[column])
+            errors[column] = abs(np.float32(seen_here[column]) / expected - np.float32(1))
         for column in range(width):  # each is written, but stays only where it belongs
-            expected = gain * np.float32(empty_row[first_column + column])
-            error = abs(np.float32(seen_row[column]) / expected - np.float32(1))
-            errors[0, n_around] = errors[1, n_rim] = error
-            block, is_wall = bits[first + column], wall_row[first_column + column] >= least
-            n_around += is_wall & (block & (BODY | COVERED) == BODY)
-            n_rim += is_wall & (block & (REST | BARE) == REST)
+            is_wall = wall_here[column] >= least
+            around[n_around] = rim[n_rim] = errors[column]
+            n_around += is_wall & (here[column] & (BODY | COVERED) == BODY)
+            n_rim += is_wall & (here[column] & (REST | BARE) == REST)
     return n_around, n_rim
 
 
-@compiled
+@compiled_within
 def _grow(bits: Grey, step: np.uint64, growing: np.uint8, result: Grey) -> None:
     """Write bits (N,), the growing ones also where they are a step before or after."""
     # unsigned indices: numba asks of any other whether it is negative
