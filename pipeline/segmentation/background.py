@@ -62,7 +62,9 @@ class CameraBackground:
     @cached_property
     def typical(self) -> float:
         """Grey level of the plain wall."""
-        return float(np.median(self.coarse))
+        middle = (self.coarse.size - 1) // 2, self.coarse.size // 2
+        # the median, in half the time that np.median takes
+        return float(np.mean(np.partition(self.coarse, middle, axis=None)[list(middle)]))
 
     @cached_property
     def levels(self) -> Grey:
@@ -113,11 +115,11 @@ class CameraBackground:
     def _flash_wall(self) -> tuple[NDArray[np.intp], Array]:
         """What that is read off: flat indices (N,) of pixels in the middle of blocks, and the means of these."""
         wall = np.maximum(self.coarse[SPARSE], 1)
-        middles = np.arange(self.mean.size).reshape(self.mean.shape)[
-            COARSE // 2 :: COARSE, COARSE // 2 :: COARSE
-        ]
         is_lit = wall > LEAST_GREY
-        return middles[: self.coarse.shape[0], : self.coarse.shape[1]][SPARSE][is_lit], wall[is_lit]
+        rows, columns = (
+            COARSE * every.step * at + COARSE // 2 for every, at in zip(SPARSE, is_lit.nonzero(), strict=True)
+        )
+        return rows * self.mean.shape[1] + columns, wall[is_lit]
 
 
 BackgroundModel = Mapping[CameraId, CameraBackground]
