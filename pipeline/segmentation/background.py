@@ -195,4 +195,7 @@ def coarsen(image: NDArray[np.float32]) -> Array:
     """Means (H/4, W/4), at least one, of 4x4 blocks; a rest at the right and lower border is left out."""
     height, width = (max(size // COARSE, 1) for size in image.shape)
     blocks = image[: height * COARSE, : width * COARSE]
-    return np.asarray(cv2.resize(blocks, (width, height), interpolation=cv2.INTER_AREA))
+    halved = cv2.resize(
+        blocks, (2 * width, 2 * height), interpolation=cv2.INTER_AREA
+    )  # by 4 takes twice as long
+    return np.asarray(cv2.resize(halved, (width, height), interpolation=cv2.INTER_AREA))

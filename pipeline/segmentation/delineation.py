@@ -94,7 +94,9 @@ def delineate(
             n_done += len(contour)
         if n_doubtful == 0:
             break
-    if not seen.all():  # the last points before a gap already bend towards what hides the edge
+    if np.count_nonzero(seen) < len(
+        seen
+    ):  # the last points before a gap already bend towards what hides the edge
         seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
     edge = Edge(body=body, contours=contours, points_uv=points_uv, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)

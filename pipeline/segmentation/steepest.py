@@ -29,14 +29,7 @@ SPAN = 4
 N_STEPS = N_SLOPES + SPAN
 LANES = 8
 """Slopes are kept in rows of so many, which the processor adds at once."""
-SMOOTH, INWARDS, REST, BEHIND, HEIGHT, N_NOTES = (
-    LANES,
-    2 * LANES,
-    2 * LANES + 2,
-    2 * LANES + 3,
-    2 * LANES + 4,
-    2 * LANES + 5,
-)
+SMOOTH, INWARDS, REST, BEHIND, HEIGHT, N_NOTES = LANES, 16, 18, 19, 20, 21
 """What is noted of each point, after the slopes across the edge there: these smoothed along it, its inward normal (2,),
 what is left of the body just outside, the level there, and the greatest slope; and the length of it all."""
 LEAST_SLOPE = np.float32(0.04)
