@@ -14,7 +14,7 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled, whole
+from pipeline.compiled import compiled, compiled_within, whole
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
@@ -82,25 +82,9 @@ def growth_for(n_points: int, extent: float, tolerance: float) -> Growth:
 def facets_of(growth: Growth) -> Facets:
     """What has grown."""
     is_facet = growth.above[: growth.counts[0]] != NO_FACET
-    number = np.cumsum(is_facet, dtype=np.int32)
-    n = number[-1]
-    facets = Facets(np.empty((n, 3), np.int32), np.empty((n, 3), np.int32), np.empty((n, 4)))
-    _copy(growth, number, facets)
-    return facets
-
-
-@compiled
-def _copy(growth: Growth, number: Indices, facets: Facets) -> None:
-    """Fill in the facets; up to each place there are as many as its `number` says."""
-    for place in range(len(number)):
-        if growth.above[place] == NO_FACET:
-            continue
-        facet = number[place] - 1
-        for k in range(3):
-            facets.corners[facet, k] = growth.facets[place, k]
-            facets.across[facet, k] = number[growth.facets[place, 3 + k]] - 1
-        for k in range(4):
-            facets.planes[facet, k] = growth.planes[place, k]
+    number, places = np.cumsum(is_facet, dtype=np.int32) - np.int32(1), np.flatnonzero(is_facet)
+    facets = growth.facets[places]
+    return Facets(facets[:, :3].copy(), number[facets[:, 3:6]], growth.planes[places, :4])
 
 
 def restart_by_qhull(points: Array, added: Indices, growth: Growth) -> None:
@@ -206,13 +190,13 @@ def grow(points: Array, growth: Growth) -> bool:
     return False
 
 
-@compiled
+@compiled_within
 def height_above(planes: Array, facet: int, x: float, y: float, z: float) -> float:
     """Of a point above the plane of a facet."""
     return planes[facet, 0] * x + planes[facet, 1] * y + planes[facet, 2] * z + planes[facet, 3]
 
 
-@compiled
+@compiled_within
 def put_above(growth: Growth, facet: int, point: int, height: float) -> None:
     """Have a point wait above a facet."""
     if growth.above[facet] < 0 or height > growth.planes[facet, TOP]:
@@ -222,7 +206,7 @@ def put_above(growth: Growth, facet: int, point: int, height: float) -> None:
     growth.above[facet] = point
 
 
-@compiled
+@compiled_within
 def _give(points: Array, growth: Growth, point: int, n_new: int) -> None:
     """Have a point wait above the first of the new facets that it is above, if any."""
     x, y, z = points[point, 0], points[point, 1], points[point, 2]
@@ -234,7 +218,7 @@ def _give(points: Array, growth: Growth, point: int, n_new: int) -> None:
             break
 
 
-@compiled
+@compiled_within
 def _look(points: Array, growth: Growth, first: int) -> tuple[int, int]:
     """How many facets the highest point above one of them sees, and how many edges their horizon has.
 
@@ -276,7 +260,7 @@ def _look(points: Array, growth: Growth, first: int) -> tuple[int, int]:
     return n_visible, n_edges if n_edges > 2 and last == lists[0, EDGE] else 0
 
 
-@compiled
+@compiled_within
 def _build_cone(points: Array, growth: Growth, apex: int, n_edges: int) -> None:
     """A new facet from each edge of the horizon to the apex."""
     facets, lists = growth.facets, growth.lists
@@ -292,7 +276,7 @@ def _build_cone(points: Array, growth: Growth, apex: int, n_edges: int) -> None:
         before = facet
 
 
-@compiled
+@compiled_within
 def _span(points: Array, facets: Indices, planes: Array, facet: int, a: int, b: int, c: int) -> None:
     """Make a facet of three points."""
     facets[facet, 0], facets[facet, 1], facets[facet, 2], facets[facet, SEEN_BY] = a, b, c, NONE

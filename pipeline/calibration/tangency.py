@@ -103,7 +103,7 @@ def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
         world_rays = hulls.rays @ cameras.R
         _touch(
             world_rays, hulls.is_trusted, pairs, world_rays.sum(axis=1), cameras.centers_mm, cameras.R, cameras.K,
-            np.empty((2, 2), np.int64), residuals_px, rays, ray_gradients, gradients,
+            np.empty((2, 3)), np.empty((2, 2), np.int64), residuals_px, rays, ray_gradients, gradients,
         )  # fmt: skip
     return EpipolarTangents(
         cameras=hulls.cameras,
@@ -207,6 +207,7 @@ def _touch(
     centers_mm: Array,
     R: Array,
     K: Array,
+    frame: Array,
     touched: NDArray[np.int64],
     residuals_px: Array,
     touching: Array,
@@ -215,29 +216,33 @@ def _touch(
 ) -> None:
     """Fill in `EpipolarTangents` of the cameras of each pair (P, 2), which see rays (V, H, 3) around middles (V, 3).
 
-    Angles are measured in the plane across the baseline (ex, ey, ez), from (tx, ty, tz), which points to the first
-    camera's middle, towards (cx, cy, cz). `touched` (2, 2) is room for corners, by side and plane.
+    Angles are measured in the plane across the baseline, from the unit vector in the first row of `frame` (2, 3), which
+    points to the first camera's middle, towards the second. `touched` (2, 2) is room for corners, by side and plane.
     """
     for pair in range(len(pairs)):
         a, b = pairs[pair, 0], pairs[pair, 1]
         ex, ey = centers_mm[b, 0] - centers_mm[a, 0], centers_mm[b, 1] - centers_mm[a, 1]
         ez = centers_mm[b, 2] - centers_mm[a, 2]
-        length = max(np.sqrt(ex * ex + ey * ey + ez * ez), TINY)
-        ex, ey, ez = ex / length, ey / length, ez / length
-        tx, ty, tz = middles[a, 0], middles[a, 1], middles[a, 2]
-        along = tx * ex + ty * ey + tz * ez
-        tx, ty, tz = tx - along * ex, ty - along * ey, tz - along * ez
-        length = max(np.sqrt(tx * tx + ty * ty + tz * tz), TINY)
-        tx, ty, tz = tx / length, ty / length, tz / length
-        cx, cy, cz = ey * tz - ez * ty, ez * tx - ex * tz, ex * ty - ey * tx
+        x, y, z = middles[a, 0], middles[a, 1], middles[a, 2]
+        along = (x * ex + y * ey + z * ez) / max(ex * ex + ey * ey + ez * ez, TINY)
+        x, y, z = x - along * ex, y - along * ey, z - along * ez
+        frame[0, 0], frame[0, 1], frame[0, 2] = x, y, z
+        frame[1, 0], frame[1, 1], frame[1, 2] = ey * z - ez * y, ez * x - ex * z, ex * y - ey * x
+        for axis in range(2):
+            x, y, z = frame[axis, 0], frame[axis, 1], frame[axis, 2]
+            length = max(np.sqrt(x * x + y * y + z * z), TINY)
+            for k in range(3):
+                frame[axis, k] /= length
         is_pierced = False
         for side in range(2):
             view, least, greatest = pairs[pair, side], np.inf, -np.inf
             for corner in range(rays.shape[1]):
-                x, y, z = rays[view, corner, 0], rays[view, corner, 1], rays[view, corner, 2]
-                towards = x * tx + y * ty + z * tz
-                slope = (x * cx + y * cy + z * cz) / towards
-                is_pierced |= towards <= 0
+                x = y = 0.0
+                for k in range(3):
+                    x += rays[view, corner, k] * frame[0, k]
+                    y += rays[view, corner, k] * frame[1, k]
+                is_pierced |= x <= 0
+                slope = y / x
                 if slope < least:
                     least, touched[side, 0] = slope, corner
                 if slope > greatest:
@@ -246,28 +251,27 @@ def _touch(
             is_known, difference, squares = not is_pierced, 0.0, 0.0
             for side in range(2):
                 view, corner, sign = pairs[pair, side], touched[side, plane], 1.0 - 2.0 * side
-                x, y, z = rays[view, corner, 0], rays[view, corner, 1], rays[view, corner, 2]
-                touching[pair, side, plane, 0] = x
-                touching[pair, side, plane, 1] = y
-                touching[pair, side, plane, 2] = z
-                x, y = x * tx + y * ty + z * tz, x * cx + y * cy + z * cz
+                x = y = 0.0
+                for k in range(3):
+                    touching[pair, side, plane, k] = rays[view, corner, k]
+                    x += rays[view, corner, k] * frame[0, k]
+                    y += rays[view, corner, k] * frame[1, k]
                 is_known &= is_trusted[view, corner] & (abs(y) <= MAX_SLOPE * x)
                 difference += sign * np.arctan2(y, x)
                 turn = sign / max(x * x + y * y, TINY)
-                x, y, z = turn * (x * cx - y * tx), turn * (x * cy - y * ty), turn * (x * cz - y * tz)
-                by_ray[pair, side, plane, 0] = x
-                by_ray[pair, side, plane, 1] = y
-                by_ray[pair, side, plane, 2] = z
+                for k in range(3):
+                    by_ray[pair, side, plane, k] = turn * (x * frame[1, k] - y * frame[0, k])
                 for axis in range(2):
-                    by_axis = (x * R[view, axis, 0] + y * R[view, axis, 1] + z * R[view, axis, 2]) / K[
-                        view, axis, axis
-                    ]
+                    by_axis = 0.0
+                    for k in range(3):
+                        by_axis += by_ray[pair, side, plane, k] * R[view, axis, k]
+                    by_axis /= K[view, axis, axis]
                     by_pixel[pair, side, plane, axis] = by_axis
                     squares += by_axis * by_axis
             per_px = 1 / max(np.sqrt(squares / 2), TINY)
             residuals_px[pair, plane] = difference * per_px if is_known else np.nan
             for side in range(2):
-                for axis in range(3):
-                    by_ray[pair, side, plane, axis] *= per_px
-                for axis in range(2):
-                    by_pixel[pair, side, plane, axis] *= per_px
+                for k in range(3):
+                    by_ray[pair, side, plane, k] *= per_px
+                for k in range(2):
+                    by_pixel[pair, side, plane, k] *= per_px

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import Tangents
 from pipeline.growing_hull import (
     NO_FACET,
@@ -142,7 +142,7 @@ def _descend(
             put_above(growth, best[i], rays[i], least_mm[i])
 
 
-@compiled
+@compiled_within
 def _find_highest(points_mm: Single, growth: Growth, highest_mm: Single, index: Indices) -> None:
     """The greatest height (R,) of points (3, R) above a facet, and which it is; in vectors, as the points are last."""
     planes = growth.planes

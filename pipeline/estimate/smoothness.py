@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import N_ANGLES, OUTWARDS, Tangents, segments_mm
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def bulge_share(half_heights: Array, radii: Array) -> float:
     return room / max(n_outside, 1)
 
 
-@compiled
+@compiled_within
 def smoothness(local: float, bulge: float) -> float:
     """From 0 (corners) to 1 (smooth) of a place with these shares."""
     return min(max(OFFSET + PER_LOCAL_SHARE * local + PER_BULGE_SHARE * bulge, 0.0), 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import View
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.inner import inner_body
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
 from pipeline.estimate.tangents import tangents_of
@@ -101,7 +101,7 @@ def _follow(
         )
 
 
-@compiled
+@compiled_within
 def _weights(solvers: Array, face: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Of the corners of a face where the ray along (x, y, z) leaves it, up to scale; negative beside it."""
     return (
@@ -111,7 +111,7 @@ def _weights(solvers: Array, face: int, x: float, y: float, z: float) -> tuple[f
     )
 
 
-@compiled
+@compiled_within
 def _height(planes: Array, plane: int, x: float, y: float, z: float) -> float:
     """Of (x, y, z) along a plane's normal."""
     return planes[plane, 0] * x + planes[plane, 1] * y + planes[plane, 2] * z
