@@ -8,12 +8,9 @@ And the tangent planes of neighbouring contacts of a smooth body rise no higher 
 what the hull leaves there; planes at corners, whose normals jump, rise far beyond it: `bulge_share`.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.carving import View
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import N_ANGLES, OUTWARDS, Tangents, segments_mm
 
@@ -76,9 +73,8 @@ def smoothness(local: float, bulge: float) -> float:
     return min(max(OFFSET + PER_LOCAL_SHARE * local + PER_BULGE_SHARE * bulge, 0.0), 1.0)
 
 
-def sphere_segment_mm(views: Sequence[View], center_mm: Array, radius_mm: float) -> float:
-    """Median segment of the tangent rays of a sphere seen by these cameras; infinite if they bound none."""
-    eyes_mm = np.array([camera.center_mm - center_mm for camera, _ in views])
+def sphere_segment_mm(eyes_mm: Array, radius_mm: float) -> float:
+    """Median segment of the tangent rays of a sphere seen by cameras at (V, 3) from it; infinite if they bound none."""
     distances_mm = np.sqrt((eyes_mm**2).sum(axis=1, keepdims=True))
     sines = np.minimum(radius_mm / distances_mm, 1.0)
     cosines = np.sqrt(1 - sines**2)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.camera_arrays import arrays_of
 from pipeline.carving import View
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.inner import inner_body
@@ -40,7 +41,8 @@ def inner_surface(views: Sequence[View], center_mm: Array, points_mm: Array) -> 
         return "the outlines that were seen do not span a body"
     if not (inner.facets.planes[:, 3] < 0).all():
         return "the inner body does not hold the hull's centre"
-    sphere_mm = sphere_segment_mm(views, center_mm, float(np.cbrt(3 * inner.volume_mm3 / (4 * np.pi))))
+    eyes_mm = arrays_of([camera for camera, _ in views]).centers_mm - center_mm
+    sphere_mm = sphere_segment_mm(eyes_mm, float(np.cbrt(3 * inner.volume_mm3 / (4 * np.pi))))
     if not np.isfinite(sphere_mm):
         return "the views leave the hull of a sphere open"
     shares = local_share(tangents.normals, segment_shares(tangents, sphere_mm))

@@ -72,14 +72,14 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
     _find_farthest(outlines.points_uv, outlines.ends, OUTWARDS, reach, farthest)
     is_known = goes_on(outlines, farthest, SEEN_POINTS)
     owners = np.repeat(np.arange(len(views)), N_ANGLES)
-    flat = cameras.flat_rays(outlines.points_uv[farthest.ravel()], owners).reshape(*farthest.shape, 2)
+    flat = cameras.flat_rays(outlines.points_uv[farthest.ravel()], owners)
     # distortion bends a plane so little that each tangent's point is among these
-    heights = OUTWARDS.T @ flat.transpose(0, 2, 1)
-    best = heights.argmax(axis=2)
-    is_known = np.take_along_axis(is_known, best, axis=1)
-    rays, planes = np.ones((2, *best.shape, 3))
-    rays[:, :, :2] = np.take_along_axis(flat, best[:, :, None], axis=1)
+    heights = OUTWARDS.T @ flat.reshape(-1, N_ANGLES, 2).transpose(0, 2, 1)
+    best = heights.argmax(axis=2).ravel() + N_ANGLES * owners
+    rays, planes = np.ones((2, len(views), N_ANGLES, 3))
+    rays[:, :, :2] = flat[best].reshape(-1, N_ANGLES, 2)
     planes[:, :, :2], planes[:, :, 2] = OUTWARDS.T, -heights.max(axis=2)
+    is_known = is_known.ravel()[best].reshape(-1, N_ANGLES)
     R, eyes_mm = cameras.R, cameras.centers_mm - center_mm
     normals, directions = (_unit((vectors @ R)[is_known]) for vectors in (planes, rays))
     eyes_mm = np.repeat(eyes_mm, is_known.sum(axis=1), axis=0)

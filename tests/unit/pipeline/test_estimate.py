@@ -212,7 +212,8 @@ def test_a_sphere_s_tangent_segments_are_those_computed_without_its_silhouettes(
     truth, silhouettes, _ = seen("sphere")
     views = usable_views(silhouettes, RIG)
     tangents = tangents_of(views, truth.center_mass)
-    expected_mm = sphere_segment_mm(views, truth.center_mass, 7.5)
+    eyes_mm = np.array([camera.center_mm for camera, _ in views]) - truth.center_mass
+    expected_mm = sphere_segment_mm(eyes_mm, 7.5)
     assert np.median(tangents.lengths_mm) == pytest.approx(expected_mm, rel=0.15)
     np.testing.assert_allclose(tangents.offsets_mm, 7.5, atol=0.015)  # a third of a pixel
 
