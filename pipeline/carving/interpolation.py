@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled_within
 
 Array = NDArray[np.float32]
 
 
-@compiled
+@compiled_within
 def interpolate(
     flat: Array,
     height: int,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.carving.interpolation import interpolate
 from pipeline.carving.views import HALVES, Pinholes, View, look
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.segmentation.silhouette import SPACING_PX
 
 Array = NDArray[np.float32]
@@ -138,7 +138,7 @@ def _judged(
     return within, excluded[overruled], unsure[overruled]
 
 
-@compiled
+@compiled_within
 def _decide(
     seen: Array,
     inwards_px: Array,
@@ -167,7 +167,7 @@ def _decide(
         is_outside[cube] |= np.uint8(np.uint8(is_out) << half)
 
 
-@compiled
+@compiled_within
 def _count(counted: Halves, block: int, halves: np.uint8) -> None:
     """Count a view for halves of a block: row m of `counted` (M, B) has those for which there are more than m."""
     for row in range(len(counted)):

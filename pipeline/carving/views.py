@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
@@ -105,7 +105,7 @@ def pixel_of(lens: Lens, x: float, y: float) -> tuple[float, float]:
     return fx * a + skew * b + cx, fy * b + cy
 
 
-@compiled
+@compiled_within
 def look(
     pinholes: Pinholes,
     view: int,

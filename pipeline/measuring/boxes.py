@@ -188,8 +188,10 @@ def _strike_twins(frames: _Frames, n_frames: int, best: int, cos_spacing: float)
     """Frames with nearly the same three axes as another, in any order and sense, are no longer wanted."""
     axes = frames.axes
     for i in range(n_frames):
-        n_near = 0
+        n_near = FIRST
         for k in range(3):
+            if n_near < k or frames.score[i] == np.inf:
+                break
             for m in range(3):
                 cosine = (
                     axes[i, k, 0] * axes[best, m, 0]
@@ -242,9 +244,8 @@ def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, tur
             if own_mm + abs(after_mm - top_after_mm) + abs(last_mm - top_last_mm) < top_mm:
                 continue
             for turn in range(N_TURNS):
-                turned_mm = own_mm + steps[0, turn] * after_mm - steps[1, turn] * last_mm
-                if turned_mm > width_mm[3, turn]:
-                    width_mm[3, turn] = turned_mm
+                turned_mm, top_turned_mm = own_mm + steps[0, turn] * after_mm - steps[1, turn] * last_mm, width_mm[3, turn]
+                width_mm[3, turn] = turned_mm if turned_mm > top_turned_mm else top_turned_mm
             for k in range(edges.first[vertex], edges.first[vertex + 1]):
                 other = edges.neighbors[k]
                 if queue[1, other] == 0:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere
 
@@ -115,7 +115,7 @@ def _least_width_mm(
     return least_mm
 
 
-@compiled
+@compiled_within
 def _copy(corners: Array, at: Indices, row: int, to_row: int) -> None:
     for i in range(3):
         corners[to_row, i] = corners[row, i]
@@ -123,7 +123,7 @@ def _copy(corners: Array, at: Indices, row: int, to_row: int) -> None:
         at[to_row, i] = at[row, i]
 
 
-@compiled
+@compiled_within
 def _bound_mm(edges: Edges, corners: Array, at: Indices, part: int) -> float:
     """No direction within the triangle whose corners begin at a row has a width below this."""
     points = edges.vertices_mm

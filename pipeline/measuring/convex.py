@@ -115,12 +115,11 @@ def unit(x: float, y: float, z: float) -> tuple[float, float, float]:
 @compiled
 def touch(edges: Edges, x: float, y: float, z: float, touching: Indices, row: int) -> float:
     """Width in mm along a unit direction; a row of `touching` (R, 2) holds vertices nearby, then those that touch."""
-    width_mm = 0.0
+    points, width_mm = edges.vertices_mm, 0.0
     for end in range(2):
         vertex = highest(edges, x, y, z, touching[row, end])
         touching[row, end] = vertex
-        point = edges.vertices_mm[vertex]
-        width_mm += point[0] * x + point[1] * y + point[2] * z
+        width_mm += points[vertex, 0] * x + points[vertex, 1] * y + points[vertex, 2] * z
         x, y, z = -x, -y, -z
     return width_mm
 

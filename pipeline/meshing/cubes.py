@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving import LEAF
-from pipeline.compiled import compiled, whole
+from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.meshing.cases import CORNERS, EDGES, cube_cases
 
 Array = NDArray[np.float64]
@@ -145,7 +145,7 @@ def _classify(
     return n_vertices, n_faces
 
 
-@compiled
+@compiled_within
 def _is_cut(case: int, axis: int) -> int:
     """Whether the edge along an axis from a cube's first corner is cut, 0 or 1."""
     return (case ^ case >> (4 >> axis)) & 1

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -37,7 +37,7 @@ def _unite(parent: NDArray[np.int32], faces: Faces) -> None:
         parent[vertex] = parent[parent[vertex]]  # the parent comes before and has its root already
 
 
-@compiled
+@compiled_within
 def _root(parent: NDArray[np.int32], vertex: int) -> int:
     while parent[vertex] != vertex:
         parent[vertex] = parent[parent[vertex]]  # the way is half as long next time
