@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.compiled import compiled_within
+from pipeline.compiled import compiled
 
 Array = NDArray[np.float32]
 
 
-@compiled_within
+@compiled
 def interpolate(
     flat: Array,
     height: int,

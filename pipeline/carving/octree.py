@@ -13,13 +13,14 @@ lens bends.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving.interpolation import interpolate
-from pipeline.carving.views import HALVES, Pinholes, View, look
-from pipeline.compiled import compiled, compiled_within
+from pipeline.carving.views import CHUNK, HALVES, Pinholes, Room, View, look, room
+from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.segmentation.silhouette import SPACING_PX
 
 Array = NDArray[np.float32]
@@ -37,9 +38,9 @@ SLACK_PX = 1.0
 """Distances far from an edge, and those between nodes, are less too large than this."""
 BESIDE_PART = 11**0.5 / 2
 """From the centre of a leaf's part to the furthest sample next to one of its samples, (3, 1, 1) / 2, in voxels."""
-CHUNK = 64
-"""So many blocks are looked at at once: what is known of them stays in the cache."""
 ALL = np.uint8(255)
+FIRST = whole(0)
+"""Of what is found."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,6 +51,14 @@ class Octree:
     parts: Halves  # (L,) of them that may be cut
     within: Halves  # (L, V) parts that lie within a view
     solid: tuple[tuple[Blocks, int], ...]  # within the hull, with their edges in voxels
+
+
+class _Judgement(NamedTuple):
+    """What views say about the halves of B blocks."""
+
+    within: Halves  # (B, V) those that lie within each view
+    excluded: Halves  # (M, B) in row m those that more than m views exclude
+    unsure: Halves  # (M, B) and those that lie not within more than m views
 
 
 def octree_of(views: Sequence[View], pinholes: Pinholes, n: int, size_mm: float, overruled: int) -> Octree:
@@ -63,16 +72,17 @@ def octree_of(views: Sequence[View], pinholes: Pinholes, n: int, size_mm: float,
     blocks, known = np.ascontiguousarray(first), np.zeros((len(first), len(views)), np.uint8)
     solid = []
     for edge in EDGES:
-        half_mm = (edge + 1) / 2 * pitch_mm
-        reach_mm = half_mm * pinholes.across, half_mm * pinholes.along
+        half_mm = np.float32((edge + 1) / 2 * pitch_mm)
+        reach_mm = half_mm * np.array([pinholes.across, pinholes.along], np.float32)
         centres_mm = centres_of(blocks, 2 * edge, n, pitch_mm)
-        found = _judged(centres_mm, known, edge / 2 * pitch_mm, *looked_at, *reach_mm, overruled)
-        blocks, known, whole = _halved(blocks, *found, edge, n)
-        solid.append((whole, edge))
-    reach_mm = (np.full(len(views), BESIDE_PART * pitch_mm, np.float32),) * 2
+        judgement = _judged(centres_mm, known, edge / 2 * pitch_mm, looked_at, reach_mm, overruled)
+        blocks, known, uncut = _halved(blocks, judgement, edge, n)
+        solid.append((uncut, edge))
+    reach_mm = np.full((2, len(views)), np.float32(BESIDE_PART * pitch_mm))
     centres_mm = centres_of(blocks, LEAF, n, pitch_mm)
-    within, excluded, _ = _judged(centres_mm, known, LEAF / 4 * pitch_mm, *looked_at, *reach_mm, overruled)
-    return Octree(leaves=blocks, parts=~excluded, within=within, solid=tuple(solid))
+    judgement = _judged(centres_mm, known, LEAF / 4 * pitch_mm, looked_at, reach_mm, overruled)
+    parts = ~judgement.excluded[overruled]
+    return Octree(leaves=blocks, parts=parts, within=judgement.within, solid=tuple(solid))
 
 
 def centres_of(blocks: Blocks, edge: int, n: int, pitch_mm: float) -> Array:
@@ -80,91 +90,94 @@ def centres_of(blocks: Blocks, edge: int, n: int, pitch_mm: float) -> Array:
     return np.ascontiguousarray((pitch_mm * (blocks + (edge - n) / 2)).T, np.float32)
 
 
-@compiled
 def _judged(
     centres_mm: Array,
     known: Flags,
     half_mm: float,
+    looked_at: tuple[Pinholes, Array, NDArray[np.int64]],
+    reach_mm: Array,
+    overruled: int,
+) -> _Judgement:
+    """Of the halves of blocks around `centres_mm` (3, B); half of a half's edge is `half_mm`.
+
+    A half reaches `reach_mm` (2, V) at right angles to each view's optical axis, and along it. `known` (B, V) is not
+    0 where all of a block is within a view.
+    """
+    n_blocks = len(known)
+    counts = np.zeros((2, overruled + 1, n_blocks), np.uint8)
+    judgement = _Judgement(np.where(known, ALL, np.uint8(0)), counts[0], counts[1])
+    asked, outside = np.empty(n_blocks + 1, np.int32), np.empty(n_blocks, np.uint8)
+    _judge(centres_mm, half_mm, *looked_at, reach_mm, asked, outside, judgement, room())
+    return judgement
+
+
+@compiled
+def _judge(
+    centres_mm: Array,
+    half_mm: float,
     pinholes: Pinholes,
     distances_px: Array,
     nodes: NDArray[np.int64],
-    across_mm: Array,
-    along_mm: Array,
-    overruled: int,
-) -> tuple[Halves, Halves, Halves]:
-    """Halves of blocks around `centres_mm` (3, B) that lie within each view (B, V), and two more kinds (B,).
+    reach_mm: Array,
+    asked: NDArray[np.int32],
+    outside: Halves,
+    judgement: _Judgement,
+    room: Room,
+) -> None:
+    """Complete a judgement; room for the blocks `asked` about (B + 1,) and for their halves (B,) `outside` of a view.
 
-    Those that more than `overruled` views exclude, and those that lie not within more than so many views. `half_mm`
-    is half of a half's edge; a half reaches `across_mm` (V,) at right angles to each view's optical axis, `along_mm`
-    (V,) along it. `known` (B, V) is not 0 where all of a block is within a view. `nodes` (V, 3) are the heights and
-    widths of the views' coarse distances and where they begin.
+    `nodes` (V, 3) are the heights and widths of the views' coarse distances and where they begin.
     """
-    n_blocks, n_views = known.shape
-    within = np.empty((n_blocks, n_views), np.uint8)
-    excluded = np.empty((overruled + 1, n_blocks), np.uint8)
-    unsure = np.empty((overruled + 1, n_blocks), np.uint8)
-    for row in range(overruled + 1):
+    within, excluded, unsure = judgement.within, judgement.excluded, judgement.unsure
+    n_blocks, last, per_px = len(outside), len(excluded) - 1, np.float32(1 / SPACING_PX)
+    for view in range(len(nodes)):
+        n_asked = FIRST
         for block in range(n_blocks):
-            excluded[row, block], unsure[row, block] = 0, 0
-    asked, at = np.empty(n_blocks + 1, np.int32), np.empty(CHUNK, np.int32)
-    seen, weights = np.empty((HALVES, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
-    inwards_px, per_px = np.empty(CHUNK, np.float32), np.float32(1 / SPACING_PX)
-    is_within, is_outside = np.empty(CHUNK, np.uint8), np.empty(CHUNK, np.uint8)
-    for view in range(n_views):
-        n_asked = 0
-        for block in range(n_blocks):
-            asked[n_asked] = block
-            within[block, view] = ALL if known[block, view] else 0
-            n_asked += (known[block, view] == 0) & (excluded[overruled, block] != ALL)
+            asked[n_asked], outside[block] = block, 0
+            n_asked += (within[block, view] == 0) & (excluded[last, block] != ALL)
         height, width = nodes[view, 0], nodes[view, 1]
         image_px = distances_px[nodes[view, 2] :]
-        reach_mm = across_mm[view], along_mm[view]
         for begin in range(0, n_asked, CHUNK):
-            chunk = asked[begin : min(begin + CHUNK, n_asked)]
-            look(pinholes, view, centres_mm, chunk, half_mm, seen)
-            for cube in range(len(chunk)):
-                is_within[cube], is_outside[cube] = 0, 0
+            n = CHUNK if begin + CHUNK < n_asked else n_asked - begin
+            look(pinholes, view, centres_mm, asked, begin, n, half_mm, room.seen)
             for half in range(HALVES):
-                places, n = seen[half], len(chunk)
-                interpolate(image_px, height, width, per_px, places, n, at, weights, inwards_px)
-                _decide(
-                    *(places, inwards_px, n, height, width, pinholes.stretches_px[view], reach_mm),
-                    *(half, is_within, is_outside),
-                )
-            for cube in range(len(chunk)):
-                within[chunk[cube], view] = is_within[cube]
-                _count(excluded, chunk[cube], is_outside[cube])
-                _count(unsure, chunk[cube], np.uint8(~is_within[cube]))
-    return within, excluded[overruled], unsure[overruled]
+                places = room.seen[half]
+                interpolate(image_px, height, width, per_px, places, n, room.at, room.weights, room.found)
+                _decide(places, room.found, n, height, width, pinholes.stretches_px[view], reach_mm, view)
+                for cube in range(n):
+                    block, sign = asked[begin + cube], room.found[cube]
+                    within[block, view] |= np.uint8(np.uint8(sign > 0) << half)
+                    outside[block] |= np.uint8(np.uint8(sign < 0) << half)
+        for index in range(n_asked):
+            block = asked[index]
+            _count(excluded, block, outside[block])
+            _count(unsure, block, np.uint8(~within[block, view]))
 
 
 @compiled_within
 def _decide(
-    seen: Array,
+    places: Array,
     inwards_px: Array,
-    n_cubes: int,
+    n: int,
     height: int,
     width: int,
     stretch_px: np.float32,
-    reach_mm: tuple[np.float32, np.float32],
-    half: int,
-    is_within: Halves,
-    is_outside: Halves,
+    reach_mm: Array,
+    view: int,
 ) -> None:
-    """Set the bit of this half where it is within the silhouette, and where outside."""
-    across_mm, along_mm = reach_mm
+    """Replace distances at the first `n` places by 1 where all around is within the silhouette, -1 outside, else 0."""
+    across_mm, along_mm = reach_mm[0, view], reach_mm[1, view]
     slack_px, unbounded, spacing_px = np.float32(SLACK_PX), np.float32(np.inf), np.float32(SPACING_PX)
     last_u, last_v = spacing_px * np.float32(width - 1), spacing_px * np.float32(height - 1)
-    for cube in range(n_cubes):
-        u, v, depth_mm, slope = seen[0, cube], seen[1, cube], seen[2, cube], seen[3, cube]
+    for cube in range(n):
+        u, v, depth_mm, slope = places[0, cube], places[1, cube], places[2, cube], places[3, cube]
         reach_px = stretch_px * (across_mm + along_mm * slope) / (depth_mm - along_mm) + slack_px
         reach_px = reach_px if depth_mm > along_mm else unbounded  # the camera may be within
         # the region ends at the last nodes, and a node further the silhouette
         to_end_px = min(min(u, last_u - u), min(v, last_v - v))
         is_in = min(inwards_px[cube], to_end_px) > reach_px
         is_out = max(-inwards_px[cube], -to_end_px - spacing_px) > reach_px
-        is_within[cube] |= np.uint8(np.uint8(is_in) << half)
-        is_outside[cube] |= np.uint8(np.uint8(is_out) << half)
+        inwards_px[cube] = np.float32(is_in) - np.float32(is_out)
 
 
 @compiled_within
@@ -176,31 +189,40 @@ def _count(counted: Halves, block: int, halves: np.uint8) -> None:
         halves = before & halves
 
 
+def _halved(blocks: Blocks, judgement: _Judgement, edge: int, n: int) -> tuple[Blocks, Flags, Blocks]:
+    """Of the halves of blocks, with this edge, those that may be cut, which views they lie within, and solid ones."""
+    n_halves, n_views = HALVES * len(blocks), judgement.within.shape[1]
+    cut, solid = np.empty((2, n_halves, 3), np.int32)
+    known = np.empty((n_halves, n_views), np.uint8)
+    n_cut, n_solid = _halve(blocks, judgement, edge, n, cut, known, solid)
+    return cut[:n_cut], known[:n_cut], solid[:n_solid]
+
+
 @compiled
-def _halved(
-    blocks: Blocks, within: Halves, excluded: Halves, unsure: Halves, edge: int, n: int
-) -> tuple[Blocks, Flags, Blocks]:
-    """Of the halves of blocks, with this edge, those that may be cut, which views they lie within, and solid ones.
+def _halve(
+    blocks: Blocks, judgement: _Judgement, edge: int, n: int, cut: Blocks, known: Flags, solid: Blocks
+) -> tuple[int, int]:
+    """Set what `_halved` finds, and tell how many may be cut, and how many are solid.
 
     A block at the border of the grid is never solid: the surface closes there.
     """
-    n_views = within.shape[1]
-    cut, solid = np.empty((HALVES * len(blocks), 3), np.int32), np.empty((HALVES * len(blocks), 3), np.int32)
-    known = np.empty((HALVES * len(blocks), n_views), np.uint8)
-    n_cut, n_solid = 0, 0
+    within, last = judgement.within, len(judgement.excluded) - 1
+    n_cut = n_solid = FIRST
     for block in range(len(blocks)):
+        excluded, unsure = judgement.excluded[last, block], judgement.unsure[last, block]
         for half in range(HALVES):
             i = blocks[block, 0] + edge * (half >> 2 & 1)
             j = blocks[block, 1] + edge * (half >> 1 & 1)
             k = blocks[block, 2] + edge * (half & 1)
-            if max(i, j, k) >= n or excluded[block] >> half & 1:
+            if excluded >> half & 1 or i >= n or j >= n or k >= n:
                 continue
-            if not unsure[block] >> half & 1 and min(i, j, k) > 0 and max(i, j, k) + edge < n:
-                solid[n_solid, 0], solid[n_solid, 1], solid[n_solid, 2] = i, j, k
-                n_solid += 1
-            else:
+            is_at_border = i == 0 or j == 0 or k == 0 or i + edge >= n or j + edge >= n or k + edge >= n
+            if unsure >> half & 1 or is_at_border:
                 cut[n_cut, 0], cut[n_cut, 1], cut[n_cut, 2] = i, j, k
-                for view in range(n_views):
+                for view in range(within.shape[1]):
                     known[n_cut, view] = within[block, view] >> half & 1
                 n_cut += 1
-    return cut[:n_cut], known[:n_cut], solid[:n_solid]
+            else:
+                solid[n_solid, 0], solid[n_solid, 1], solid[n_solid, 2] = i, j, k
+                n_solid += 1
+    return n_cut, n_solid

@@ -9,29 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving.interpolation import interpolate
-from pipeline.carving.octree import CHUNK, Blocks, Halves
-from pipeline.carving.views import HALVES, Pinholes, look
-from pipeline.compiled import compiled
+from pipeline.carving.octree import Blocks, Halves
+from pipeline.carving.views import CHUNK, HALVES, Pinholes, Room, look
+from pipeline.compiled import compiled, whole
 from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN
 
 Array = NDArray[np.float32]
 Grey = NDArray[np.uint8]
 Parts = NDArray[np.int32]
 """Part p of leaf l is number 8 l + p; where it is in the leaf, `views.HALVES` tells, as for its samples."""
+FIRST = whole(0)
+"""Of what is found."""
 
 
 @compiled
-def undecided(within: Halves, parts: Halves, view: int) -> Parts:
-    """The parts that may be cut and do not lie within a view."""
-    found = np.empty(HALVES * len(parts) + 1, np.int32)
-    n_found = 0
+def undecided(within: Halves, parts: Halves, view: int, found: Parts) -> int:
+    """Set the parts (N + 1,) that may be cut and do not lie within a view; returns how many."""
+    n_found = FIRST
     for leaf in range(len(parts)):
         asked = parts[leaf] & ~within[leaf, view]
         if asked:
             for part in range(HALVES):
                 found[n_found] = HALVES * leaf + part
                 n_found += asked >> part & 1
-    return found[:n_found]
+    return n_found
 
 
 @compiled
@@ -39,37 +40,38 @@ def lower(
     values_mm: Array,
     centres_mm: Array,
     parts: Parts,
+    n_parts: int,
     half_mm: float,
     pinholes: Pinholes,
     view: int,
     distance_px: Array,
+    room: Room,
 ) -> None:
     """Enter a view's signed distances to its viewing cone into the smallest so far (M, HALVES, PARTS), in order.
 
-    Only those of some parts, of all with their centres (3, PARTS) and half the pitch.
+    Only those of the first `n_parts` of some parts, of all with their centres (3, PARTS) and half the pitch.
     """
     height, width = distance_px.shape
     flat_px = distance_px.reshape(-1)
     last_u, last_v = np.float32(width - 1), np.float32(height - 1)
     per_focal, beyond_px = np.float32(1) / pinholes.focals_px[view], np.float32(-MARGIN_PX)
-    seen = np.empty((HALVES, 4, CHUNK), np.float32)
-    at, weights = np.empty(CHUNK, np.int32), np.empty((2, CHUNK), np.float32)
-    found, per_px = np.empty(CHUNK, np.float32), np.float32(1)
-    for begin in range(0, len(parts), CHUNK):
-        chunk = parts[begin : begin + CHUNK]
-        look(pinholes, view, centres_mm, chunk, half_mm, seen)
+    seen, found, per_px = room.seen, room.found, np.float32(1)
+    for begin in range(0, n_parts, CHUNK):
+        n = CHUNK if begin + CHUNK < n_parts else n_parts - begin
+        look(pinholes, view, centres_mm, parts, begin, n, half_mm, seen)
         for sample in range(HALVES):
-            interpolate(flat_px, height, width, per_px, seen[sample], len(chunk), at, weights, found)
-            for index in range(len(chunk)):
+            interpolate(flat_px, height, width, per_px, seen[sample], n, room.at, room.weights, found)
+            for index in range(n):
                 u, v, depth_mm = seen[sample, 0, index], seen[sample, 1, index], seen[sample, 2, index]
                 is_seen = (u >= 0) & (u <= last_u) & (v >= 0) & (v <= last_v) & (depth_mm > 0)
                 found[index] = (found[index] if is_seen else beyond_px) * abs(depth_mm) * per_focal
             for rank in range(len(values_mm)):
-                for index in range(len(chunk)):
-                    part = np.uint64(chunk[index])
+                for index in range(n):
+                    part = np.uint64(parts[begin + index])
                     known_mm, value_mm = values_mm[rank, sample, part], found[index]
-                    values_mm[rank, sample, part] = min(known_mm, value_mm)
-                    found[index] = max(known_mm, value_mm)
+                    is_less = value_mm < known_mm
+                    values_mm[rank, sample, part] = value_mm if is_less else known_mm
+                    found[index] = known_mm if is_less else value_mm
 
 
 @compiled
@@ -77,31 +79,32 @@ def count(
     counts: Array,
     centres_mm: Array,
     parts: Parts,
+    n_parts: int,
     half_mm: float,
     pinholes: Pinholes,
     view: int,
     labels: Grey,
+    room: Room,
 ) -> None:
     """Add 1 to the samples (HALVES, PARTS) of parts, as in `lower`, whose nearest pixel is not outside in a view."""
     height, width = labels.shape
     flat = labels.reshape(-1)
-    seen = np.empty((HALVES, 4, CHUNK), np.float32)
-    at = np.empty(CHUNK, np.int32)
+    seen, at = room.seen, room.at
     zero, half, columns, rows = np.float32(0), np.float32(0.5), np.float32(width), np.float32(height)
-    for begin in range(0, len(parts), CHUNK):
-        chunk = parts[begin : begin + CHUNK]
-        look(pinholes, view, centres_mm, chunk, half_mm, seen)
+    for begin in range(0, n_parts, CHUNK):
+        n = CHUNK if begin + CHUNK < n_parts else n_parts - begin
+        look(pinholes, view, centres_mm, parts, begin, n, half_mm, seen)
         for sample in range(HALVES):
-            for index in range(len(chunk)):
+            for index in range(n):
                 u, v = seen[sample, 0, index] + half, seen[sample, 1, index] + half
                 is_seen = (
                     (u >= zero) & (u < columns) & (v >= zero) & (v < rows) & (seen[sample, 2, index] > zero)
                 )
                 column, row = np.int32(u if is_seen else zero), np.int32(v if is_seen else zero)
                 at[index] = np.int32(row * np.int32(width)) + column if is_seen else np.int32(-1)
-            for index in range(len(chunk)):
+            for index in range(n):
                 label = flat[np.uint64(max(at[index], 0))]
-                counts[sample, np.uint64(chunk[index])] += (label >= UNKNOWN) & (at[index] >= 0)
+                counts[sample, np.uint64(parts[begin + index])] += (label >= UNKNOWN) & (at[index] >= 0)
 
 
 @compiled

@@ -244,7 +244,10 @@ def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, tur
             if own_mm + abs(after_mm - top_after_mm) + abs(last_mm - top_last_mm) < top_mm:
                 continue
             for turn in range(N_TURNS):
-                turned_mm, top_turned_mm = own_mm + steps[0, turn] * after_mm - steps[1, turn] * last_mm, width_mm[3, turn]
+                turned_mm, top_turned_mm = (
+                    own_mm + steps[0, turn] * after_mm - steps[1, turn] * last_mm,
+                    width_mm[3, turn],
+                )
                 width_mm[3, turn] = turned_mm if turned_mm > top_turned_mm else top_turned_mm
             for k in range(edges.first[vertex], edges.first[vertex + 1]):
                 other = edges.neighbors[k]

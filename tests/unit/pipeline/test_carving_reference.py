@@ -137,7 +137,7 @@ def test_blocks_are_left_out_and_filled_in_a_larger_grid() -> None:
 
 @pytest.mark.parametrize("field", ["sub_voxel", "view_count"])
 def test_after_the_warm_up_nothing_is_left_to_compile(field: Literal["sub_voxel", "view_count"]) -> None:
-    kernels = [octree._judged, octree._halved, *(getattr(samples, name) for name in SAMPLING)]
+    kernels = [octree._judge, octree._halve, *(getattr(samples, name) for name in SAMPLING)]
     made_up = warm_up(CarvingParameters(field=field))
     assert (made_up.field > made_up.level).any()
     compiled = [len(kernel.signatures) for kernel in kernels]
