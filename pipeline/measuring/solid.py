@@ -1,4 +1,4 @@
-"""Volume, area and centre of mass of a closed mesh, and whether it is closed, in one pass over its faces.
+"""Volume, area, centre of mass and inertia of a closed mesh, and whether it is closed, in one pass over its faces.
 
 A mesh bounds a solid when every directed edge (a, b) of a face meets its opposite (b, a) in another
 face: then the signed tetrahedra below add up to the volume, whatever their common apex.
@@ -24,6 +24,8 @@ MIX_1, MIX_2, MIX_3 = (
     np.uint64(0x94D049BB133111EB),
 )
 """Of SplitMix64 (Steele, Lea and Flood 2014)."""
+SECOND = np.array([[5, 8, 10], [8, 6, 9], [10, 9, 7]])
+"""Where the sums over the faces have the integrals of xx, xy, ..., zz."""
 CLOSED, OPEN, INCOMPLETE = whole(0), whole(1), whole(2)
 """What a mesh is: the last where vertices are missing."""
 
@@ -35,6 +37,7 @@ class Solid:
     volume_mm3: float
     surface_area_mm2: float
     center_mm: Array  # (3,) centre of mass at uniform density
+    inertia_mm5: Array  # (3, 3) about the centre of mass, at density 1
     vertices_mm: Array  # (N, 3) the vertices that belong to a face
 
 
@@ -56,7 +59,7 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
         raise MeshError(MISSING)
     apex_mm = points_mm[corners[0, 0]]  # far from the mesh the tetrahedra would cancel digits
     is_used = np.zeros(len(points_mm), np.bool_)
-    sums = np.zeros(5)
+    sums = np.zeros(11)
     kind = _add_up(points_mm, corners, apex_mm, np.empty(len(points_mm), np.uint64), is_used, sums)
     area_mm2, volume_mm3 = float(sums[0]), float(sums[1])
     if kind == INCOMPLETE:
@@ -67,10 +70,13 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
         raise MeshError(_defect(corners, len(points_mm)))
     if not abs(volume_mm3) > MIN_FILLING * area_mm2**1.5:
         raise MeshError("the mesh encloses no volume")
+    center_mm = sums[2:5] / volume_mm3
+    second_mm5 = sums[SECOND] - volume_mm3 * np.outer(center_mm, center_mm)
     return Solid(
         volume_mm3=abs(volume_mm3),
         surface_area_mm2=area_mm2,
-        center_mm=apex_mm + sums[2:] / volume_mm3,
+        center_mm=apex_mm + center_mm,
+        inertia_mm5=(np.trace(second_mm5) * np.eye(3) - second_mm5) * np.sign(volume_mm3),
         vertices_mm=points_mm if is_used.all() else points_mm[is_used],
     )
 
@@ -84,13 +90,14 @@ def _add_up(
     is_used: NDArray[np.bool_],
     sums: Array,
 ) -> int:
-    """Set area, signed volume and its first moments (3,) about an origin, and which vertices belong to a face.
+    """Set area, signed volume, its moments x, y, z, xx, yy, zz, xy, yz, zx, and which vertices belong to a face.
 
     Tells whether the mesh is closed. For that there is room for a random number for each vertex: each face adds
     (p - q) (q - r) (r - p) of its corners' numbers to a fingerprint. That is a sum over its edges, q p^2 - p q^2 for
     the one from p to q: edges and their opposites cancel, and nothing else does but by chance.
 
-    The tetrahedron of the origin and a face (a, b, c) with volume V has the moments V (a + b + c) / 4.
+    The tetrahedron of the origin and a face (a, b, c) with volume V has the moments V (a + b + c) / 4 and
+    V / 20 (a a' + b b' + c c' + (a + b + c) (a + b + c)').
     """
     for vertex in range(len(vertices_mm)):
         mixed = np.uint64(vertex + 1) * MIX_1
@@ -98,7 +105,7 @@ def _add_up(
         mixed = (mixed ^ (mixed >> np.uint64(27))) * MIX_3
         tags[vertex] = mixed ^ (mixed >> np.uint64(31))
     fingerprint = np.uint64(0)
-    area = volume = mx = my = mz = 0.0
+    area = volume = mx = my = mz = xx = yy = zz = xy = yz = zx = 0.0
     ox, oy, oz = origin_mm[0], origin_mm[1], origin_mm[2]
     for face in range(len(faces)):
         for k in range(3):
@@ -116,9 +123,18 @@ def _add_up(
         area += np.sqrt(nx * nx + ny * ny + nz * nz)
         part = ax * nx + ay * ny + az * nz
         volume += part
-        mx, my, mz = mx + part * (ax + bx + cx), my + part * (ay + by + cy), mz + part * (az + bz + cz)
+        sx, sy, sz = ax + bx + cx, ay + by + cy, az + bz + cz
+        mx, my, mz = mx + part * sx, my + part * sy, mz + part * sz
+        xx += part * (ax * ax + bx * bx + cx * cx + sx * sx)
+        yy += part * (ay * ay + by * by + cy * cy + sy * sy)
+        zz += part * (az * az + bz * bz + cz * cz + sz * sz)
+        xy += part * (ax * ay + bx * by + cx * cy + sx * sy)
+        yz += part * (ay * az + by * bz + cy * cz + sy * sz)
+        zx += part * (az * ax + bz * bx + cz * cx + sz * sx)
     sums[0], sums[1] = area / 2, volume / 6
     sums[2], sums[3], sums[4] = mx / 24, my / 24, mz / 24
+    sums[5], sums[6], sums[7] = xx / 120, yy / 120, zz / 120
+    sums[8], sums[9], sums[10] = xy / 120, yz / 120, zx / 120
     return CLOSED if fingerprint == np.uint64(0) else OPEN
 
 

@@ -188,6 +188,14 @@ def test_sums_are_those_of_the_solid(mesh: trimesh.Trimesh, seed: int, inverted:
     np.testing.assert_allclose(solid.center_mm, mesh.center_mass + shift_mm, atol=1e-10)
     area_mm2 = surface_area_mm2(np.array(mesh.vertices), np.array(mesh.faces))
     assert solid.surface_area_mm2 == pytest.approx(mesh.area, rel=1e-12) == area_mm2
+    largest = np.abs(mesh.moment_inertia).max()
+    np.testing.assert_allclose(solid.inertia_mm5, mesh.moment_inertia, atol=1e-10 * largest)
+
+
+def test_inertia_of_a_box() -> None:
+    a, b, c = 10, 20, 30
+    expected = np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2]) * a * b * c / 12
+    np.testing.assert_allclose(solid_of(BOX.vertices, BOX.faces).inertia_mm5, expected, rtol=1e-12, atol=1e-9)
 
 
 @settings(max_examples=50, deadline=None)
