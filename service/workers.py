@@ -132,15 +132,13 @@ class WorkerPool:
             self._idle.put_nowait(slot)
 
     async def renew(self) -> None:
-        """Replace the processes that had to compile, one by one, while they measure on.
-
-        Raises
-        ------
-        WorkerStartError
-        """
+        """Replace the processes that had to compile, one by one, while they measure on; one that cannot be stays."""
         for slot in self._slots:
             if slot.is_spent:
-                await slot.renew()
+                try:
+                    await slot.renew()
+                except WorkerStartError as err:
+                    log.warning("a worker keeps its compiler's memory: %s", err)
 
     async def _run_in(self, slot: "_Slot", function: Callable[[Job], Result], job: Job) -> Result:
         try:

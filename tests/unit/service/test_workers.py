@@ -107,6 +107,17 @@ async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_they
     pool.close()
 
 
+async def test_a_worker_that_cannot_be_renewed_stays(tmp_path: Path):
+    pool = WorkerPool(slots=1, deadline_s=10.0, prepare=share, context=tmp_path)
+    await pool.start()
+    before = pool.pids
+    (tmp_path / "broken").touch()
+    (tmp_path / "go").touch()
+    await pool.renew()
+    assert [await pool.run(wait_for, tmp_path / "go")] == before
+    pool.close()
+
+
 def test_what_workers_are_forked_with_has_no_thread():
     code = "import os, sys, pipeline.particle; sys.exit(len(os.listdir('/proc/self/task')))"
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
