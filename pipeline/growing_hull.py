@@ -118,11 +118,14 @@ def _start(points: Array, which: Indices, growth: Growth, axes: Array, corners: 
 
     `axes` (4, 3) become unit vectors towards them, square to those before.
     """
-    first, farthest = points[which[0]], 0.0
+    facets, planes = growth.facets, growth.planes
+    first, farthest = corners[0], 0.0
     for n in range(1, 4):
         farthest = 0.0
-        for point in which:
-            x, y, z = points[point, 0] - first[0], points[point, 1] - first[1], points[point, 2] - first[2]
+        for i in range(len(which)):
+            point = which[i]
+            x, y = points[point, 0] - points[first, 0], points[point, 1] - points[first, 1]
+            z = points[point, 2] - points[first, 2]
             for k in range(1, n):
                 along = x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2]
                 x, y, z = x - along * axes[k, 0], y - along * axes[k, 1], z - along * axes[k, 2]
@@ -132,20 +135,22 @@ def _start(points: Array, which: Indices, growth: Growth, axes: Array, corners: 
                 axes[n, 0], axes[n, 1], axes[n, 2] = x / distance, y / distance, z / distance
     if not farthest > FLAT * growth.extent:
         return False
-    _span(points, growth.facets, growth.planes, BASE, corners[0], corners[1], corners[2])
-    top = corners[3]
-    if height_above(growth.planes, BASE, points[top, 0], points[top, 1], points[top, 2]) > 0:
-        corners[1], corners[2] = corners[2], corners[1]
-    for facet in range(4):
-        a, b, c = corners[FACES[facet, 0]], corners[FACES[facet, 1]], corners[FACES[facet, 2]]
-        _span(points, growth.facets, growth.planes, facet, a, b, c)
-        for side in range(3):
-            growth.facets[facet, 3 + side] = BESIDE[facet, side]
-        growth.above[facet] = NONE
-        growth.lists[facet, NEW] = facet
+    for _ in range(2):
+        for facet in range(4):
+            growth.lists[facet, NEW] = facet
+            place = growth.lists[facet, NEW]  # an index of the kind that all other facets have
+            a, b, c = corners[FACES[facet, 0]], corners[FACES[facet, 1]], corners[FACES[facet, 2]]
+            _span(points, facets, planes, place, a, b, c)
+            for side in range(3):
+                facets[facet, 3 + side] = BESIDE[facet, side]
+            growth.above[facet] = NONE
+        top = corners[3]
+        # the first facet is to look away from the last corner
+        if height_above(planes, BASE, points[top, 0], points[top, 1], points[top, 2]) > 0:
+            corners[1], corners[2] = corners[2], corners[1]
     growth.counts[0] = 4
-    for point in which:
-        _give(points, growth, point, N_FACES)
+    for i in range(len(which)):
+        _give(points, growth, which[i], N_FACES)
     return True
 
 

@@ -71,8 +71,8 @@ def stretches_mm(planes: Planes, rays: Single, slack_px: float) -> tuple[Array, 
     Of a ray of which they leave nothing it is the stretch between the planes that pass each other.
     """
     low_mm, high_mm = left_by(planes.normals, planes.offsets_mm + slack_px * planes.mm_per_px, rays)
-    low_mm, high_mm = np.minimum(low_mm, high_mm), np.maximum(low_mm, high_mm)
-    return np.maximum(low_mm, -MOST_MM), np.minimum(high_mm, MOST_MM)
+    low_mm, high_mm = low_mm.clip(-MOST_MM, MOST_MM), high_mm.clip(-MOST_MM, MOST_MM)
+    return np.minimum(low_mm, high_mm), np.maximum(low_mm, high_mm)
 
 
 def left_by(normals: Array, offsets_mm: Array, rays: Array | Single) -> Array:

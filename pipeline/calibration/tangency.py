@@ -154,9 +154,10 @@ def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, f
     n_cameras = len(tangents.cameras)
     if n_cameras <= MIN_PAIRS:
         return {}
-    shifts_px, counts = _least_shifts(
-        tangents.pairs, tangents.gradients, tangents.residuals_px, np.zeros((n_cameras, 2))
-    )
+    shifts_px = np.zeros((n_cameras, 2))
+    _find_least_shifts(tangents.pairs, tangents.gradients, tangents.residuals_px, shifts_px)
+    known = (~np.isnan(tangents.residuals_px)).sum(axis=1)
+    counts = np.bincount(tangents.pairs.ravel(), np.repeat(known, 2))
     return {
         camera: (du, dv)
         for camera, (du, dv), count in zip(tangents.cameras, shifts_px.tolist(), counts.tolist(), strict=True)
@@ -165,37 +166,31 @@ def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, f
 
 
 @compiled
-def _least_shifts(
+def _find_least_shifts(
     pairs: NDArray[np.int64], gradients: Array, residuals_px: Array, shifts_px: Array
-) -> tuple[Array, NDArray[np.int64]]:
-    """The shifts (V, 2) of `image_shifts_px`, found from those given, and of how many residuals (V,)."""
-    counts = np.zeros(len(shifts_px), np.int64)
+) -> None:
+    """Move the shifts (V, 2) to those of `image_shifts_px`."""
     for camera in range(len(shifts_px)):
         for weighting in range(REWEIGHTINGS):
-            uu, uv, vv, u, v, count = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0
+            uu, uv, vv, u, v = 1e-9, 0.0, 1e-9, 0.0, 0.0
             for pair in range(len(pairs)):
-                if pairs[pair, 0] != camera and pairs[pair, 1] != camera:
-                    continue
-                side = int(pairs[pair, 1] == camera)
-                for plane in range(2):
-                    residual_px = residuals_px[pair, plane]
-                    if np.isnan(residual_px):
+                for side in range(2):
+                    if pairs[pair, side] != camera:
                         continue
-                    by_u, by_v = gradients[pair, side, plane, 0], gradients[pair, side, plane, 1]
-                    left_px = residual_px - by_u * shifts_px[camera, 0] - by_v * shifts_px[camera, 1]
-                    weight = 1.0 if weighting == 0 else 1 / max(abs(left_px), LEAST_RESIDUAL_PX)
-                    uu, uv, vv = (
-                        uu + weight * by_u * by_u,
-                        uv + weight * by_u * by_v,
-                        vv + weight * by_v * by_v,
-                    )
-                    u, v = u + weight * by_u * residual_px, v + weight * by_v * residual_px
-                    count += 1
+                    for plane in range(2):
+                        residual_px = residuals_px[pair, plane]
+                        by_u, by_v = gradients[pair, side, plane, 0], gradients[pair, side, plane, 1]
+                        left_px = residual_px - by_u * shifts_px[camera, 0] - by_v * shifts_px[camera, 1]
+                        weight = 1.0 if weighting == 0 else 1 / max(abs(left_px), LEAST_RESIDUAL_PX)
+                        if not np.isnan(residual_px):
+                            uu += weight * by_u * by_u
+                            uv += weight * by_u * by_v
+                            vv += weight * by_v * by_v
+                            u += weight * by_u * residual_px
+                            v += weight * by_v * residual_px
             determinant = uu * vv - uv * uv
             shifts_px[camera, 0] = (vv * u - uv * v) / determinant
             shifts_px[camera, 1] = (uu * v - uv * u) / determinant
-            counts[camera] = count
-    return shifts_px, counts
 
 
 @compiled
