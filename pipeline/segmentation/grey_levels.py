@@ -55,23 +55,37 @@ def decided(view: GreyLevels, min_contrast: float) -> tuple[Grey, Array, bool]:
     n_rows, n_columns = view.limits.shape
     twice = np.empty((FINE * n_rows, n_columns), np.uint16)
     levels = np.empty((n_rows // CELLS + 1, n_columns // CELLS + 1), np.float32)
-    labels = twice.view(np.uint8)
-    is_inside = _decide(view, np.float32(min_contrast), levels, twice, labels)
+    eights = np.zeros(n_columns // 8 + 1, np.uint64)
+    labels, is_open = twice.view(np.uint8), eights.view(np.uint8)
+    is_inside = _decide(view, np.float32(min_contrast), levels, twice, labels, eights, is_open)
     return np.ascontiguousarray(labels[:height, :width]), levels, is_inside or bool(INSIDE in view.limits)
 
 
 @compiled
 def _decide(
-    view: GreyLevels, min_contrast: np.float32, levels: Array, twice: NDArray[np.uint16], labels: Grey
+    view: GreyLevels,
+    min_contrast: np.float32,
+    levels: Array,
+    twice: NDArray[np.uint16],
+    labels: Grey,
+    eights: NDArray[np.uint64],
+    is_open: Grey,
 ) -> bool:
-    """Label cells (h, w); whether any that is open is inside. `labels` (2 h, 2 w) are `twice`, two at a time.
+    """Label cells (h, w); whether any that is open is inside.
 
     The levels of the blocks of what is open are found, and of those next to them, between which the edge may run.
+
+    Parameters
+    ----------
+    twice, labels
+        (2 h, w) and (2 h, 2 w): the same memory, two labels at a time and one.
+    eights, is_open
+        Zeros for the cells of a row: the same memory, eight at a time and one. Few are open.
     """
     image, expected, limits = view.image, view.expected, view.limits
     height, width = image.shape
     n_rows, n_columns = limits.shape
-    open_columns = np.empty(n_columns + 1, np.int64)
+    open_columns = np.empty(n_columns + 8, np.int64)
     typical, is_inside = NOT_ASKED, False
     for y in range(len(levels)):
         for x in range(len(levels[0])):
@@ -84,8 +98,12 @@ def _decide(
             lower[column] = upper[column]
         n_open, first_y, end_v = 0, max(row - 1, 0) // CELLS, min(FINE * row + FINE, height)
         for column in range(n_columns):
-            open_columns[n_open] = column
-            n_open += here[column] == OPEN
+            is_open[column] = here[column] == OPEN
+        for eight in range(len(eights)):
+            if eights[eight] != 0:
+                for column in range(8 * eight, 8 * eight + 8):
+                    open_columns[n_open] = column
+                    n_open += is_open[column]
         for i in range(n_open):
             column = open_columns[i]
             for y in range(first_y, (row + 1) // CELLS + 1):
