@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.carving.interpolation import interpolate
-from pipeline.carving.views import CHUNK, HALVES, Pinholes, Room, View, look, room
+from pipeline.carving.views import CHUNK, HALVES, Pinholes, View, look
 from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.segmentation.silhouette import SPACING_PX
 
@@ -106,8 +106,8 @@ def _judged(
     n_blocks = len(known)
     counts = np.zeros((2, overruled + 1, n_blocks), np.uint8)
     judgement = _Judgement(np.where(known, ALL, np.uint8(0)), counts[0], counts[1])
-    asked, outside = np.empty(n_blocks + 1, np.int32), np.empty(n_blocks, np.uint8)
-    _judge(centres_mm, half_mm, *looked_at, reach_mm, asked, outside, judgement, room())
+    asked = np.empty(n_blocks + 1, np.int32)
+    _judge(centres_mm, half_mm, *looked_at, reach_mm, asked, judgement)
     return judgement
 
 
@@ -120,38 +120,38 @@ def _judge(
     nodes: NDArray[np.int64],
     reach_mm: Array,
     asked: NDArray[np.int32],
-    outside: Halves,
     judgement: _Judgement,
-    room: Room,
 ) -> None:
-    """Complete a judgement; room for the blocks `asked` about (B + 1,) and for their halves (B,) `outside` of a view.
+    """Complete a judgement; there is room for the blocks `asked` about (B + 1,).
 
     `nodes` (V, 3) are the heights and widths of the views' coarse distances and where they begin.
     """
     within, excluded, unsure = judgement.within, judgement.excluded, judgement.unsure
-    n_blocks, last, per_px = len(outside), len(excluded) - 1, np.float32(1 / SPACING_PX)
+    seen, weights = np.empty((HALVES, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
+    at, inwards_px = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.float32)
+    bits = np.empty((2, CHUNK), np.uint8)
+    n_blocks, last, per_px = len(within), len(excluded) - 1, np.float32(1 / SPACING_PX)
     for view in range(len(nodes)):
         n_asked = FIRST
         for block in range(n_blocks):
-            asked[n_asked], outside[block] = block, 0
+            asked[n_asked] = block
             n_asked += (within[block, view] == 0) & (excluded[last, block] != ALL)
         height, width = nodes[view, 0], nodes[view, 1]
         image_px = distances_px[nodes[view, 2] :]
         for begin in range(0, n_asked, CHUNK):
             n = CHUNK if begin + CHUNK < n_asked else n_asked - begin
-            look(pinholes, view, centres_mm, asked, begin, n, half_mm, room.seen)
+            look(pinholes, view, centres_mm, asked, begin, n, half_mm, seen)
+            for cube in range(n):
+                bits[0, cube], bits[1, cube] = 0, 0
             for half in range(HALVES):
-                places = room.seen[half]
-                interpolate(image_px, height, width, per_px, places, n, room.at, room.weights, room.found)
-                _decide(places, room.found, n, height, width, pinholes.stretches_px[view], reach_mm, view)
-                for cube in range(n):
-                    block, sign = asked[begin + cube], room.found[cube]
-                    within[block, view] |= np.uint8(np.uint8(sign > 0) << half)
-                    outside[block] |= np.uint8(np.uint8(sign < 0) << half)
-        for index in range(n_asked):
-            block = asked[index]
-            _count(excluded, block, outside[block])
-            _count(unsure, block, np.uint8(~within[block, view]))
+                places, stretch_px = seen[half], pinholes.stretches_px[view]
+                interpolate(image_px, height, width, per_px, places, n, at, weights, inwards_px)
+                _decide(places, inwards_px, n, height, width, stretch_px, reach_mm, view, half, bits)
+            for cube in range(n):
+                block = asked[begin + cube]
+                within[block, view] = bits[0, cube]
+                _count(excluded, block, bits[1, cube])
+                _count(unsure, block, np.uint8(~bits[0, cube]))
 
 
 @compiled_within
@@ -164,8 +164,10 @@ def _decide(
     stretch_px: np.float32,
     reach_mm: Array,
     view: int,
+    half: int,
+    bits: Halves,
 ) -> None:
-    """Replace distances at the first `n` places by 1 where all around is within the silhouette, -1 outside, else 0."""
+    """Set the bit of this half where all around the first `n` places is within the silhouette, and where outside."""
     across_mm, along_mm = reach_mm[0, view], reach_mm[1, view]
     slack_px, unbounded, spacing_px = np.float32(SLACK_PX), np.float32(np.inf), np.float32(SPACING_PX)
     last_u, last_v = spacing_px * np.float32(width - 1), spacing_px * np.float32(height - 1)
@@ -177,7 +179,8 @@ def _decide(
         to_end_px = min(min(u, last_u - u), min(v, last_v - v))
         is_in = min(inwards_px[cube], to_end_px) > reach_px
         is_out = max(-inwards_px[cube], -to_end_px - spacing_px) > reach_px
-        inwards_px[cube] = np.float32(is_in) - np.float32(is_out)
+        bits[0, cube] |= np.uint8(np.uint8(is_in) << half)
+        bits[1, cube] |= np.uint8(np.uint8(is_out) << half)
 
 
 @compiled_within

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.carving.interpolation import interpolate
 from pipeline.carving.octree import Blocks, Halves
-from pipeline.carving.views import CHUNK, HALVES, Pinholes, Room, look
+from pipeline.carving.views import CHUNK, HALVES, Pinholes, look
 from pipeline.compiled import compiled, whole
 from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN
 
@@ -45,7 +45,6 @@ def lower(
     pinholes: Pinholes,
     view: int,
     distance_px: Array,
-    room: Room,
 ) -> None:
     """Enter a view's signed distances to its viewing cone into the smallest so far (M, HALVES, PARTS), in order.
 
@@ -55,12 +54,13 @@ def lower(
     flat_px = distance_px.reshape(-1)
     last_u, last_v = np.float32(width - 1), np.float32(height - 1)
     per_focal, beyond_px = np.float32(1) / pinholes.focals_px[view], np.float32(-MARGIN_PX)
-    seen, found, per_px = room.seen, room.found, np.float32(1)
+    seen, weights = np.empty((HALVES, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
+    at, found, per_px = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.float32), np.float32(1)
     for begin in range(0, n_parts, CHUNK):
         n = CHUNK if begin + CHUNK < n_parts else n_parts - begin
         look(pinholes, view, centres_mm, parts, begin, n, half_mm, seen)
         for sample in range(HALVES):
-            interpolate(flat_px, height, width, per_px, seen[sample], n, room.at, room.weights, found)
+            interpolate(flat_px, height, width, per_px, seen[sample], n, at, weights, found)
             for index in range(n):
                 u, v, depth_mm = seen[sample, 0, index], seen[sample, 1, index], seen[sample, 2, index]
                 is_seen = (u >= 0) & (u <= last_u) & (v >= 0) & (v <= last_v) & (depth_mm > 0)
@@ -84,12 +84,11 @@ def count(
     pinholes: Pinholes,
     view: int,
     labels: Grey,
-    room: Room,
 ) -> None:
     """Add 1 to the samples (HALVES, PARTS) of parts, as in `lower`, whose nearest pixel is not outside in a view."""
     height, width = labels.shape
     flat = labels.reshape(-1)
-    seen, at = room.seen, room.at
+    seen, at = np.empty((HALVES, 4, CHUNK), np.float32), np.empty(CHUNK, np.int32)
     zero, half, columns, rows = np.float32(0), np.float32(0.5), np.float32(width), np.float32(height)
     for begin in range(0, n_parts, CHUNK):
         n = CHUNK if begin + CHUNK < n_parts else n_parts - begin

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline.carving.hull import CarvingParameters, VisualHull
 from pipeline.carving.octree import LEAF, Octree, centres_of, octree_of
 from pipeline.carving.samples import count, count_within, fill, lower, place, undecided
-from pipeline.carving.views import HALVES, Pinholes, View, pinholes_of, room, usable_views
+from pipeline.carving.views import HALVES, Pinholes, View, pinholes_of, usable_views
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
 from pipeline.rig_design import nominal_rig
@@ -76,10 +76,10 @@ def _distances_mm(
     n_parts = HALVES * len(octree.leaves)
     smallest_mm = np.full((parameters.max_disagreeing_views + 1, HALVES, n_parts), np.inf, np.float32)
     centres_mm, half_mm = _part_centres(octree, parameters), parameters.pitch_mm / 2
-    parts, work = np.empty(n_parts + 1, np.int32), room()
+    parts = np.empty(n_parts + 1, np.int32)
     for view, (_, silhouette) in enumerate(views):
         n = undecided(octree.within, octree.parts, view, parts)
-        lower(smallest_mm, centres_mm, parts, n, half_mm, pinholes, view, silhouette.distance_px, work)
+        lower(smallest_mm, centres_mm, parts, n, half_mm, pinholes, view, silhouette.distance_px)
     return smallest_mm[-1]
 
 
@@ -89,10 +89,10 @@ def _counts(
     """The paper's S (HALVES, PARTS): how many silhouettes contain the nearest pixel of each sample's projection."""
     counts = count_within(octree.within)
     centres_mm, half_mm = _part_centres(octree, parameters), parameters.pitch_mm / 2
-    parts, work = np.empty(counts.shape[1] + 1, np.int32), room()
+    parts = np.empty(counts.shape[1] + 1, np.int32)
     for view, (_, silhouette) in enumerate(views):
         n = undecided(octree.within, octree.parts, view, parts)
-        count(counts, centres_mm, parts, n, half_mm, pinholes, view, silhouette.labels, work)
+        count(counts, centres_mm, parts, n, half_mm, pinholes, view, silhouette.labels)
     return counts
 
 

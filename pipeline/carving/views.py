@@ -21,7 +21,8 @@ HALVES = 8
 CORNERS = np.array([[1, j, k] for j in (-1, 1) for k in (-1, 1)], np.float64)
 """Of a cube around the origin, those that are not opposite to another."""
 CHUNK = 64
-"""So many cubes are looked at at once: what is known of them stays in the cache."""
+"""So many cubes are looked at at once: what is known of them stays in the cache. The arrays for it are made where they
+are filled: of others the compiler knows neither the strides nor that they are apart, and takes one cube at a time."""
 
 
 class Pinholes(NamedTuple):
@@ -37,20 +38,6 @@ class Pinholes(NamedTuple):
     stretches_px: Array  # (V,) most that a step of 1 at depth 1 is in the image, anywhere in the grid
     across: Array  # (V,) from the cube's centre to a corner, at right angles to the optical axis
     along: Array  # (V,) the same along it
-
-
-class Room(NamedTuple):
-    """For what is known of up to `CHUNK` cubes, and of one half of each."""
-
-    seen: Array  # (HALVES + 1, 4, CHUNK) u, v, depth and slope of each half, then of each cube x, y, z in the view
-    at: NDArray[np.int32]  # (CHUNK,) as `interpolate` has it
-    weights: Array  # (2, CHUNK) the same
-    found: Array  # (CHUNK,) values of a half
-
-
-def room() -> Room:
-    seen, weights = np.empty((HALVES + 1, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
-    return Room(seen, np.empty(CHUNK, np.int32), weights, np.empty(CHUNK, np.float32))
 
 
 def usable_views(silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration) -> list[View]:
@@ -134,27 +121,28 @@ def look(
 ) -> None:
     """How a camera sees the centres of the halves of cubes: region pixels u, v, depth and slope to the optical axis.
 
-    Of the cubes around `centres_mm` (3, N) the `n` are looked at that stand in `which` from `begin` on. `seen` is as
-    in `Room`; `half_mm` is half of a half's edge.
+    Of the cubes around `centres_mm` (3, N) the `n` are looked at that stand in `which` from `begin` on, into
+    `seen` (HALVES, 4, CHUNK); `half_mm` is half of a half's edge.
     """
     R, t = pinholes.R, pinholes.t_mm  # rows of arrays would be counted references
     xx, xy, xz = R[view, 0, 0], R[view, 0, 1], R[view, 0, 2]
     yx, yy, yz = R[view, 1, 0], R[view, 1, 1], R[view, 1, 2]
     zx, zy, zz = R[view, 2, 0], R[view, 2, 1], R[view, 2, 2]
     lens = lens_of(pinholes, view)
+    turned_mm = np.empty((3, CHUNK), np.float32)
     for cube in range(n):
         at = np.uint64(which[begin + cube])
         x, y, z = centres_mm[0, at], centres_mm[1, at], centres_mm[2, at]
-        seen[HALVES, 0, cube] = t[view, 0] + (xx * x + xy * y + xz * z)
-        seen[HALVES, 1, cube] = t[view, 1] + (yx * x + yy * y + yz * z)
-        seen[HALVES, 2, cube] = t[view, 2] + (zx * x + zy * y + zz * z)
+        turned_mm[0, cube] = t[view, 0] + (xx * x + xy * y + xz * z)
+        turned_mm[1, cube] = t[view, 1] + (yx * x + yy * y + yz * z)
+        turned_mm[2, cube] = t[view, 2] + (zx * x + zy * y + zz * z)
     for half in range(HALVES):
         i = np.float32(half_mm if half & 4 else -half_mm)
         j = np.float32(half_mm if half & 2 else -half_mm)
         k = np.float32(half_mm if half & 1 else -half_mm)
         to_x, to_y, to_z = xx * i + xy * j + xz * k, yx * i + yy * j + yz * k, zx * i + zy * j + zz * k
         for cube in range(n):
-            depth_mm = seen[HALVES, 2, cube] + to_z
-            x, y = (seen[HALVES, 0, cube] + to_x) / depth_mm, (seen[HALVES, 1, cube] + to_y) / depth_mm
+            depth_mm = turned_mm[2, cube] + to_z
+            x, y = (turned_mm[0, cube] + to_x) / depth_mm, (turned_mm[1, cube] + to_y) / depth_mm
             seen[half, 0, cube], seen[half, 1, cube] = pixel_of(lens, x, y)
             seen[half, 2, cube], seen[half, 3, cube] = depth_mm, np.sqrt(x * x + y * y)
