@@ -4,6 +4,8 @@ With p and q the two vertices that touch the planes normal to u, w(v) >= (p - q)
 because p and q stay in the body. This bound turns the searches below from guesses into certificates.
 """
 
+import math
+
 import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
@@ -21,6 +23,8 @@ MAX_DIRECTIONS = 128
 """Directions in which the greatest dimension is looked for; a longish body needs one or two."""
 MAX_OPEN = 160
 """Parts of a triangle still to be looked at, three of each size."""
+MANY_POINTS = 400
+"""Of more than so many in a plane the convex hull is found before each is compared with each."""
 RIM = 1e-9
 """A facet so steep (its normal's part along the axis) belongs to either side."""
 
@@ -38,10 +42,10 @@ def max_feret(body: ConvexBody) -> Array:
     depth_mm = slack / (1 - slack) * body.width_mm.max()
     upper, lower = (body.vertices_mm[body.touching[:, end]] for end in (0, 1))
     spans_mm = upper - lower
-    lengths_mm = np.linalg.norm(spans_mm, axis=1)
+    lengths_mm = np.sqrt(np.vecdot(spans_mm, spans_mm))
     best, best_mm = spans_mm[lengths_mm.argmax()], lengths_mm.max()
-    widest = np.argsort(-body.width_mm)[:MAX_DIRECTIONS]
-    for direction in directions[widest[body.width_mm[widest] >= best_mm * (1 - slack)]]:
+    wide = np.flatnonzero(body.width_mm >= best_mm * (1 - slack))
+    for direction in directions[wide[body.width_mm[wide].argsort()[: -MAX_DIRECTIONS - 1 : -1]]]:
         heights = body.vertices_mm @ direction
         upper = body.vertices_mm[heights >= heights.max() - depth_mm]
         lower = body.vertices_mm[heights <= heights.min() + depth_mm]
@@ -146,10 +150,18 @@ def extents_across(body: ConvexBody, axis: Array) -> tuple[float, float]:
     is_near, is_far = np.zeros((2, len(body.vertices_mm)), bool)
     is_near[body.facets[along >= -RIM]] = True
     is_far[body.facets[along <= RIM]] = True
-    rim_mm = body.vertices_mm[is_near & is_far]
-    flat_mm = rim_mm @ np.linalg.svd(axis[None, :])[2][1:].T
-    flat_mm = flat_mm[scipy.spatial.ConvexHull(flat_mm).vertices]
-    distances_mm = scipy.spatial.distance.squareform(scipy.spatial.distance.pdist(flat_mm))
+    flat_mm = body.vertices_mm[is_near & is_far] @ _across(axis).T
+    if len(flat_mm) > MANY_POINTS:
+        flat_mm = flat_mm[scipy.spatial.ConvexHull(flat_mm).vertices]
+    distances_mm = scipy.spatial.distance.cdist(flat_mm, flat_mm)
     i, j = np.unravel_index(distances_mm.argmax(), distances_mm.shape)
     u, v = (flat_mm[i] - flat_mm[j]) / distances_mm[i, j]
     return float(distances_mm[i, j]), float(np.ptp(flat_mm @ [-v, u]))
+
+
+def _across(axis: Array) -> Array:
+    """Two unit vectors (2, 3) perpendicular to an axis (3,) and to each other (Duff et al. 2017)."""
+    x, y, z = (axis / np.linalg.norm(axis)).tolist()
+    sign = math.copysign(1.0, z)
+    a = -1 / (sign + z)
+    return np.array([[1 + sign * x * x * a, sign * x * y * a, -sign * x], [x * y * a, sign + y * y * a, -y]])
