@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
 FIRST, TWO_AXES, ALL_AXES = whole(0), whole(2), whole(3)
+"""A frame of a list, and how many axes are asked about."""
 N_COARSE = whole(40)
 """Coarse frames, of different neighbourhoods, among which the starts are chosen."""
 N_STARTS = 20
@@ -36,8 +37,8 @@ MAX_LAG = 0.5
 """A frame is given up that is worse than the best known by more than this share for each rad of the latest turn."""
 N_CHILDREN = 4
 """Of the turns of a frame so many are looked at closely."""
-ZOOM = 0.6
-NARROW_ZOOM = 0.5
+ZOOM, NARROW_ZOOM = 0.6, 0.5
+"""Of the radius from one turn to the next, and at those of less than `NARROW_RAD`."""
 FINAL_RADIUS_RAD = 1e-5
 """Turning a body of extent D by this changes a width by at most 1e-5 D."""
 N_STEPS = 7
