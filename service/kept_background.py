@@ -67,7 +67,8 @@ class KeptBackground:
         try:
             with replacing(self._path) as unfinished, zipfile.ZipFile(unfinished, "w") as archive:
                 for path in sorted(folder.iterdir()):  # as numpy.savez would, and earlier releases did
-                    archive.write(path, path.name)
+                    # at once: in zipfile's own pieces of 8 kB the interpreter's lock changes hands all the time
+                    archive.writestr(path.name, path.read_bytes())
             for other in self._path.parent.glob("background-*.npz"):
                 if other != self._path:
                     other.unlink()
