@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 
 IDLE_S = 0.05
 """Longest wait for an event before deadlines are looked at."""
+STALL_NS = 200_000_000
+"""Between two turns of the pump this is no work but the machine, or the disk, standing still."""
 LAST_FRAMES_S = 10.0
 """Longest wait for the frames of the last trigger once the gate is disarmed."""
 SUSPENDED_S = 60.0
@@ -85,6 +87,7 @@ class Acquisition:
         self.counters = BundlingCounters()
         """Since it was last armed."""
         self._inbox: EventInbox | None = None
+        self._turned_ns: int | None = None  # when the pump last made a turn
         self.state = AcquisitionState.DISARMED
         self.trouble: str | None = None
         """Why it is held."""
@@ -165,6 +168,7 @@ class Acquisition:
         inbox = self._inbox = EventInbox(asyncio.get_running_loop(), INBOX_TRIGGERS * len(self.cameras.ids))
         assembler = BundleAssembler(self.cameras.ids, self._bundling)
         self.counters = assembler.counters
+        self._turned_ns = None
         self.cameras.count(assembler.counters)
         async with AsyncExitStack() as ending:
             ending.push_async_callback(self._end_session, inbox, assembler)
@@ -223,6 +227,7 @@ class Acquisition:
         """Handle and return the next event, or the deadlines that are due if none comes."""
         now_ns = self._devices.clock()  # before asking the inbox, see BundleAssembler
         event = await inbox.get(timeout_s=IDLE_S)
+        self._look_for_stall(assembler)
         if event is None:
             bundles = assembler.advance(now_ns)
         else:
@@ -234,6 +239,15 @@ class Acquisition:
         await self._hand_over(bundles)
         self._on_progress()
         return event
+
+    def _look_for_stall(self, assembler: BundleAssembler) -> None:
+        """No frame's deadline runs while this process, or the whole machine, stands still."""
+        now_ns = time.monotonic_ns()
+        stalled_ns = now_ns - (self._turned_ns or now_ns)
+        self._turned_ns = now_ns
+        if stalled_ns > STALL_NS:
+            log.warning("stood still for_s=%.1f", stalled_ns / 1e9)
+            assembler.wait_longer(stalled_ns)
 
     async def _pump_last_frames(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
         """See the stones through that passed the gate before it was disarmed."""

@@ -30,6 +30,7 @@ class Window:
     trigger: Trigger
     ordinal: int  # among triggers that expose
     expected_ns: int
+    stalled_ns: int = 0  # the host stood still meanwhile: no deadline runs then
     in_dead_time: bool = False  # no camera exposes
     is_spoiled: bool = False  # a background with a stone in it
     frames: dict[CameraId, Frame] = field(default_factory=dict)

@@ -117,6 +117,11 @@ class BundleAssembler:
             bundles.append(self._close(self._open.popleft()))
         return bundles + self._unseen(self._missed.unseen(now_ns))
 
+    def wait_longer(self, stalled_ns: int) -> None:
+        """The host stood still for so long: frames of the open triggers may be here, and not yet delivered."""
+        for window in self._open:
+            window.stalled_ns += stalled_ns
+
     def flush(self, reason: str = NO_FRAME) -> list[FrameBundle]:
         """Close everything now; `reason` is that of the frames still expected."""
         self._give_up(self._held)
@@ -280,7 +285,7 @@ class BundleAssembler:
         self._account.unplaced([event for event in events if isinstance(event, Frame)], self._open)
 
     def _deadline_ns(self, window: Window) -> int:
-        return window.expected_ns + self._window_ns + DELIVERY_NS
+        return window.expected_ns + self._window_ns + DELIVERY_NS + window.stalled_ns
 
 
 def _exposure(frame: Frame, window: Window) -> Exposure:

@@ -94,6 +94,19 @@ def test_a_frame_that_comes_after_its_window_is_used_while_its_trigger_waits(
     assert accounted(assembler.counters.cameras[A]) == len(times_ns)
 
 
+@pytest.mark.parametrize(("stalled_ms", "is_measured"), [(0, False), (1000, True)])
+def test_no_deadline_runs_while_the_host_stands_still(stalled_ms: int, is_measured: bool) -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS, device_ns=7) for camera in CAMERAS)])
+    assembler.feed(trigger(1, 500 * MS))
+    assembler.wait_longer(stalled_ms * MS)
+    woken_ns = 500 * MS + DELAY_NS + 900 * MS
+    bundles = assembler.advance(woken_ns)
+    bundles += feed_all(assembler, [frame(camera, 1, woken_ns, device_ns=7 + 500 * MS) for camera in CAMERAS])
+    (bundle,) = bundles
+    assert tags(bundle) == ({1} if is_measured else set())
+
+
 def test_the_first_frame_of_a_camera_may_come_until_the_next_window_opens() -> None:
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     period_ns, bundles = 220 * MS, []
