@@ -10,6 +10,8 @@ from typing import Any
 
 import typer
 
+from service.compiled_code import keep_apart
+
 COMMANDS = {
     "serve": "service.commands.serve",
     "check-config": "service.commands.check_config",
@@ -57,6 +59,7 @@ def main() -> None:
     from pipeline.errors import PipelineError
     from service.errors import ServiceError
 
+    keep_apart()
     wanted = [name for name in sys.argv[1:2] if name in COMMANDS]
     try:
         build_app(wanted or COMMANDS)()

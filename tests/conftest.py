@@ -11,8 +11,11 @@ from collections.abc import Generator, Iterator
 import hypothesis
 import pytest
 
+from service.compiled_code import keep_apart
+
 # as systemd/stonefall.service has it; before NumPy is imported: its threads only spin on matrices as small as ours
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+keep_apart()  # before numba is; with the daemons that the tests start
 
 hypothesis.settings.register_profile(
     "gate", deadline=None, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]
