@@ -19,7 +19,6 @@ HEARTBEAT_TIMEOUT = 0x938
 TIMESTAMP_CONTROL = 0x944
 CONTROL_PRIVILEGE = 0xA00
 STREAM_PORT = 0xD00
-STREAM_PACKET_SIZE = 0xD04
 STREAM_ADDRESS = 0xD18
 STREAM_SOURCE_PORT = 0xD1C
 
@@ -114,11 +113,6 @@ class Registers:
         return self._addresses[key, bank]
 
     # --- the camera's side: physical values, no rules ---
-
-    def selected(self, key: str) -> int:
-        """Which bank of this feature its selector chooses now."""
-        selector = self.features[key].selector
-        return self.number(selector) if selector else 0
 
     def get(self, key: str, bank: int = 0) -> Value:
         feature = self.features[key]

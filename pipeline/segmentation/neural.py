@@ -41,6 +41,8 @@ LOOSE = 1.5
 """A body that can be seen so many times finer is looked at again."""
 SUSPECT = np.float32(HALO_CONTRAST / 2)
 """Difference from the smoothed expected view, as a share of it, at which every pixel is compared."""
+OF_BITS = limits_from(*(np.arange(256) & bit != 0 for bit in (CORE, POSSIBLE, UNKNOWN)))
+"""What `delineate` is told for the bits of `limits_of`."""
 LEAST_RELATIVE = np.float32(0.005)
 """Of the wall: what is expected to be darker says nothing of the light."""
 
@@ -146,7 +148,6 @@ class NetworkSegmenter:
     def _delineate(self, seen: Bits, behind: Behind, limits: Bits) -> Delineation:
         """The body in the part (h, w) of an image that is in a region, between its limits (height, width)."""
         halves = behind.region.halved(limits, behind.shape)
-        core, possible, unknown = ((halves & bit).astype(np.bool_) for bit in (CORE, POSSIBLE, UNKNOWN))
         wanted = _beside_edge(limits, behind.region)
         gain, expected = behind.even_light(wanted), behind.empty
         if gain is None:
@@ -154,7 +155,7 @@ class NetworkSegmenter:
         return delineate(
             seen,
             expected,
-            limits_from(core, possible, unknown),
+            np.asarray(cv2.LUT(halves, OF_BITS), np.uint8),
             gain=gain,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
