@@ -54,7 +54,7 @@ dead_time_ms = {dead_time_ms:.0f}
 """Triggers closer than 220 ms need cameras that are not busy while they wait for a stone."""
 LOCK_PROBE = Path(__file__).parents[1] / "support/lock_probe.py"
 LOCK_WAITS = "lock-waits"
-LOOK_S = 0.005
+LOOK_S = 0.01
 """How often the store is asked for news."""
 SAMPLE_S = 1.0
 DRAIN_S = 600.0
@@ -174,6 +174,7 @@ def played(recording: Recording, name: str, rate_hz: float, seconds: float, argu
             command=(sys.executable, LOCK_PROBE, folder / LOCK_WAITS),
         ) as daemon:
             daemon.hear("READY=1")
+            (folder / LOCK_WAITS).touch()
             watched, is_over = Watched(), threading.Event()
             store = folder / "state/results.sqlite"
             watching = threading.Thread(target=watched.look, args=(store, is_over))

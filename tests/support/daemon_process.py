@@ -118,9 +118,11 @@ class DaemonProcess:
 
     def hear(self, assignment: str, timeout_s: float = PATIENCE_S) -> None:
         """Return once the daemon has notified `assignment`."""
-        deadline = time.monotonic() + timeout_s
+        deadline, ended = time.monotonic() + timeout_s, None
         while not any(line.startswith(assignment) for line in self.heard):
+            assert ended is None, f"no {assignment}, it ended with {ended}; the daemon's log:\n{self.log}"
             assert time.monotonic() < deadline, f"no {assignment}; the daemon's log:\n{self.log}"
+            ended = self.process.poll()  # what it said last may be on its way
             time.sleep(0.005)
 
     @property

@@ -3,7 +3,8 @@
 Run: python lock_probe.py FILE [arguments of stonefall]
 A line of FILE is one wait beyond NOTED_MS: when it ended (monotonic clock, s) and how long it was (ms). What the thread
 waited for a core is left out, and what the process did not compute meanwhile: then nobody held the lock. Beyond LONG_S
-the stacks of all threads come before it.
+the stacks of all threads come before it. It begins once FILE is there: a stack that is written while the interpreter
+starts, which holds the lock for long, may end the process.
 """
 
 import faulthandler
@@ -15,14 +16,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-PERIOD_S = 0.002
+PERIOD_S = 0.004
+WAITING_S = 0.1
 NOTED_MS = 5.0
 LONG_S = 0.02
 """What no call of the daemon may take with the lock held."""
 
 
-def watch(file: TextIO) -> None:
+def watch(path: Path) -> None:
     """Sleep, and note how much later than asked the interpreter lets this thread go on."""
+    while not path.exists():
+        time.sleep(WAITING_S)
+    with path.open("a", encoding="utf-8") as file:
+        _note_waits(file)
+
+
+def _note_waits(file: TextIO) -> None:
     statistics = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY)
     while True:
         for_core_ns, computed_ns = -_waited_for_core_ns(statistics), -time.process_time_ns()
@@ -53,8 +62,7 @@ def waits_ms(path: Path, since_s: float) -> Iterator[float]:
 def main() -> None:
     from service.cli import main as stonefall  # the workers import this module, too
 
-    file = Path(sys.argv.pop(1)).open("w", encoding="utf-8")  # noqa: SIM115 - until the process ends
-    threading.Thread(target=watch, args=(file,), name="lock probe", daemon=True).start()
+    threading.Thread(target=watch, args=(Path(sys.argv.pop(1)),), name="lock probe", daemon=True).start()
     stonefall()
 
 
