@@ -14,9 +14,11 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
+from pathlib import Path
 from statistics import median_low
 from typing import Literal, NamedTuple
 
+from drivers.bundle_file import DAMAGED
 from drivers.errors import RecordingError
 from drivers.interfaces import DeviceEvent, EventSink, FrameLost, PlaybackEnded
 from drivers.outlet import Outlet
@@ -75,6 +77,7 @@ class ReplayBelt:
         self._unreadable = unreadable_triggers(recording)
         self._loop = loop
         self._position = 0  # in all rounds
+        self._sound: set[Path] = set()
         self._delay_ns = _frame_delay_ns(self._headers)
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
@@ -240,9 +243,14 @@ class ReplayBelt:
 
     def _read(self, header: BundleHeader) -> _Playable:
         try:
-            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True)
+            is_known = (
+                header.path in self._sound
+            )  # to check it again in each round would be a pass over all pixels
+            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=not is_known)
         except RecordingError as err:
             return self._without_frames(header.trigger, err)
+        if DAMAGED not in bundle.missing.values():
+            self._sound.add(header.path)
         return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
 
     def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:

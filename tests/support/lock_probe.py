@@ -1,10 +1,11 @@
-"""`stonefall` with a thread that notes how long it waits for the interpreter's lock, and who holds it then.
+"""`stonefall` with a thread that notes how long it waits for the interpreter's lock, and who holds it then if asked.
 
 Run: python lock_probe.py FILE [arguments of stonefall]
 A line of FILE is one wait beyond NOTED_MS: when it ended (monotonic clock, s) and how long it was (ms). What the thread
-waited for a core is left out, and what the process did not compute meanwhile: then nobody held the lock. Beyond LONG_S
-the stacks of all threads come before it. It begins once FILE is there: a stack that is written while the interpreter
-starts, which holds the lock for long, may end the process.
+waited for a core is left out, what the process did not compute meanwhile, for then nobody held the lock, and what a
+hypervisor took away from a core, which looks like computing. It begins once FILE is there. With LOCK_STACKS in the
+environment the stacks of all threads come before a wait beyond LONG_S: this takes time, and may end the process while
+it loads modules.
 """
 
 import faulthandler
@@ -18,6 +19,7 @@ from typing import TextIO
 
 PERIOD_S = 0.004
 WAITING_S = 0.1
+TICK_NS = 1_000_000_000 // os.sysconf("SC_CLK_TCK")
 NOTED_MS = 5.0
 LONG_S = 0.02
 """What no call of the daemon may take with the lock held."""
@@ -32,23 +34,33 @@ def watch(path: Path) -> None:
 
 
 def _note_waits(file: TextIO) -> None:
-    statistics = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY)
+    is_told = "LOCK_STACKS" in os.environ
+    own = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY)
+    machines = os.open("/proc/stat", os.O_RDONLY)
     while True:
-        for_core_ns, computed_ns = -_waited_for_core_ns(statistics), -time.process_time_ns()
+        no_core_ns = -_waited_for_core_ns(own) - _stolen_ns(machines)
+        computed_ns = -time.process_time_ns()
         due_ns = time.monotonic_ns() + round(1e9 * PERIOD_S)
-        faulthandler.dump_traceback_later(PERIOD_S + LONG_S, file=file)  # by a thread that needs no lock
+        if is_told:
+            faulthandler.dump_traceback_later(PERIOD_S + LONG_S, file=file)  # by a thread that needs no lock
         time.sleep(PERIOD_S)
         now_ns = time.monotonic_ns()
-        faulthandler.cancel_dump_traceback_later()
-        for_core_ns += _waited_for_core_ns(statistics)
+        if is_told:
+            faulthandler.cancel_dump_traceback_later()
         computed_ns += time.process_time_ns()
-        if (waited_ms := min(now_ns - due_ns - for_core_ns, computed_ns) / 1e6) > NOTED_MS:
+        no_core_ns += _waited_for_core_ns(own) + _stolen_ns(machines)
+        if (waited_ms := min(now_ns - due_ns - no_core_ns, computed_ns) / 1e6) > NOTED_MS:
             file.write(f"{now_ns / 1e9:.3f} {waited_ms:.1f}\n")
             file.flush()
 
 
-def _waited_for_core_ns(statistics: int) -> int:
-    return int(os.pread(statistics, 100, 0).split()[1])
+def _waited_for_core_ns(own: int) -> int:
+    return int(os.pread(own, 100, 0).split()[1])
+
+
+def _stolen_ns(machines: int) -> int:
+    """Of all cores together, told in whole ticks."""
+    return int(os.pread(machines, 200, 0).split()[8]) * TICK_NS
 
 
 def waits_ms(path: Path, since_s: float) -> Iterator[float]:

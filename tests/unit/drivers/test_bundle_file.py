@@ -116,6 +116,7 @@ def test_a_damaged_page_is_a_missing_view(tmp_path: Path) -> None:
     found = read_bundle(path, CAMERAS)
     assert dict(found.missing) == {CAMERAS[2]: "damaged"}
     assert set(found.frames) == set(CAMERAS) - {CAMERAS[2]}
+    assert read_bundle(path, CAMERAS, checked=False).frames.keys() == set(CAMERAS)
 
 
 def test_foreign_files_are_named(tmp_path: Path) -> None:

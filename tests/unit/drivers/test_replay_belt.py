@@ -160,6 +160,17 @@ def test_missing_and_damaged_views_are_told(tmp_path: Path) -> None:
     assert sum(isinstance(event, Frame) for event in events) == 10
 
 
+def test_a_damaged_view_is_told_in_every_round_of_a_loop(tmp_path: Path) -> None:
+    path = recorded(tmp_path, [make_bundle(0), make_bundle(1)])
+    torn = path / "bundles" / "00000001.tiff"
+    torn.write_bytes(torn.read_bytes()[:-2000])
+    n_rounds, n_events = 3, 2 * (1 + len(CAMERAS))
+    with playing(path, permits=2 * n_rounds, loop=True) as (_, sink):
+        events = [sink.next() for _ in range(n_rounds * n_events)]
+    losses = [(event.camera, event.reason) for event in events if isinstance(event, FrameLost)]
+    assert losses == n_rounds * [(CAMERAS[3], "damaged")]
+
+
 def test_what_cannot_be_read_still_triggers_after_all_others(tmp_path: Path) -> None:
     path = recorded(tmp_path, [make_bundle(number) for number in range(3)])
     (path / "bundles" / "00000001.tiff").write_bytes(b"")
