@@ -35,6 +35,9 @@ MAX_SLOPE = 1.1
 BLOCK = 128
 """Rays that are projected at a time."""
 OWNER, LOW, HIGH, FIRST, PITCH, ENOUGH, FOUND = 6, 7, 8, 9, 10, 11, 12
+"""Columns of `_Search.rays`, after their lines."""
+SHIFT, LENS, FOCAL = 9, 12, 22
+"""Columns of `Field.cameras`, after the rotation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,10 +160,10 @@ def _lower(
     flat_px, beyond_px = distance_px.reshape(-1), np.float32(-MARGIN_PX)
     zero, last_u, last_v = np.float32(0), np.float32(width - 1), np.float32(height - 1)
     lens = (
-        camera[12], camera[13], camera[14], camera[15], camera[16],
-        camera[17], camera[18], camera[19], camera[20], camera[21],
+        camera[LENS], camera[LENS + 1], camera[LENS + 2], camera[LENS + 3], camera[LENS + 4],
+        camera[LENS + 5], camera[LENS + 6], camera[LENS + 7], camera[LENS + 8], camera[LENS + 9],
     )  # fmt: skip
-    per_focal, most_per_pitch = np.float32(1) / camera[22], np.float32(MAX_SLOPE / 2)
+    per_focal, most_per_pitch = np.float32(1) / camera[FOCAL], np.float32(MAX_SLOPE / 2)
     block, pixels = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
     samples_mm, steps_mm = np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
     seen, weights = np.empty((2, BLOCK), np.float32), np.empty((2, BLOCK), np.float32)
@@ -179,7 +182,7 @@ def _lower(
             for axis in range(3):
                 x, y, z = camera[3 * axis], camera[3 * axis + 1], camera[3 * axis + 2]
                 along = x * rays[ray, 3] + y * rays[ray, 4] + z * rays[ray, 5]
-                point_mm = x * rays[ray, 0] + y * rays[ray, 1] + z * rays[ray, 2] + camera[9 + axis]
+                point_mm = x * rays[ray, 0] + y * rays[ray, 1] + z * rays[ray, 2] + camera[SHIFT + axis]
                 samples_mm[axis, i] = point_mm + rays[ray, FIRST] * along
                 steps_mm[axis, i] = rays[ray, PITCH] * along
         for sample in range(n_samples):
