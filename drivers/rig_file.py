@@ -5,7 +5,8 @@ from pathlib import Path
 from drivers.errors import RecordingError
 from drivers.files import read_json, write_json
 from pipeline.errors import RigError
-from pipeline.rig import RigCalibration, rig_from_document, rig_to_document
+from pipeline.rig import RigCalibration, rig_to_document
+from pipeline.rig_document import rig_from_document
 
 
 def read_rig(path: Path) -> RigCalibration:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Literal
 
 import numpy as np
@@ -20,37 +19,10 @@ from pipeline.measuring.solid import surface_area_mm2
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
 from pipeline.rig import RigCalibration
-from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, ViewStatus, segment_all
+from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
-
-LAYER_TOLERANCE_DEG = 10.0
-"""Cameras whose elevations differ by less belong to one layer."""
-
-
-class Quality(StrEnum):
-    """How many views a result rests on (domain 4.3)."""
-
-    GOOD = "good"
-    REDUCED = "reduced"
-    DEGRADED = "degraded"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewsParameters:
-    """What becomes of a stone that some cameras did not see well."""
-
-    good: int = 14  # at least so many views make a good result
-    reduced: int = 12
-    min: int = 8  # fewer are not measured
-    max_unusable: int = 2  # views showing several bodies, or a cut one, before the whole bundle is rejected
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.min <= self.reduced <= self.good:
-            raise ValueError("views need 2 <= min <= reduced <= good")
-        if self.max_unusable < 0:
-            raise ValueError("max_unusable must not be negative")
-
+from pipeline.view_quality import Quality, ViewsParameters, judge_views, quality_of
 
 BodyKind = Literal["estimate", "hull"]
 
@@ -171,7 +143,7 @@ def measure_bundle(
     dropped = dict(bundle.missing)
     consistency = None
     try:
-        _judge_views(silhouettes, dropped, rig, parameters)
+        judge_views(silhouettes, dropped, rig, parameters.views)
         consistency = check_consistency(silhouettes, rig, parameters.consistency)
         on_stage("check")
         dropped.update(consistency.suspects)
@@ -181,7 +153,7 @@ def measure_bundle(
                 f"more than {parameters.consistency.max_suspect_views} views contradict each other",
             )
         carving = {camera: silhouette for camera, silhouette in silhouettes.items() if camera not in dropped}
-        quality = _quality(rig.subset(carving), rig, parameters.views)
+        quality = quality_of(rig.subset(carving), rig, parameters.views)
         hull = carve(carving, rig, parameters.carving)
         on_stage("carve")
         if hull.touches_border:
@@ -215,59 +187,6 @@ def measure_bundle(
         hull=hull_mesh,
         measurement=measurement,
     )
-
-
-def _judge_views(
-    silhouettes: SilhouetteSet,
-    dropped: dict[CameraId, str],
-    rig: RigCalibration,
-    parameters: PipelineParameters,
-) -> None:
-    """Add the unusable views to `dropped`, or reject the bundle for what most of them show."""
-    for camera, silhouette in silhouettes.items():
-        if not silhouette.is_usable:
-            dropped[camera] = str(silhouette.status)
-    shown = [silhouette.status for silhouette in silhouettes.values()]
-    n_of = {status: shown.count(status) for status in ViewStatus}
-    if n_of[ViewStatus.EMPTY] > len(shown) / 2:
-        raise RejectedError(RejectReason.EMPTY, f"{n_of[ViewStatus.EMPTY]} of {len(shown)} views are empty")
-    if n_of[ViewStatus.NO_BACKGROUND] > len(shown) / 2:
-        raise RejectedError(RejectReason.NO_BACKGROUND, "the empty rig was not exposed yet")
-    if n_of[ViewStatus.MULTIPLE] > parameters.views.max_unusable:
-        raise RejectedError(
-            RejectReason.MULTIPLE, f"{n_of[ViewStatus.MULTIPLE]} views show more than one body"
-        )
-    if n_of[ViewStatus.CLIPPED] > parameters.views.max_unusable:
-        raise RejectedError(
-            RejectReason.CLIPPED, f"the body leaves the image in {n_of[ViewStatus.CLIPPED]} views"
-        )
-    usable = [camera for camera, silhouette in silhouettes.items() if silhouette.is_usable]
-    _quality(rig.subset(usable), rig, parameters.views)
-
-
-def _quality(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
-    """Quality by the number of views; below `reduced` every layer of cameras needs two (domain 4.3)."""
-    n_views = len(used.cameras)
-    if n_views >= parameters.reduced:
-        return Quality.GOOD if n_views >= parameters.good else Quality.REDUCED
-    if n_views < parameters.min:
-        raise RejectedError(
-            RejectReason.INSUFFICIENT_VIEWS, f"{n_views} usable views, {parameters.min} are needed"
-        )
-    elevations, all_elevations = _elevations_deg(used), _elevations_deg(rig)
-    for elevation in all_elevations:
-        in_layer = int(np.sum(np.abs(elevations - elevation) < LAYER_TOLERANCE_DEG))
-        if in_layer < min(2, int(np.sum(np.abs(all_elevations - elevation) < LAYER_TOLERANCE_DEG))):
-            raise RejectedError(
-                RejectReason.INSUFFICIENT_VIEWS,
-                f"{in_layer} usable views in the layer at {elevation:.0f} degrees",
-            )
-    return Quality.DEGRADED
-
-
-def _elevations_deg(rig: RigCalibration) -> np.ndarray:
-    centers_mm = np.array([camera.center_mm for camera in rig.cameras]).reshape(-1, 3)
-    return np.asarray(np.rad2deg(np.arcsin(centers_mm[:, 2] / np.linalg.norm(centers_mm, axis=1))))
 
 
 def _measure(

@@ -7,7 +7,7 @@ has a check that names it.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pipeline.particle import ViewsParameters
+from pipeline.view_quality import ViewsParameters
 from service.control import (
     AcquisitionState,
     AcquisitionStatus,

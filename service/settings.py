@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pipeline.carving import CarvingParameters
 from pipeline.consistency import ConsistencyParameters
-from pipeline.particle import BodyParameters, PipelineParameters, ViewsParameters
+from pipeline.particle import BodyParameters, PipelineParameters
+from pipeline.view_quality import ViewsParameters
 from service.api.settings import ApiSettings
 from service.bundling_parameters import BundlingParameters
 from service.empty_rig import EmptyRigParameters

@@ -27,7 +27,8 @@ from scipy.optimize import minimize
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration, decomposed
+from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig_document import decomposed
 
 Array = NDArray[np.float64]
 

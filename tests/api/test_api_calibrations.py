@@ -9,7 +9,7 @@ import pytest
 from support.calibration_desk import CONFIGURED, a_drop, open_desk, other_rig
 from support.rest import FakeControl, client_of
 
-from pipeline.rig import rig_from_document
+from pipeline.rig_document import rig_from_document
 from service.api.app import create_app
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.control import AcquisitionState

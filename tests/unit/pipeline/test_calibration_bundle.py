@@ -15,8 +15,9 @@ from pipeline.calibration.report import CalibrationReport, report_document
 from pipeline.calibration.sphere_image import sightings_of
 from pipeline.errors import CalibrationError
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration, rig_from_document
+from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig_document import rig_from_document
 from pipeline.synthesis.scene import rig_error
 
 NOMINAL = nominal_rig()

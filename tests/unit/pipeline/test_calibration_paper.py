@@ -9,8 +9,9 @@ from pipeline.calibration.nearest_point import nearest_point
 from pipeline.calibration.paper import ball_points_mm, refined
 from pipeline.calibration.report import CalibrationReport, report_document
 from pipeline.errors import CalibrationError
-from pipeline.rig import RigCalibration, rig_from_document, rig_to_document
+from pipeline.rig import RigCalibration, rig_to_document
 from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig_document import rig_from_document
 
 NOMINAL = nominal_rig().subset(nominal_rig().camera_ids[5:8])
 

@@ -9,19 +9,13 @@ from support import rendered
 
 from pipeline.errors import RejectReason
 from pipeline.frames import CameraId, FrameBundle
-from pipeline.particle import (
-    MeasuringParameters,
-    ParticleResult,
-    PipelineParameters,
-    Quality,
-    ViewsParameters,
-    measure_bundle,
-)
+from pipeline.particle import MeasuringParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.bundles import stream, without_views
 from pipeline.synthesis.stones import stone
+from pipeline.view_quality import Quality, ViewsParameters
 
 RIG = rendered.rig()
 PARAMETERS = PipelineParameters()

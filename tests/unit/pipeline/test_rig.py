@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from pipeline.camera_arrays import arrays_of
 from pipeline.errors import RigError
-from pipeline.rig import checksum_of, rig_from_document, rig_to_document
+from pipeline.rig import checksum_of, rig_to_document
 from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig_document import rig_from_document
 
 NOMINAL = nominal_rig()
 BUILT = as_built(NOMINAL, seed=1)

@@ -9,13 +9,14 @@ from support.outlines import bumped
 
 from pipeline.calibration.tangency import ALARM_PX, epipolar_tangents, outlines_of, tangency_scores_px
 from pipeline.frames import CameraId, FrameBundle
-from pipeline.particle import ParticleResult, PipelineParameters, Quality, measure_bundle
+from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig import RigCalibration
 from pipeline.segmentation import SilhouetteSet, segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
+from pipeline.view_quality import Quality
 
 RIG = rendered.rig()
 C05 = CameraId("c05")

@@ -12,7 +12,7 @@ from support import rendered
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame, FrameBundle
-from pipeline.particle import PipelineParameters, Quality, measure_bundle
+from pipeline.particle import PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Silhouette, ViewStatus
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.choice import ChoosingSegmenter, Wanted, unseen_share
@@ -23,6 +23,7 @@ from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationP
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.disturbance import cast_shadow, dust
+from pipeline.view_quality import Quality
 from service.models import read_model
 
 CAMERA = CameraId("c01")

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from pipeline.frames import CameraId
-from pipeline.particle import ViewsParameters
+from pipeline.view_quality import ViewsParameters
 from service.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 from service.health import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
 from service.optical_watch import OpticalFinding, Severity

@@ -13,8 +13,9 @@ from pipeline.errors import RejectedError, RejectReason
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import CameraId, Trigger
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult, Quality
+from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation import Silhouette, ViewStatus
+from pipeline.view_quality import Quality
 from service.record import lost_record, result_record
 
 MIN_FERET_MM, MAX_FERET_MM = 10.0, 37.417  # of a box of 10 x 20 x 30 mm
