@@ -131,8 +131,10 @@ def _answers(sockets: Sequence[socket.socket], timeout_s: float) -> Iterator[Dev
     with selectors.PollSelector() as selector:  # select() knows no descriptor above 1023
         for each in sockets:
             selector.register(each, selectors.EVENT_READ, each)
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            for key, _ in selector.select(left_s):
+        left_s = timeout_s
+        while left_s > 0:
+            left_s = deadline_s - time.monotonic()  # when it is over: what came while this thread had no core
+            for key, _ in selector.select(max(left_s, 0)):
                 with suppress(BlockingIOError):  # what came was damaged, and is gone
                     datagram, (address, _) = key.data.recvfrom(2048, socket.MSG_DONTWAIT)
                     if device := _device(datagram, address):
