@@ -243,10 +243,9 @@ class ReplayBelt:
 
     def _read(self, header: BundleHeader) -> _Playable:
         try:
-            is_known = (
-                header.path in self._sound
-            )  # to check it again in each round would be a pass over all pixels
-            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=not is_known)
+            # a file that was sound is not checked in every round: that takes a pass over all pixels
+            is_unknown = header.path not in self._sound
+            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=is_unknown)
         except RecordingError as err:
             return self._without_frames(header.trigger, err)
         if DAMAGED not in bundle.missing.values():

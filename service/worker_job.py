@@ -67,7 +67,7 @@ class RigFile:
 class MeasureJob:
     """One bundle to measure; its files go into `out_dir`, which is made."""
 
-    bundle_path: Path  # on tmpfs, where the daemon wrote it just now: its pixels are not checked
+    bundle_path: Path
     camera_ids: tuple[CameraId, ...]
     rig: RigFile
     background_path: Path | None
@@ -80,7 +80,7 @@ class MeasureJob:
 class LearnJob:
     """One exposure of the empty rig to fold into the background, which becomes a new folder."""
 
-    bundle_path: Path  # as that of `MeasureJob`
+    bundle_path: Path
     camera_ids: tuple[CameraId, ...]
     previous_path: Path | None
     out_path: Path
@@ -182,7 +182,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
     worker = this_worker()
     timings_ms: dict[str, float] = {}
     stage_start = time.perf_counter()
-    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True, checked=False)
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
 
     def on_stage(stage: str) -> None:
         nonlocal stage_start
@@ -247,7 +247,7 @@ def learn_background(job: LearnJob) -> dict[str, Any]:
     WorkerFailure
         Anything else, with the traceback as text.
     """
-    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True, checked=False)
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         previous = this_worker().background_at(job.previous_path)
 

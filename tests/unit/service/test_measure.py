@@ -14,6 +14,7 @@ from support.small_recording import thumbnail_rig, write_small_recording
 from typer.testing import CliRunner
 
 from drivers.errors import RecordingError
+from drivers.recording import open_recording, read_bundle, write_bundle
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig import rig_to_document
@@ -205,6 +206,20 @@ def test_a_damaged_bundle_costs_only_itself(tmp_path: Path) -> None:
     assert outcomes[damaged.stem]["outcome"] == "lost"
     assert outcomes[damaged.stem]["reason"] == "unreadable"
     assert [record["outcome"] for record in outcomes.values()].count("measured") == 1
+
+
+def test_a_view_with_a_damaged_pixel_is_not_used(tmp_path: Path) -> None:
+    recording = tmp_path / "recording"
+    write_small_recording(recording, n_stones=1)
+    *_, stone = sorted((recording / "bundles").iterdir())
+    bundle = read_bundle(stone, open_recording(recording).camera_ids)
+    write_bundle(stone, bundle, sorted(bundle.frames), compression="none")
+    content = stone.read_bytes()
+    where = content.index(bundle.frames[CameraId("c05")].image.tobytes())
+    stone.write_bytes(content[:where] + bytes([content[where] ^ 1]) + content[where + 1 :])
+    run(recording, "--out", tmp_path / "out", "--workers", 1)
+    (record,) = records(tmp_path / "out")
+    assert (record["outcome"], record["dropped_views"]) == ("measured", {"c05": "damaged"})
 
 
 def test_a_recording_without_rig_needs_one(recording: Path, tmp_path: Path) -> None:
