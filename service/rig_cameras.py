@@ -149,6 +149,7 @@ class RigCameras:
                 place.received_s.append(time.monotonic())
             case CameraLost():
                 self._places[event.camera].keeper.lose(event.reason)
+                self.blind_triggers = 0  # it was not there to have an image
             case CameraBack():
                 self._places[event.camera].image = None  # of before; nothing to compare with
 

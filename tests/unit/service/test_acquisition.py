@@ -11,7 +11,7 @@ from drivers.errors import GateUnavailableError
 from drivers.factory import ReplayBackend, build_devices
 from drivers.faults import Fault, FaultPlan
 from drivers.gates.faulty import FaultyGate
-from drivers.interfaces import LightGate
+from drivers.interfaces import CameraLost, LightGate
 from drivers.recording import RecordingWriter
 from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
 from service import keeper
@@ -194,6 +194,20 @@ def test_the_counters_of_all_sessions_add_up(recording: Path):
         cameras.count(counters)
         counters.cameras[CAMERAS[1]].lost += n_lost
     assert [status.lost for status in cameras.statuses()] == [0, 6, 0]
+
+
+async def test_triggers_without_any_image_are_the_line_s_only_while_the_cameras_answer(recording: Path):
+    bench = Bench(recording)
+    trigger = Trigger(sequence=1, received_ns=0, device_ns=0, utc="", name="dark")
+    dark = FrameBundle(trigger=trigger, frames={}, missing=dict.fromkeys(CAMERAS, "no_frame"))
+    async with armed(bench) as acquisition:
+        for n_triggers in (1, 2, 3):
+            acquisition.cameras.look_into(dark)
+            assert acquisition.cameras.blind_triggers == n_triggers
+        for camera in CAMERAS:
+            acquisition.cameras.note(CameraLost(camera=camera, received_ns=0, reason="does not answer"))
+        acquisition.cameras.look_into(dark)
+        assert acquisition.cameras.blind_triggers == 0
 
 
 async def test_a_stone_in_the_air_is_seen_through_when_stopping(recording: Path):
