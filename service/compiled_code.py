@@ -18,10 +18,12 @@ def keep_apart() -> None:
     To be called before numba is imported. Without the variable the folder is beside the sources; where that cannot be
     written, numba finds a place of its own.
     """
+    given = os.environ.get(FOLDER)
+    if not given and not os.access(SOURCES, os.W_OK):
+        return
     digest = hashlib.sha256()
     for path in sorted(SOURCES.rglob("*.py")):
         digest.update(path.read_bytes())
-    name = digest.hexdigest()[:12]
-    given = Path(os.environ.get(FOLDER) or SOURCES / "__pycache__")
-    if given.name != name and (FOLDER in os.environ or os.access(SOURCES, os.W_OK)):
-        os.environ[FOLDER] = str(given / name)
+    folder, name = Path(given or SOURCES / "__pycache__"), digest.hexdigest()[:12]
+    if folder.name != name:
+        os.environ[FOLDER] = str(folder / name)

@@ -1,4 +1,4 @@
-"""`stonefall` with a thread that notes how long it waits for the interpreter's lock, and who holds it then if asked.
+"""`stonefall` with a thread that notes how long it waits for the interpreter's lock.
 
 Run: python lock_probe.py FILE [arguments of stonefall]
 A line of FILE is one wait beyond NOTED_MS: when it ended (monotonic clock, s) and how long it was (ms). What the thread
