@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bounds import bounds
 from pipeline.camera_arrays import CameraArrays, arrays_of
 from pipeline.carving import View
 from pipeline.compiled import compiled
@@ -48,7 +49,7 @@ def body_sphere(views: Sequence[View], overruled: int) -> Sphere | None:
     if len(column) == 0:
         return None
     points_mm = np.column_stack([x_mm[column], y_mm[column], axis_mm[sample]])
-    low_mm, high_mm = points_mm.min(axis=0), points_mm.max(axis=0)
+    low_mm, high_mm = bounds(points_mm)
     return (low_mm + high_mm) / 2, float(np.linalg.norm(high_mm - low_mm) / 2 + pitch_mm)
 
 

@@ -6,6 +6,8 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
+from pipeline.bounds import bounds
+
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
 
@@ -46,7 +48,7 @@ def render_preview(
         raise ValueError("a mesh without faces has no picture")
     points_mm = np.asarray(vertices_mm, dtype=np.float64) @ _picture_frame(view_direction).T
     used_mm = points_mm[triangles.ravel()]
-    low, high = used_mm.min(axis=0), used_mm.max(axis=0)
+    low, high = bounds(used_mm)
     points_mm -= (low + high) / 2
     px_per_mm = FILLING * size_px / float((high - low)[:2].max())
 

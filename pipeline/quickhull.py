@@ -7,6 +7,7 @@ own, by a walk from where the one before it ended.
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bounds import bounds
 from pipeline.compiled import compiled, whole
 from pipeline.growing_hull import (
     NO_FACET,
@@ -45,9 +46,10 @@ def hull_facets(points_mm: Array) -> tuple[Indices, Array]:
     points = np.ascontiguousarray(points_mm)
     every = np.arange(len(points), dtype=np.int32)
     protruding = every[::RUN].copy()
-    _find_protruding(points, points[protruding].mean(axis=0), protruding)
+    low, high = bounds(points)
+    _find_protruding(points, (low + high) / 2, protruding)
     origin = points[protruding].mean(axis=0)
-    growth = growth_for(len(points), float(np.ptp(points[protruding], axis=0).max()), TOLERANCE)
+    growth = growth_for(len(points), float((high - low).max()), TOLERANCE)
     has_grown = start(points, protruding, growth) and grow(points, growth)
     walls = np.empty((growth.counts[0], 3, 3))
     has_grown = has_grown and _locate(points, origin, walls, growth) and grow(points, growth)

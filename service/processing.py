@@ -1,8 +1,8 @@
 """From the spool to the store: measured on any worker, committed strictly in the order of the triggers.
 
-An exposure of the empty rig becomes a new version of the background before any later bundle is started,
-and every job names the version it needs, so a result does not depend on the number of workers. So does the
-calibration: the one in use when a bundle's turn begins is the one it is measured with.
+An exposure of the empty rig becomes a new version of the background, and every job names the version it needs
+(`background_versions`), so a result does not depend on the number of workers. So does the calibration: the one in use
+when a bundle's turn begins is the one it is measured with.
 Every trigger that comes out of the spool ends here in exactly one outcome.
 """
 
@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
+from service.background_versions import BackgroundVersions, Learnt
 from service.drop_files import ObservedDrop
 from service.drop_job import ObserveJob, observe
 from service.kept_background import KeptBackground
@@ -98,21 +99,15 @@ KEPT = (MESH, SILHOUETTES)
 
 
 @dataclass(frozen=True, slots=True)
-class _Learnt:
-    path: Path
-    optics: Mapping[str, Any]  # figures of each camera, see `record.optics_record`
-    retired: Path | None  # the version that no later job uses
-
-
-@dataclass(frozen=True, slots=True)
 class _Turn:
     bundle: SpooledBundle
     rig: RigFile
     collector: DropCollector | None
-    job: asyncio.Task[_Measured | _Learnt | Loss]
+    retired: tuple[Path, ...]  # versions of the background that neither this job nor a later one uses
+    job: asyncio.Task[_Measured | Learnt | Loss]
 
     @property
-    def outcome(self) -> _Measured | _Learnt | Loss:
+    def outcome(self) -> _Measured | Learnt | Loss:
         """Of the job, which is done."""
         if not self.job.cancelled():
             return self.job.result()
@@ -145,39 +140,41 @@ class Processing:
         self._calibration = calibration
         self._on_empty = on_empty
         self._on_progress = on_progress
-        self._jobs: set[asyncio.Task[_Measured | _Learnt | Loss]] = set()
+        self._jobs: set[asyncio.Task[_Measured | Learnt | Loss]] = set()
         self._is_abandoned = False
         self._kept = kept
         self._keeping: asyncio.Task[None] | None = None
-        self._background: Path | None = None
+        self._backgrounds = BackgroundVersions()
         self._started = 0
         self._last_loss = ("", "")
 
     @property
     def has_background(self) -> bool:
-        return self._background is not None
+        return self._backgrounds.in_use is not None
 
     async def run(self) -> None:
         """Return when the spool is finished and everything from it is committed."""
         if self._kept is not None:
             restored = self._context.folder / "00000000"
-            self._background = await asyncio.to_thread(self._kept.restore, restored)
+            self._backgrounds = BackgroundVersions(await asyncio.to_thread(self._kept.restore, restored))
         turns: asyncio.Queue[_Turn | None] = asyncio.Queue()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
+                retired = await self._backgrounds.turn_of(bundle.is_background)
                 rig = self._calibration.rig
                 collector = self._calibration.collector
                 if collector is not None and collector.kind is not bundle.trigger.kind:
                     collector = None
-                job = tasks.create_task(self._process(bundle, rig, collector))
+                background = self._backgrounds.in_use
+                job = tasks.create_task(self._process(bundle, rig, collector, background))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
-                turns.put_nowait(_Turn(bundle, rig, collector, job))
+                turns.put_nowait(_Turn(bundle, rig, collector, retired, job))
                 if self._is_abandoned:
                     job.cancel()
                 if bundle.is_background:
-                    await asyncio.wait([job])
+                    await self._backgrounds.learn(job)
             turns.put_nowait(None)
 
     def abandon(self) -> None:
@@ -189,6 +186,8 @@ class Processing:
     async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]", tasks: asyncio.TaskGroup) -> None:
         while (turn := await turns.get()) is not None:
             await asyncio.wait([turn.job])
+            for path in turn.retired:  # all jobs that were given it are through
+                tasks.create_task(self._remove(path, self._keeping))
             seq = await self._commit(turn, tasks)
             await self._spool.release(turn.bundle, seq)
             self._on_progress()
@@ -197,15 +196,12 @@ class Processing:
         """Make the outcome durable; returns the number of a result that was measured or rejected."""
         bundle = turn.bundle
         match outcome := turn.outcome:
-            case _Learnt(path, optics, retired):
+            case Learnt(path, optics):
                 self._on_empty(optics)
                 if self._keeping is not None:
                     await self._keeping
                 if self._kept is not None:  # no stone waits for the disk
                     self._keeping = tasks.create_task(asyncio.to_thread(self._kept.keep, path))
-                # its turn has come, so all jobs that were given the old version are through
-                if retired is not None:
-                    await asyncio.to_thread(shutil.rmtree, retired)
             case Loss() if bundle.is_background:
                 log.warning("background lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
             case Loss(reason=reason, detail=detail):
@@ -234,43 +230,51 @@ class Processing:
                 return seq
         return None
 
+    async def _remove(self, path: Path, keeping: "asyncio.Task[None] | None") -> None:
+        """Remove a version of the background, which may just be read to be kept."""
+        if keeping is not None:
+            await asyncio.wait([keeping])
+        await asyncio.to_thread(shutil.rmtree, path)
+
     async def _process(
-        self, bundle: SpooledBundle, rig: RigFile, collector: DropCollector | None
-    ) -> _Measured | _Learnt | Loss:
+        self, bundle: SpooledBundle, rig: RigFile, collector: DropCollector | None, background: Path | None
+    ) -> _Measured | Learnt | Loss:
         if isinstance(bundle.content, Loss):
             return bundle.content
         self._started += 1
         folder = self._context.folder / f"{self._started:08d}"
         try:
             if bundle.is_background:
-                return await self._learn(bundle.content, folder)
-            return await self._measure(bundle.content, rig, collector, folder)
+                return await self._learn(bundle.content, background, folder)
+            return await self._measure(bundle.content, rig, collector, background, folder)
         except JobLostError as err:
             return Loss(reason=err.reason, detail=err.detail)
         except RecordingError as err:
             return Loss(reason="unreadable", detail=err.problem)
 
-    async def _learn(self, path: Path, out_path: Path) -> _Learnt:
+    async def _learn(self, path: Path, background: Path | None, out_path: Path) -> Learnt:
         job = LearnJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            previous_path=self._background,
+            previous_path=background,
             out_path=out_path,
-            threads=self._pool.size,  # nothing else runs meanwhile
+            threads=self._pool.share,
         )
-        optics = await self._pool.run(learn_background, job)
-        retired, self._background = self._background, out_path
-        return _Learnt(out_path, optics, retired)
+        return Learnt(out_path, await self._pool.run(learn_background, job))
 
     async def _measure(
-        self, path: Path, rig: RigFile, collector: DropCollector | None, folder: Path
+        self,
+        path: Path,
+        rig: RigFile,
+        collector: DropCollector | None,
+        background: Path | None,
+        folder: Path,
     ) -> _Measured:
-        background_path = self._background
         job = MeasureJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
             rig=rig,
-            background_path=background_path,
+            background_path=background,
             out_dir=folder,
             save_silhouettes=self._context.save_silhouettes,
             threads=self._pool.share,
@@ -282,7 +286,7 @@ class Processing:
             bundle_path=path,
             camera_ids=self._context.camera_ids,
             rig=rig,
-            background_path=background_path,
+            background_path=background,
             kind=collector.kind,
             diameters_mm=collector.diameters_mm,
             out_path=folder / OUTLINES,

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bounds import bounds
 from pipeline.carving.hull import CarvingParameters, VisualHull
 from pipeline.carving.octree import LEAF, Octree, centres_of, octree_of
 from pipeline.carving.samples import count, count_within, fill, lower, place, undecided
@@ -47,8 +48,9 @@ def carve(
     if len(octree.leaves) == 0:
         corner, shape = np.zeros(3, np.int64), (0, 0, 0)
     else:  # the box of the leaves in a shell of outside, so that its surface is closed
-        corner = octree.leaves.min(axis=0).astype(np.int64) - 1
-        shape = tuple(octree.leaves.max(axis=0) + LEAF + 1 - corner)
+        first, last = bounds(octree.leaves)
+        corner = first.astype(np.int64) - 1
+        shape = tuple(last + LEAF + 1 - corner)
     field = np.zeros(shape, np.float32)
     for blocks, edge in octree.solid:
         fill(field, corner, blocks, edge, inside)

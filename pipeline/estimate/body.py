@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bounds import bounds
 from pipeline.carving import usable_views
 from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
@@ -60,7 +61,8 @@ def estimate_body(
     ValueError
         A silhouette of a camera that the rig does not know.
     """
-    center_mm = np.array([(column.min() + column.max()) / 2 for column in hull.vertices_mm.T])
+    low_mm, high_mm = bounds(hull.vertices_mm)
+    center_mm = (low_mm + high_mm) / 2
     inner = inner_surface(usable_views(silhouettes, rig), center_mm, hull.vertices_mm)
     if isinstance(inner, str):
         hull_volume_mm3, _ = _volumes_mm3(

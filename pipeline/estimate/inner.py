@@ -12,6 +12,7 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
+from pipeline.bounds import bounds
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import Tangents
 from pipeline.growing_hull import (
@@ -58,7 +59,8 @@ def inner_body(tangents: Tangents) -> InnerBody | None:
     first, *batches = np.split(order, (np.array(SHARES) * len(order)).astype(int))
     if len(first) == 0:
         return None
-    growth = growth_for(len(order), float(np.ptp(points_mm[first], axis=0).max()), TOLERANCE)
+    low_mm, high_mm = bounds(points_mm[first])
+    growth = growth_for(len(order), float((high_mm - low_mm).max()), TOLERANCE)
     if not start(points_mm, first, growth):
         return None
     added = first

@@ -43,12 +43,12 @@ class ConvexBody:
         return self.edges.vertices_mm
 
 
-def convex_body(points_mm: Array) -> ConvexBody:
-    """The convex hull of points (N, 3) that do not lie in one plane."""
+def convex_body(points_mm: Array, center_mm: Array | None = None) -> ConvexBody:
+    """The convex hull of points (N, 3) that do not lie in one plane, relative to a point within (3,) or the origin."""
     facets, normals = hull_facets(points_mm)
     is_vertex = np.zeros(len(points_mm), bool)
     is_vertex[facets] = True
-    vertices_mm = points_mm[is_vertex]
+    vertices_mm = points_mm[is_vertex] - (0 if center_mm is None else center_mm)
     facets = (np.cumsum(is_vertex, dtype=np.int32) - 1)[facets]
     first = np.zeros(len(vertices_mm) + 1, np.int32)
     neighbors = np.empty(facets.size, np.int32)

@@ -80,7 +80,7 @@ def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
         The mesh is not a closed, consistently oriented surface around a volume; names the defect.
     """
     solid = solid_of(vertices_mm, faces)
-    body = convex_body(solid.vertices_mm - solid.center_mm)
+    body = convex_body(solid.vertices_mm, solid.center_mm)
     longest = max_feret(body)
     length_mm = float(np.linalg.norm(longest))
     across_mm, thickness_mm = extents_across(body, longest)

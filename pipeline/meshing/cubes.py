@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.bounds import bounds
 from pipeline.carving import LEAF
 from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.meshing.cases import CORNERS, EDGES, cube_cases
@@ -81,8 +82,9 @@ def _reaching(field: Field, leaves: Leaves) -> Field:
 
 def _neighbors(leaves: Leaves) -> NDArray[np.uint32]:
     """Rows (L, 8) of the leaves around the upper corner of each leaf, itself first; L where there is none."""
-    blocks = (leaves - leaves.min(axis=0)) // LEAF
-    shape = tuple(blocks.max(axis=0) + 2)
+    first_leaf, last_leaf = bounds(leaves)
+    blocks = (leaves - first_leaf) // LEAF
+    shape = tuple((last_leaf - first_leaf) // LEAF + 2)
     first = np.ravel_multi_index(tuple(blocks.T), shape)
     rows = np.full(np.prod(shape), len(leaves), np.uint32)
     rows[first] = np.arange(len(leaves), dtype=np.uint32)

@@ -9,7 +9,9 @@ Who found the body does not matter: a comparison with the empty rig or a network
 the possible pixels, never the edge.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import cv2
 import numpy as np
@@ -17,12 +19,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from pipeline.frames import Frame
-from pipeline.segmentation.edge import Contours, Edge
+from pipeline.segmentation.edge import Edge
 from pipeline.segmentation.grey_levels import GreyLevels, cross, decided
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.steepest import N_NOTES, to_steepest
 
 Grey = NDArray[np.uint8]
+Contours = Sequence[NDArray[np.int32]]
 
 MIN_CONTRAST = 0.12
 """Of the body's level to the background, as a share of it; below, grey levels do not tell them apart."""
@@ -79,26 +82,23 @@ def delineate(
         return Delineation(labels=labels, edge=None)
     for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
         body, contours = _largest_with_holes_filled(labels, hole_px)
-        if body is not labels:  # of the labels the body's are kept, and what is unknown
-            np.copyto(labels, body, where=labels != UNKNOWN)
         pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
+        ends = np.array([0, *accumulate(map(len, contours))])
         points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
         notes = np.empty((len(pixels_uv), N_NOTES), np.float32)
         cross(view, levels, body, labels, pixels_uv, points_uv, seen)
-        n_doubtful = n_done = 0
-        for contour in contours:
-            of_it = slice(n_done, n_done + len(contour))
+        n_doubtful = 0
+        for first, end in pairwise(ends.tolist()):
+            of_it = slice(first, end)
             n_doubtful += to_steepest(
                 view, np.float32(min_contrast), labels, points_uv[of_it], seen[of_it], notes[of_it]
             )
-            n_done += len(contour)
         if n_doubtful == 0:
             break
-    if np.count_nonzero(seen) < len(
-        seen
-    ):  # the last points before a gap already bend towards what hides the edge
+    if np.count_nonzero(seen) < len(seen):
+        # the last points before a gap already bend towards what hides the edge
         seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
-    edge = Edge(body=body, contours=contours, points_uv=points_uv, seen=seen.view(np.bool_))
+    edge = Edge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
 
 
@@ -144,7 +144,8 @@ def no_body(frame: Frame, status: ViewStatus, found_by: str = "background") -> S
 def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contours]:
     """The component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
-    A connected body's silhouette is connected. The component may be `labels` themselves.
+    A connected body's silhouette is connected: of the labels its own are kept, and what is unknown. It may be `labels`
+    themselves.
     """
     found, hierarchy = cv2.findContours(labels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     contours = [np.asarray(contour, np.int32) for contour in found]
@@ -157,17 +158,21 @@ def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contou
     n_inside, rival = max(rivals, default=(0, largest))
     if n_inside > 0 and n_inside > _n_inside(labels, contours[largest]):
         largest = rival
-    body, kept = np.zeros_like(labels), [contours[largest]]
-    cv2.drawContours(body, contours, largest, int(INSIDE), cv2.FILLED)
+    is_known = (labels != UNKNOWN).view(np.uint8)
+    body = labels if cv2.countNonZero(is_known) == labels.size else labels.copy()
+    kept = [contours[largest]]
+    for other in outer:
+        if other != largest:
+            cv2.drawContours(body, contours, other, int(OUTSIDE), cv2.FILLED)
     hole = int(hierarchy[0][largest][2])
     while hole >= 0:
         if cv2.contourArea(contours[hole]) > hole_px:
-            cv2.drawContours(body, contours, hole, int(OUTSIDE), cv2.FILLED)
-            cv2.drawContours(
-                body, contours, hole, int(INSIDE), 1
-            )  # a hole's contour runs on the body's pixels
             kept.append(contours[hole])
+        else:
+            cv2.drawContours(body, contours, hole, int(INSIDE), cv2.FILLED)
         hole = int(hierarchy[0][hole][0])
+    if body is not labels:
+        cv2.copyTo(body, is_known, labels)
     return body, kept
 
 

@@ -7,7 +7,6 @@ pixels around it, where the least one stays. Further out only the sign and the r
 the same is done for every `SPACING_PX`-th pixel and piece, and what lies between is interpolated.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,6 @@ from pipeline.segmentation.silhouette import MARGIN_PX, SPACING_PX
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-Contours = Sequence[NDArray[np.int32]]
 
 REACH = 8
 """A piece of edge writes into so many pixels to either side. A cell of marching cubes is 4 to 5 px wide."""
@@ -36,36 +34,43 @@ class Edge:
     """The sub-pixel edge of a body in a region, cut into pieces."""
 
     body: Grey  # (h, w) not 0 on the silhouette, unknown pixels it may extend behind included
-    contours: Contours  # of the body, unabridged, the outer one first
-    points_uv: NDArray[np.float64]  # (N, 2) the mean crossing of the edge beside each pixel of the contours
+    points_uv: NDArray[np.float64]
+    """(N, 2) the mean crossing of the edge beside each pixel of the body's contours, whole, the outer one first."""
+    ends: NDArray[np.int64]  # (C + 1,) where the points of each contour begin, and after the last one
     seen: Mask  # (N,) whether grey levels gave it
 
     @property
     def outline_uv(self) -> NDArray[np.float64]:
         """Points (M, 2) in order around the outer contour, only where the edge was seen."""
-        n_outer = len(self.contours[0])
-        return self.points_uv.take(self.seen[:n_outer].nonzero()[0], axis=0)
+        n_outer = self.ends[1]
+        return self.points_uv[:n_outer].compress(self.seen[:n_outer], axis=0)
 
     def coarse_px(self) -> Array:
         """Signed distances of every `SPACING_PX`-th pixel, positive within, cut off at +-`MARGIN_PX`.
 
         They are rough: up to 3 px too small, hardly ever too large.
         """
-        is_within = self.body[::SPACING_PX, ::SPACING_PX]
-        distances = np.where(is_within, np.float32(MARGIN_PX), np.float32(-MARGIN_PX))
-        _keep_nearest(distances, SPACING_PX, self.points_uv, self._ends, SPACING_PX)
+        distances = _far(self.body)
+        _keep_nearest(distances, SPACING_PX, self.points_uv, self.ends, SPACING_PX)
         return distances
 
     def fine_px(self, coarse_px: Array) -> Array:
         """Signed distances (h, w), up to `NEAR_PX` those to the sub-pixel edge, beyond as rough as the coarse ones."""
         distances = _between(coarse_px, self.body)
-        _keep_nearest(distances, 1, self.points_uv, self._ends, FINE)
+        _keep_nearest(distances, 1, self.points_uv, self.ends, FINE)
         return distances
 
-    @property
-    def _ends(self) -> NDArray[np.int64]:
-        """Where the points of each contour begin, and after the last one (C + 1,)."""
-        return np.cumsum([0, *(len(contour) for contour in self.contours)])
+
+@compiled
+def _far(body: Grey) -> Array:
+    """Of every `SPACING_PX`-th pixel of a body (h, w) and what is beside it the largest distance, positive within."""
+    n_rows, n_columns = -(-body.shape[0] // SPACING_PX), -(-body.shape[1] // SPACING_PX)
+    distances = np.empty((n_rows, n_columns), np.float32)
+    for row in range(n_rows):
+        for column in range(n_columns):
+            is_within = body[SPACING_PX * row, SPACING_PX * column]
+            distances[row, column] = np.float32(MARGIN_PX if is_within else -MARGIN_PX)
+    return distances
 
 
 @compiled

@@ -96,7 +96,7 @@ def _decide(
             upper[column] = here[column] * np.uint16(0x0101)
         for column in range(n_columns):
             lower[column] = upper[column]
-        n_open, first_y, end_v = 0, max(row - 1, 0) // CELLS, min(FINE * row + FINE, height)
+        n_open, first_y = 0, max(row - 1, 0) // CELLS
         for column in range(n_columns):
             is_open[column] = here[column] == OPEN
         for eight in range(len(eights)):
@@ -115,15 +115,18 @@ def _decide(
                                 typical = _mean(image, limits, OPEN, FIRST, FIRST, height, width, EACH)
                             levels[y, x] = typical
             level = levels[row // CELLS, column // CELLS]
-            for v in range(FINE * row, end_v):
-                for u in range(FINE * column, min(FINE * column + FINE, width)):
-                    behind = view.gain * np.float32(expected[v, u])
-                    contrast = behind - level
-                    covered = behind - np.float32(image[v, u])
-                    is_body = (covered - np.float32(0.5) * contrast) * contrast > 0
-                    is_unclear = abs(contrast) < min_contrast * behind
-                    labels[v, u] = UNKNOWN if is_unclear else (INSIDE if is_body else OUTSIDE)
-                    is_inside |= is_body and not is_unclear
+            for place in range(FINE * FINE):  # as many in each cell: a loop that is unrolled
+                # those beyond the border are in it once more
+                v = min(FINE * row + place // FINE, height - 1)
+                u = min(FINE * column + place % FINE, width - 1)
+                behind = view.gain * np.float32(expected[v, u])
+                contrast = behind - level
+                covered = behind - np.float32(image[v, u])
+                is_body = (covered - np.float32(0.5) * contrast) * contrast > 0
+                is_clear = abs(contrast) >= min_contrast * behind
+                label = INSIDE if is_body else OUTSIDE
+                labels[v, u] = label if is_clear else UNKNOWN
+                is_inside |= is_body & is_clear
     return is_inside
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SPARSE = (slice(None, None, 4), slice(None, None, 8))
+SPARSE = (slice(None, None, 8), slice(None, None, 8))
 """Of the blocks, these are plenty for two quantiles."""
 LEAST_GREY = 16
 """A darker wall tells nothing of the flash."""

@@ -102,9 +102,9 @@ def observe_optics(
     saturated_share = _light(
         frame.image, known.flat_field, is_wall, room, room[0].view(np.uint64), light, sums
     )
-    brightness, slope_u, slope_v = _plane(sums)
-    _level(light, brightness, slope_u, slope_v, levels)
-    mean = float(levels.sum()) / n_wall
+    brightness, slope_u, slope_v = plane = _plane(sums)
+    total, n_dark = _level(light, is_wall, plane, levels, np.zeros((2, is_wall.shape[1]), np.float32))
+    mean = total / n_wall
     in_order = levels.reshape(-1)
     in_order.partition(-n_wall // 20)
     clearest = float(in_order[-n_wall // 20])
@@ -113,7 +113,7 @@ def observe_optics(
         brightness=brightness,
         gradient_uv=(2 * slope_u / brightness, 2 * slope_v / brightness),
         dust=max(0.0, 1 - mean / max(clearest, 1e-6)),
-        spots_share=_spots_share(light, is_wall),
+        spots_share=_spots_share(light, is_wall) if n_dark else 0.0,  # of a clean rig nothing is dark
         saturated_share=saturated_share,
         noise_grey=_noise_grey(frame.image, known, is_wall),
         edge_width_px=None if edge is None else edge.width_px,
@@ -203,24 +203,39 @@ def _plane(sums: Sums) -> tuple[float, float, float]:
 
 
 @compiled
-def _level(light: Array, middle: float, slope_u: float, slope_v: float, levels: Array) -> None:
-    """Fill in the light (h, w) relative to a plane (h, w)."""
+def _level(
+    light: Array, is_wall: Mask, plane: tuple[float, float, float], levels: Array, room: Array
+) -> tuple[float, int]:
+    """Fill in the light (h, w) relative to a `_plane` (h, w); the sum of that, and how many blocks of wall are dark.
+
+    No other block can be darker than its surroundings. `room` (2, w), zeros, is for a sum and a maximum a column, which
+    are formed in vectors.
+    """
     height, width = light.shape
+    totals, highest = room[0], room[1]
+    middle, slope_u, slope_v = plane
     step = 2 * slope_u / width
     for row in range(height):
         first = middle + slope_v * ((2 * row + 1) / height - 1) - slope_u + step / 2
         for column in range(width):
-            levels[row, column] = light[row, column] / max(first + column * step, LEAST_LIGHT)
+            here = light[row, column]
+            level = np.float32(here / max(first + column * step, LEAST_LIGHT))
+            levels[row, column] = level
+            totals[column] += level
+            highest[column] = here if here > highest[column] else highest[column]
+    total, dark, n_dark = 0.0, np.float32(1 - SPOT) * highest.max(), 0
+    for column in range(width):
+        total += totals[column]
+    for row in range(height):
+        for column in range(width):
+            n_dark += is_wall[row, column] & (light[row, column] < dark)
+    return total, n_dark
 
 
 def _spots_share(light: Array, is_wall: Mask) -> float:
     """Share of the wall, some blocks (h, w), that is darker than the wall around it; elsewhere there is no light."""
     (height, width), reach = light.shape, SURROUNDINGS // 2
-    # no other block is darker than any
-    is_dark = is_wall & (light < (1 - SPOT) * light.max())
-    if not is_dark.any():  # nor of a clean rig
-        return 0.0
-    rows, columns = np.nonzero(is_dark)
+    rows, columns = np.nonzero(is_wall & (light < (1 - SPOT) * light.max()))
     top, bottom = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, height)
     left, right = np.maximum(columns - reach, 0), np.minimum(columns + reach + 1, width)
     lit, n_lit = (

@@ -96,7 +96,8 @@ def test_quick_and_flat_delineation_agree(
     near_tie = cv2.dilate(is_tie.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     assert ((found.labels == labels) | near_tie).all()
     assert found.edge is not None
-    pixels = found.edge.contours[0][found.edge.seen[: len(found.edge.contours[0])], 0]
+    (outer, *_), _ = cv2.findContours(found.edge.body, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    pixels = outer[found.edge.seen[: found.edge.ends[1]], 0]
     is_clear = ~near_tie[pixels[:, 1], pixels[:, 0]]
     assert is_clear.sum() > 0.5 * len(pixels)
     off_px = np.linalg.norm(found.edge.outline_uv - points[pixels[:, 1], pixels[:, 0]], axis=1)[is_clear]

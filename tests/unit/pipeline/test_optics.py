@@ -244,7 +244,10 @@ def test_the_plane_is_that_of_least_squares(case: tuple[np.ndarray, np.ndarray])
     v, u = ((2 * at + 1) / size - 1 for at, size in zip(np.indices(light.shape), light.shape, strict=True))
     terms = np.stack([np.ones_like(u), u, v], axis=-1)
     found, levels = np.array(_plane(sums_of(light, is_wall))), np.empty_like(light)
-    _level(light, *found, levels)
+    room = np.zeros((2, light.shape[1]), np.float32)
+    total, n_dark = _level(light, is_wall, tuple(found.tolist()), levels, room)
+    assert total == pytest.approx(levels.sum(), rel=1e-4)
+    assert n_dark == np.count_nonzero(light[is_wall] < np.float32(1 - SPOT) * light.max())
     assert levels == pytest.approx(light / np.maximum(terms @ found, LEAST_LIGHT), rel=1e-5)
     # no other plane is nearer, but for the little that keeps places on one line from having none
     misses, best = (light - terms @ found)[is_wall], np.linalg.lstsq(terms[is_wall], light[is_wall])[0]

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId, Trigger
+from service.background_versions import BESIDE, WAITED_FOR
 from service.drop_files import ObservedDrop
 from service.drop_job import ObserveJob
 from service.processing import DropCollector, Processing, ProcessingContext
@@ -183,7 +184,36 @@ async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tm
     assert list_names(tmp_path) == [learnt[1].out_path.name]
 
 
-async def test_a_background_is_learnt_before_a_later_bundle_is_started(tmp_path: Path):
+async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Path):
+    empty = [turn(f"e{k}", kind=BundleKind.BACKGROUND) for k in range(WAITED_FOR + 2)]
+    stones = [turn(f"s{k}") for k in range(BESIDE + 2)]
+    pool = ScriptedPool()
+    bench = Bench(tmp_path, [*empty[:-2], turn("a"), empty[-2], *stones, empty[-1], turn("z")], pool)
+    pool.gates = {bundle.name: asyncio.Event() for bundle in [turn("a"), *empty[:-2], *stones]}
+    for gate in pool.gates.values():
+        gate.set()
+    pool.is_gated = True
+    run = asyncio.create_task(bench.processing.run())
+    for _ in range(200):
+        await asyncio.sleep(0)
+    names = [job.bundle_path.stem for job in pool.jobs]
+    assert names[-BESIDE:] == [stone.name for stone in stones[:BESIDE]]  # the next one needs what is learnt
+    assert bench.outcomes == [("a", None)]  # in the order of the triggers
+    pool.gates[empty[-2].name].set()
+    for _ in range(200):
+        await asyncio.sleep(0)
+    assert [job.bundle_path.stem for job in pool.jobs][-2:] == [empty[-1].name, "z"]
+    pool.gates[empty[-1].name].set()
+    pool.gates["z"].set()
+    await run
+    learnt = [job.out_path for job in pool.jobs if isinstance(job, LearnJob)]
+    used = [record["background"] for record in bench.store.records]
+    assert used == [learnt[-3]] * (1 + BESIDE) + [learnt[-2]] * 3
+    assert [job.previous_path for job in pool.jobs if isinstance(job, LearnJob)] == [None, *learnt[:-1]]
+    assert list_names(tmp_path) == [path.name for path in learnt[-2:]]
+
+
+async def test_the_first_backgrounds_are_learnt_before_a_later_bundle_is_started(tmp_path: Path):
     pool = ScriptedPool(is_gated=True)
     bench = Bench(tmp_path, [turn("e", kind=BundleKind.BACKGROUND), turn("a")], pool)
     run = asyncio.create_task(bench.processing.run())
