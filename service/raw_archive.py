@@ -8,15 +8,16 @@ that, the frames of some are not kept, and it says so.
 import asyncio
 import logging
 import os
+import shutil
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from drivers.bundle_file import Compression, read_bundle, write_bundle
+from drivers.bundle_file import Compression, read_bundle, read_header, write_bundle
 from drivers.errors import RecordingError
-from drivers.files import sync
+from drivers.files import replacing, sync
 from pipeline.frames import CameraId
 from service.worker_process import WarmUp, worker_boundary
 from service.workers import JobLostError, WorkerPool
@@ -65,11 +66,19 @@ def keep(job: KeepJob) -> None:
     WorkerFailure
         It cannot be written.
     """
-    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+    read_header(job.bundle_path)
     with worker_boundary():
         if not job.out_path.parent.exists():  # of a result without files of its own
             job.out_path.parent.mkdir()
             sync(job.out_path.parent.parent)
+    if (
+        job.compression == "none"
+    ):  # to compare the pixels with their checksums, and make new ones, would take as long
+        with worker_boundary(), replacing(job.out_path) as unfinished:
+            shutil.copyfile(job.bundle_path, unfinished)
+        return
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+    with worker_boundary():
         write_bundle(job.out_path, bundle, job.camera_ids, compression=job.compression)
 
 

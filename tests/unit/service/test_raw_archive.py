@@ -32,8 +32,12 @@ async def test_frames_are_kept_beside_their_results_and_the_files_given_back(tmp
         done.append(path)
 
     archive = RawArchive(folder, CAMERAS, on_done, max_waiting=3)
-    for seq, path in enumerate(files, start=1):
-        await asyncio.to_thread(overwrite_bundle, path, make_bundle(seq), CAMERAS)
+    bundles = [make_bundle(1, missing={CAMERAS[0]: "lost"}), make_bundle(2), make_bundle(3)]
+    await asyncio.to_thread(
+        overwrite_bundle, files[0], make_bundle(0), CAMERAS
+    )  # a larger one was in it before
+    for path, bundle in zip(files, bundles, strict=True):
+        await asyncio.to_thread(overwrite_bundle, path, bundle, CAMERAS)
     files[1].write_bytes(b"torn")
     assert [archive.take(path, seq) for seq, path in enumerate(files, start=1)] == [True, True, True]
     archive.finish()
@@ -42,7 +46,7 @@ async def test_frames_are_kept_beside_their_results_and_the_files_given_back(tmp
     assert folder.dropped == [1, 3]
     for seq in (1, 3):
         kept = await asyncio.to_thread(read_bundle, folder.raw_path(seq), CAMERAS)
-        assert_same_bundle(kept, make_bundle(seq))
+        assert_same_bundle(kept, bundles[seq - 1])
     assert archive.left_out == 1
 
 
