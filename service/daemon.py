@@ -156,6 +156,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             is_simulated=is_simulated,
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
+            checked=False,  # this very process has written them into its memory
         ),
         spool=spool,
         pool=pool,

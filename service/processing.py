@@ -1,8 +1,7 @@
 """From the spool to the store: measured on any worker, committed strictly in the order of the triggers.
 
-An exposure of the empty rig becomes a new version of the background, and every job names the version it needs
-(`background_versions`), so a result does not depend on the number of workers. So does the calibration: the one in use
-when a bundle's turn begins is the one it is measured with.
+Every job names the version of the background that it needs (`background_versions`), and the calibration in use when
+its bundle's turn began, so a result does not depend on the number of workers.
 Every trigger that comes out of the spool ends here in exactly one outcome.
 """
 
@@ -83,6 +82,9 @@ class ProcessingContext:
     is_simulated: bool
     save_silhouettes: bool
     folder: Path  # exists; for the workers' files until the store has them
+    checked: bool = (
+        True  # whether pixels are compared with their checksums, which takes a pass over all of them
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +101,18 @@ KEPT = (MESH, SILHOUETTES)
 
 
 @dataclass(frozen=True, slots=True)
-class _Turn:
-    bundle: SpooledBundle
+class _Given:
+    """What was in use when a bundle's turn began."""
+
     rig: RigFile
     collector: DropCollector | None
+    background: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    bundle: SpooledBundle
+    given: _Given
     retired: tuple[Path, ...]  # versions of the background that neither this job nor a later one uses
     job: asyncio.Task[_Measured | Learnt | Loss]
 
@@ -162,15 +172,14 @@ class Processing:
             tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
                 retired = await self._backgrounds.turn_of(bundle.is_background)
-                rig = self._calibration.rig
                 collector = self._calibration.collector
                 if collector is not None and collector.kind is not bundle.trigger.kind:
                     collector = None
-                background = self._backgrounds.in_use
-                job = tasks.create_task(self._process(bundle, rig, collector, background))
+                given = _Given(self._calibration.rig, collector, self._backgrounds.in_use)
+                job = tasks.create_task(self._process(bundle, given))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
-                turns.put_nowait(_Turn(bundle, rig, collector, retired, job))
+                turns.put_nowait(_Turn(bundle, given, retired, job))
                 if self._is_abandoned:
                     job.cancel()
                 if bundle.is_background:
@@ -214,7 +223,7 @@ class Processing:
                     bundle=bundle.name,
                     reason=reason,
                     detail=detail,
-                    calibration_id=turn.rig.calibration_id,
+                    calibration_id=turn.given.rig.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
                 await self._results.finish(self._context.session, bundle.name, record)
@@ -222,9 +231,9 @@ class Processing:
                 files = {path.name: path for name in KEPT if (path := folder / name).exists()}
                 self._last_loss = ("", "")
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
-                if turn.collector is not None and drop is not None:
+                if (collector := turn.given.collector) is not None and drop is not None:
                     outlines = folder / OUTLINES if drop.problem is None else None
-                    await turn.collector.add(drop, record, outlines)
+                    await collector.add(drop, record, outlines)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
                 return seq
@@ -236,17 +245,15 @@ class Processing:
             await asyncio.wait([keeping])
         await asyncio.to_thread(shutil.rmtree, path)
 
-    async def _process(
-        self, bundle: SpooledBundle, rig: RigFile, collector: DropCollector | None, background: Path | None
-    ) -> _Measured | Learnt | Loss:
+    async def _process(self, bundle: SpooledBundle, given: _Given) -> _Measured | Learnt | Loss:
         if isinstance(bundle.content, Loss):
             return bundle.content
         self._started += 1
         folder = self._context.folder / f"{self._started:08d}"
         try:
             if bundle.is_background:
-                return await self._learn(bundle.content, background, folder)
-            return await self._measure(bundle.content, rig, collector, background, folder)
+                return await self._learn(bundle.content, given.background, folder)
+            return await self._measure(bundle.content, given, folder)
         except JobLostError as err:
             return Loss(reason=err.reason, detail=err.detail)
         except RecordingError as err:
@@ -262,31 +269,25 @@ class Processing:
         )
         return Learnt(out_path, await self._pool.run(learn_background, job))
 
-    async def _measure(
-        self,
-        path: Path,
-        rig: RigFile,
-        collector: DropCollector | None,
-        background: Path | None,
-        folder: Path,
-    ) -> _Measured:
+    async def _measure(self, path: Path, given: _Given, folder: Path) -> _Measured:
         job = MeasureJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            rig=rig,
-            background_path=background,
+            rig=given.rig,
+            background_path=given.background,
             out_dir=folder,
             save_silhouettes=self._context.save_silhouettes,
+            checked=self._context.checked,
             threads=self._pool.share,
         )
         record = await self._pool.run(measure, job)
-        if collector is None:
+        if (collector := given.collector) is None:
             return _Measured(record, folder, None)
         observing = ObserveJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            rig=rig,
-            background_path=background,
+            rig=given.rig,
+            background_path=given.background,
             kind=collector.kind,
             diameters_mm=collector.diameters_mm,
             out_path=folder / OUTLINES,

@@ -73,6 +73,7 @@ class MeasureJob:
     background_path: Path | None
     out_dir: Path
     save_silhouettes: bool = False
+    checked: bool = True  # whether pixels are compared with their checksums
     threads: int = 1  # views that are worked on at a time
 
 
@@ -182,7 +183,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
     worker = this_worker()
     timings_ms: dict[str, float] = {}
     stage_start = time.perf_counter()
-    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True, checked=job.checked)
 
     def on_stage(stage: str) -> None:
         nonlocal stage_start
