@@ -223,9 +223,11 @@ def _level(
             levels[row, column] = level
             totals[column] += level
             highest[column] = here if here > highest[column] else highest[column]
-    total, dark, n_dark = 0.0, np.float32(1 - SPOT) * highest.max(), 0
+    total, brightest, n_dark = 0.0, np.float32(0), 0
     for column in range(width):
         total += totals[column]
+        brightest = max(brightest, highest[column])
+    dark = np.float32(1 - SPOT) * brightest
     for row in range(height):
         for column in range(width):
             n_dark += is_wall[row, column] & (light[row, column] < dark)
