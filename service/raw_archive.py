@@ -66,20 +66,20 @@ def keep(job: KeepJob) -> None:
     WorkerFailure
         It cannot be written.
     """
-    read_header(job.bundle_path)
+    bundle = None
+    if job.compression == "none":  # kept as it is: to look at pixels and checksums would take as long
+        read_header(job.bundle_path)
+    else:
+        bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         if not job.out_path.parent.exists():  # of a result without files of its own
             job.out_path.parent.mkdir()
             sync(job.out_path.parent.parent)
-    if (
-        job.compression == "none"
-    ):  # to compare the pixels with their checksums, and make new ones, would take as long
-        with worker_boundary(), replacing(job.out_path) as unfinished:
-            shutil.copyfile(job.bundle_path, unfinished)
-        return
-    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
-    with worker_boundary():
-        write_bundle(job.out_path, bundle, job.camera_ids, compression=job.compression)
+        if bundle is not None:
+            write_bundle(job.out_path, bundle, job.camera_ids, compression=job.compression)
+        else:
+            with replacing(job.out_path) as unfinished:
+                shutil.copyfile(job.bundle_path, unfinished)
 
 
 class RawArchive:

@@ -35,7 +35,7 @@ def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = N
         data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
     if key is not None:
         headers["Authorization"] = f"Bearer {key}"
-    request = urllib.request.Request(f"{url.rstrip('/')}{BASE}{path}", data, headers)  # noqa: S310 - see above
+    request = urllib.request.Request(f"{url.rstrip('/')}{BASE}{path}", data, headers)  # noqa: S310 - http or https, see above
     try:
         with urllib.request.urlopen(request, timeout=ANSWER_S) as answer:  # noqa: S310 - as above
             return dict(json.load(answer))

@@ -112,7 +112,7 @@ class GateSettings:
     @property
     def device(self) -> GateDevice:
         device = self.serial or self.modem_line or self.gpio
-        assert device is not None  # noqa: S101 - see above
+        assert device is not None  # noqa: S101 - __post_init__ has seen to it
         return device
 
 

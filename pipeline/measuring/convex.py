@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pipeline.compiled import compiled
 from pipeline.measuring.directions import half_sphere
@@ -43,12 +43,12 @@ class ConvexBody:
         return self.edges.vertices_mm
 
 
-def convex_body(points_mm: Array, center_mm: Array | None = None) -> ConvexBody:
-    """The convex hull of points (N, 3) that do not lie in one plane, relative to a point within (3,) or the origin."""
+def convex_body(points_mm: Array, center_mm: ArrayLike = (0, 0, 0)) -> ConvexBody:
+    """The convex hull of points (N, 3) that do not lie in one plane, relative to a centre (3,)."""
     facets, normals = hull_facets(points_mm)
     is_vertex = np.zeros(len(points_mm), bool)
     is_vertex[facets] = True
-    vertices_mm = points_mm[is_vertex] - (0 if center_mm is None else center_mm)
+    vertices_mm = points_mm[is_vertex] - np.asarray(center_mm, np.float64)
     facets = (np.cumsum(is_vertex, dtype=np.int32) - 1)[facets]
     first = np.zeros(len(vertices_mm) + 1, np.int32)
     neighbors = np.empty(facets.size, np.int32)

@@ -50,7 +50,8 @@ class Edge:
 
         They are rough: up to 3 px too small, hardly ever too large.
         """
-        distances = _far(self.body)
+        is_within = self.body[::SPACING_PX, ::SPACING_PX]
+        distances = np.where(is_within, np.float32(MARGIN_PX), np.float32(-MARGIN_PX))
         _keep_nearest(distances, SPACING_PX, self.points_uv, self.ends, SPACING_PX)
         return distances
 
@@ -59,18 +60,6 @@ class Edge:
         distances = _between(coarse_px, self.body)
         _keep_nearest(distances, 1, self.points_uv, self.ends, FINE)
         return distances
-
-
-@compiled
-def _far(body: Grey) -> Array:
-    """Of every `SPACING_PX`-th pixel of a body (h, w) and what is beside it the largest distance, positive within."""
-    n_rows, n_columns = -(-body.shape[0] // SPACING_PX), -(-body.shape[1] // SPACING_PX)
-    distances = np.empty((n_rows, n_columns), np.float32)
-    for row in range(n_rows):
-        for column in range(n_columns):
-            is_within = body[SPACING_PX * row, SPACING_PX * column]
-            distances[row, column] = np.float32(MARGIN_PX if is_within else -MARGIN_PX)
-    return distances
 
 
 @compiled

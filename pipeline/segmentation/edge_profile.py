@@ -51,7 +51,7 @@ def edge_profile(image: Image, outline_uv: NDArray[np.float64]) -> EdgeProfile |
 
 @compiled
 def _reached(rises: Array, n: int, share: float) -> float:
-    """At which step the median of `n` profiles, columns of `rises`, first reaches a share."""
+    """At which step the median of `n` profiles, the first columns of `rises` (N_STEPS, P), first reaches a share."""
     for step in range(N_STEPS):
         n_above = 0
         for i in range(n):
@@ -65,7 +65,7 @@ def _reached(rises: Array, n: int, share: float) -> float:
 
 @compiled
 def _upper_median(values: Array, n: int) -> float:
-    """Of the first `n` values, which are sorted for it."""
+    """Of the first `n` values (N,), which are sorted for it."""
     for i in range(1, n):
         value, place = values[i], i
         while place > 0 and values[place - 1] > value:
