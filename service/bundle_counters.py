@@ -32,6 +32,6 @@ class BundlingCounters:
     in_dead_time: int = 0  # of the incomplete
     orphans: int = 0  # announced by the frames alone
     unseen: int = 0  # of the incomplete: counted by the gate, announced and photographed by nobody
-    triggers_ignored: int = 0  # merged by the gate itself
+    triggers_ignored: int = 0  # merged by the gate itself, or announced after the orphan they are
     triggers_lost: int = 0  # gaps in the gate's counter; orphans and unseen ones
     cameras: dict[CameraId, CameraCounters] = field(default_factory=dict)

@@ -8,8 +8,8 @@ trigger leaves as exactly one bundle, in order: complete, or at its deadline wit
 
 Events may come in any order within one window's half width; a frame that comes before its trigger waits.
 When none comes and most cameras exposed, the frames are a stone that the gate failed to announce: an
-orphan, which gets a trigger of its own. A stone that only the gate's counter knows becomes a bundle
-without frames.
+orphan, which gets a trigger of its own. If the gate's comes after all, it announces nothing new. A stone that
+only the gate's counter knows becomes a bundle without frames.
 """
 
 from bisect import insort
@@ -55,7 +55,7 @@ class BundleAssembler:
         self._open: deque[Window] = deque()
         self._held: list[Frame | FrameLost] = []
         self._gone: set[CameraId] = set()
-        self._missed = MissedTriggers()
+        self._missed = MissedTriggers(self._window_ns)
         self._n_exposing = 0
         self._last_sequence = 0
         self._last_trigger: Trigger | None = None  # that exposed
@@ -131,9 +131,13 @@ class BundleAssembler:
         return bundles + self._unseen(self._missed.unseen())
 
     def _announce(self, trigger: Trigger) -> None:
-        """Expect the frames of a trigger, unless another one's are on their way."""
-        self._missed.announced(trigger.sequence)
+        """Expect the frames of a trigger, unless they are here already or another one's are on their way."""
+        is_here = self._missed.announced(trigger)
         self._last_sequence = trigger.sequence
+        if is_here and trigger.kind is BundleKind.PARTICLE:
+            self._last_trigger = trigger
+            self.counters.triggers_ignored += 1
+            return
         last = self._last_trigger
         if last is None or self._spacing_ns(last, trigger) >= self._dead_time_ns:
             self._last_trigger = trigger
@@ -188,8 +192,8 @@ class BundleAssembler:
         ):
             return False
         self.counters.orphans += 1
-        self._missed.adopted()
         trigger = self._unannounced(expected_ns - self._delay_ns)
+        self._missed.adopted(trigger.received_ns)
         later = next((window.trigger for window in self._open if window.expected_ns > expected_ns), None)
         if later is not None:
             trigger = replace(trigger, sequence=later.sequence - 1)

@@ -1,4 +1,4 @@
-"""Stones that the gate counted and did not announce: which of them the cameras showed, and which nobody saw.
+"""Stones that the gate did not announce, or late: which of them the cameras showed, and which nobody saw.
 
 Frames without an announcement come some 0.3 s after the edge, the gap in the gate's counter is told with its
 next line: before the two are compared all frames must have had time to come.
@@ -6,6 +6,8 @@ next line: before the two are compared all frames must have had time to come.
 
 from collections import deque
 from typing import NamedTuple
+
+from pipeline.frames import Trigger
 
 
 class _Gap(NamedTuple):
@@ -17,20 +19,28 @@ class _Gap(NamedTuple):
 class MissedTriggers:
     """Offsets orphans against the gaps of the gate's counter, one by one."""
 
-    def __init__(self) -> None:
+    def __init__(self, tolerance_ns: int) -> None:
+        self._tolerance_ns = tolerance_ns
         self._gaps: deque[_Gap] = deque()
-        self._n_orphans = 0  # that no gap has explained yet
+        self._orphans_ns: list[int] = []  # that neither gap nor announcement has explained yet
         self._last_announced = 0
 
-    def announced(self, sequence: int) -> None:
-        """Note an announcement: if the gate missed nothing before it, earlier orphans were no stones of its."""
-        if sequence == self._last_announced + 1 and not self._gaps:
-            self._n_orphans = 0
-        self._last_announced = sequence
+    def announced(self, trigger: Trigger) -> bool:
+        """Note an announcement; whether its line was so late that its frames have been adopted.
 
-    def adopted(self) -> None:
-        """Note frames that got a trigger of their own."""
-        self._n_orphans += 1
+        If the gate missed nothing before it, earlier orphans were no stones of its.
+        """
+        is_next = trigger.sequence == self._last_announced + 1 and not self._gaps
+        self._last_announced = trigger.sequence
+        orphans_ns, at_ns = self._orphans_ns, trigger.received_ns
+        earlier_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns < at_ns - self._tolerance_ns]
+        later_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns > at_ns + self._tolerance_ns]
+        self._orphans_ns = later_ns if is_next else earlier_ns + later_ns
+        return len(earlier_ns) + len(later_ns) < len(orphans_ns)
+
+    def adopted(self, received_ns: int) -> None:
+        """Note frames that got a trigger of their own, of this time."""
+        self._orphans_ns.append(received_ns)
 
     def missed(self, n_triggers: int, received_ns: int, due_ns: int) -> None:
         """Note a gap, to be looked at when its frames are due."""
@@ -41,7 +51,7 @@ class MissedTriggers:
         told_ns: list[int] = []
         while self._gaps and (now_ns is None or now_ns >= self._gaps[0].due_ns):
             gap = self._gaps.popleft()
-            n_explained = min(self._n_orphans, gap.n_triggers)
-            self._n_orphans -= n_explained
+            n_explained = min(len(self._orphans_ns), gap.n_triggers)
+            del self._orphans_ns[:n_explained]
             told_ns += [gap.received_ns] * (gap.n_triggers - n_explained)
         return told_ns

@@ -185,7 +185,9 @@ class Acquisition(BaseModel):
     orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
     unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
     in_dead_time: int = Field(description="Triggers too soon after another; lost")
-    triggers_ignored: int = Field(description="Bounces and doubles of one stone, merged by the gate")
+    triggers_ignored: int = Field(
+        description="Bounces and doubles of one stone, merged by the gate, and orphans announced after all"
+    )
     triggers_lost: int = Field(
         description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen"
     )

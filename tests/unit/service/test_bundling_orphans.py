@@ -89,6 +89,45 @@ def test_three_orphans_explain_gaps_that_are_told_one_by_one() -> None:
     assert assembler.counters.unseen == 0
 
 
+def test_a_line_that_comes_after_its_frames_were_adopted_announces_no_second_stone() -> None:
+    """The host was too busy to read it: the gate's clock says when its stone fell."""
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    bundles = feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    for number in (1, 2):
+        late = [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS]
+        bundles += feed_all(assembler, late[number - 1 :])  # the second lacks one
+    bundles += assembler.advance(3 * period_ns + DELAY_NS)
+    bundles += feed_all(assembler, [trigger(1, period_ns), trigger(2, 2 * period_ns + 5 * MS)])
+    bundles += feed_all(assembler, [trigger(5, 5 * period_ns)])
+    bundles += feed_all(assembler, [TriggersLost(received_ns=5 * period_ns, count=2, reason="gap")])
+    bundles += assembler.advance(20 * period_ns)
+    assert [(bundle.trigger.sequence, len(bundle.frames)) for bundle in bundles] == [
+        (0, 3),
+        (1, 3),
+        (2, 2),
+        (5, 0),
+        (6, 0),
+        (6, 0),
+    ]
+    counters = assembler.counters
+    assert (counters.triggers, counters.orphans, counters.unseen) == (6, 2, 2)
+    assert counters.triggers_ignored == 2
+
+
+def test_of_two_orphans_one_is_announced_late_and_the_other_explains_the_gap() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    for number in (0, 1):
+        feed_all(assembler, [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS])
+    assembler.advance(3 * period_ns)
+    gap = TriggersLost(received_ns=3 * period_ns, count=1, reason="gap")
+    feed_all(assembler, [trigger(1, 0), gap, trigger(3, 3 * period_ns)])
+    assembler.advance(10 * period_ns)
+    counters = assembler.counters
+    assert (counters.triggers, counters.orphans, counters.unseen) == (3, 2, 0)
+
+
 def test_what_only_the_counter_of_the_gate_knows_is_a_bundle_without_frames() -> None:
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
