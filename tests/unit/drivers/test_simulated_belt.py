@@ -189,6 +189,12 @@ class TestScene:
             )
             np.testing.assert_array_equal(seen, images(n)[CAMERA])
 
+    def test_a_camera_that_lags_on_a_busy_host_sees_what_was_there(self, scene: Scene) -> None:
+        for n in range(3):
+            scene.enter(n * 1_000_000_000, images(3 + n))
+        seen = scene.source_of(CAMERA)(replace(EXPOSURE, exposed_ns=FALL_NS))
+        np.testing.assert_array_equal(seen, images(3)[CAMERA])
+
     def test_a_camera_without_a_view_sends_nothing(self, scene: Scene) -> None:
         scene.enter(0, images(3))
         assert scene.source_of(CAMERAS[1])(replace(EXPOSURE, exposed_ns=FALL_NS)) is None
