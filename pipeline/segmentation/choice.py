@@ -21,7 +21,7 @@ from pipeline.segmentation.background import BackgroundModel, CameraBackground
 from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView
-from pipeline.segmentation.surroundings import errors_beside
+from pipeline.segmentation.surroundings import Views, shares_beside
 
 Grey = NDArray[np.uint8]
 
@@ -202,26 +202,20 @@ def _doubt_of_light(
     found: Silhouette, empty: EmptyView, known: CameraBackground, parameters: ChoiceParameters
 ) -> str | None:
     """Whether the wall beside the body is what it was, and the body differs from it."""
-    left, top = found.offset_uv
-    around, rim = errors_beside(
-        found.labels,
-        left,
-        top,
-        empty.seen,
-        empty.levels,
-        known.coarse_levels,
-        ceil(PLAIN * known.typical),
-        empty.gain,
+    views = Views(
+        seen=empty.seen,
+        empty=empty.levels,
+        gain=np.float32(empty.gain),
+        clean=known.coarse_levels,
+        least=np.uint8(ceil(PLAIN * known.typical)),
     )
-    if _share(around > parameters.max_light_error) > parameters.max_dim_share:
-        return f"light differs by {np.quantile(around, 0.9):.0%} around the body"
-    faint = _share(rim <= parameters.clear_contrast)
-    return f"{faint:.0%} of the edge without contrast" if faint > parameters.max_faint_share else None
-
-
-def _share(is_so: NDArray[np.bool_]) -> float:
-    """Of blocks (N,) for which something is so; 0 of none."""
-    return float(np.count_nonzero(is_so) / max(is_so.size, 1))
+    p = parameters
+    differing, faint = shares_beside(
+        found.labels, found.offset_uv, views, p.max_light_error, p.clear_contrast
+    )
+    if differing > p.max_dim_share:
+        return f"light differs over {differing:.0%} around the body"
+    return f"{faint:.0%} of the edge without contrast" if faint > p.max_faint_share else None
 
 
 def _differs(seen: Grey, empty: Grey, share: float) -> Grey:

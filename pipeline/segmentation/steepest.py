@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, compiled_within, whole
+from pipeline.segmentation.edge import along
 from pipeline.segmentation.grey_levels import GreyLevels
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 
@@ -70,7 +71,7 @@ def to_steepest(
         for k in range(LANES):
             notes[i, SMOOTH + k] = 0
         for j in range(len(WEIGHTS)):
-            near = _along(i, j - len(WEIGHTS) // 2, n_points)
+            near = along(i, j - len(WEIGHTS) // 2, n_points)
             near = near if seen[near] else i
             for k in range(LANES):
                 notes[i, SMOOTH + k] += WEIGHTS[j] * notes[near, k]
@@ -97,7 +98,7 @@ def to_steepest(
             continue
         rest = np.float32(0)
         for j in range(len(WEIGHTS)):
-            rest += WEIGHTS[j] * notes[_along(i, j - len(WEIGHTS) // 2, n_points), REST]
+            rest += WEIGHTS[j] * notes[along(i, j - len(WEIGHTS) // 2, n_points), REST]
         behind = notes[i, BEHIND]
         least_rest = max(REST_SHARE * min_contrast * behind, LEAST_REST)
         if notes[i, HEIGHT] < LEAST_SLOPE * behind or abs(rest) > least_rest:
@@ -115,7 +116,7 @@ def _note_inwards(shape: tuple[int, int], points_uv: NDArray[np.float64], seen: 
     for i in range(n_points):
         before = after = i
         for _ in range(TANGENT_REACH):
-            previous, following = _along(before, BACK, n_points), _along(after, ON, n_points)
+            previous, following = along(before, BACK, n_points), along(after, ON, n_points)
             before = previous if seen[previous] else before
             after = following if seen[following] else after
         du = np.float32(points_uv[after, 0] - points_uv[before, 0])
@@ -171,12 +172,3 @@ def _doubt(labels: Grey, u: int, v: int) -> None:
         for x in range(max(u - DOUBT_PX, 0), min(u + DOUBT_PX + 1, width)):
             if labels[y, x] == OUTSIDE and (y - v) ** 2 + (x - u) ** 2 <= DOUBT_PX**2:
                 labels[y, x] = UNKNOWN
-
-
-@compiled_within
-def _along(i: int, steps: int, n: int) -> int:
-    """The index of the point so many steps after number i of n around a closed line, at most one turn away."""
-    after = i + steps
-    if after < 0:
-        return max(after + n, 0)
-    return after if after < n else min(after - n, n - 1)

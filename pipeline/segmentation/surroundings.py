@@ -1,5 +1,7 @@
 """The wall beside a body and the rim of the body, in blocks of 4 px: how much they differ from the empty rig."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -27,71 +29,71 @@ LESS_NOISE = (3, 3)
 image, but nothing beside the body is there."""
 
 
-def errors_beside(
-    labels: Grey, left: int, top: int, seen: Grey, empty: Grey, wall: Grey, least: int, gain: float
-) -> tuple[Array, Array]:
-    """Differences from the empty rig, as a share of it: of the wall around a body (N,), and of the body's rim (M,).
+class Views(NamedTuple):
+    """Of the image (H, W), in blocks (H/4, W/4)."""
 
-    Parameters
-    ----------
-    labels
-        (h, w) of the silhouette, whose pixel (0, 0) is (left, top) of the image.
-    seen
-        (H/4, W/4) a pixel of each block of the image.
-    empty
-        (H/4, W/4) what it would show without the body, but for `gain`.
-    wall
-        (H/4, W/4) what the empty rig shows; blocks that are darker than `least` are left out.
+    seen: Grey  # a pixel of each
+    empty: Grey  # what it would show without the body, but for
+    gain: np.float32
+    clean: Grey  # what the empty rig shows
+    least: np.uint8  # where that is darker, it is not the plain wall
+
+
+class Shares(NamedTuple):
+    """Of blocks that differ from the empty rig by more than a share of it; 0 of none."""
+
+    wall: float  # of the wall around a body
+    rim: float  # of the rim of the body: there those that do not differ by more
+
+
+def shares_beside(
+    labels: Grey, corner_uv: tuple[int, int], views: Views, max_error: float, clear_contrast: float
+) -> Shares:
+    """How much of the wall around a body differs, by more than `max_error`, and how much of its rim is not clear.
+
+    `labels` (h, w) are the silhouette's, whose pixel (0, 0) is `corner_uv` of the image.
     """
+    left, top = corner_uv
     row, column = -(-top // COARSE), -(-left // COARSE)
     height, width = (top + labels.shape[0]) // COARSE - row, (left + labels.shape[1]) // COARSE - column
-    smooth = cv2.blur(seen[row : row + height, column : column + width], LESS_NOISE)
+    smooth = cv2.blur(views.seen[row : row + height, column : column + width], LESS_NOISE)
     bits = np.zeros((2, (height + 2 * BORDER) * (width + 2 * BORDER)), np.uint8)
-    around, rim, errors = (np.empty(n, np.float32) for n in (height * width + 1, height * width + 1, width))
-    n_around, n_rim = _write_errors(
+    n_wall, n_differing, n_rim, n_faint = _count(
         labels,
         COARSE * row + COARSE // 2 - top,
         COARSE * column + COARSE // 2 - left,
         np.asarray(smooth, np.uint8),
-        empty,
-        wall,
+        views,
         row,
         column,
-        np.uint8(least),
-        np.float32(gain),
+        (np.float32(max_error), np.float32(clear_contrast)),
         bits[0],
         bits[1],
-        around,
-        rim,
-        errors,
+        np.empty(width, np.float32),
     )
-    return around[:n_around], rim[:n_rim]
+    return Shares(n_differing / max(n_wall, 1), n_faint / max(n_rim, 1))
 
 
 @compiled
-def _write_errors(
+def _count(
     labels: Grey,
     v: int,
     u: int,
-    seen: Grey,
-    empty: Grey,
-    wall: Grey,
+    smooth: Grey,
+    views: Views,
     first_row: int,
     first_column: int,
-    least: np.uint8,
-    gain: np.float32,
+    limits: tuple[np.float32, np.float32],
     bits: Grey,
     wider: Grey,
-    around: Array,
-    rim: Array,
     errors: Array,
-) -> tuple[int, int]:
-    """The same, written one after the other, for blocks (h, w) that begin at `first_row` and `first_column`.
+) -> tuple[int, int, int, int]:
+    """Blocks of wall around, those that differ, blocks of the rim, those that do not, of blocks (h, w).
 
-    The first block's label is at row `v` and column `u`; `bits` and `wider` are zeros, as many as blocks with a border,
-    and `errors` (w,) is room for a row.
+    They begin at `first_row` and `first_column`; the first one's label is at row `v` and column `u`. `bits` and `wider`
+    are zeros, as many as blocks with a border, and `errors` (w,) is room for a row.
     """
-    height, width = seen.shape
+    height, width = smooth.shape
     line_length = width + 2 * BORDER
     for row in range(height):
         first = (row + BORDER) * line_length + BORDER
@@ -102,20 +104,27 @@ def _write_errors(
     for step in range(len(GROWTH)):
         _grow(bits, GROWTH[step, 0], np.uint8(GROWTH[step, 1]), wider)
         _grow(wider, GROWTH[step, 0] * np.uint64(line_length), np.uint8(GROWTH[step, 1]), bits)
-    n_around = n_rim = 0
+    max_error, clear_contrast = limits
+    n_wall = n_differing = n_rim = n_faint = 0
     for row in range(height):
         first = (row + BORDER) * line_length + BORDER
-        here, seen_here = bits[first : first + width], seen[row]
-        empty_here, wall_here = empty[first_row + row, first_column:], wall[first_row + row, first_column:]
+        here, seen = bits[first : first + width], smooth[row]
+        empty, clean = (
+            views.empty[first_row + row, first_column:],
+            views.clean[first_row + row, first_column:],
+        )
+        for column in range(width):  # one after the other, that each is vectorized
+            expected = views.gain * np.float32(empty[column])
+            errors[column] = abs(np.float32(seen[column]) / expected - np.float32(1))
         for column in range(width):
-            expected = gain * np.float32(empty_here[column])
-            errors[column] = abs(np.float32(seen_here[column]) / expected - np.float32(1))
-        for column in range(width):  # each is written, but stays only where it belongs
-            is_wall = wall_here[column] >= least
-            around[n_around] = rim[n_rim] = errors[column]
-            n_around += is_wall & (here[column] & (BODY | COVERED) == BODY)
-            n_rim += is_wall & (here[column] & (REST | BARE) == REST)
-    return n_around, n_rim
+            is_plain = clean[column] >= views.least
+            is_wall = is_plain & (here[column] & (BODY | COVERED) == BODY)
+            is_rim = is_plain & (here[column] & (REST | BARE) == REST)
+            n_wall += is_wall
+            n_rim += is_rim
+            n_differing += is_wall & (errors[column] > max_error)
+            n_faint += is_rim & (errors[column] <= clear_contrast)
+    return n_wall, n_differing, n_rim, n_faint
 
 
 @compiled_within

@@ -2,12 +2,13 @@
 
 import cv2
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
-from pipeline.segmentation.surroundings import errors_beside
+from pipeline.segmentation.surroundings import Views, shares_beside
 
 Bits = NDArray[np.uint8]
 
@@ -31,7 +32,9 @@ def test_the_wall_beside_a_body_and_its_rim_are_compared(
     )
     body = cv2.blur(rng.random((height, width), np.float32), (9, 9))
     labels = np.where(body > 0.53, INSIDE, np.where(body > 0.5, UNKNOWN, OUTSIDE))
-    around, rim = errors_beside(labels, left, top, seen, empty, wall, 90, 0.9)
+    views = Views(seen=seen, empty=empty, gain=np.float32(0.9), clean=wall, least=np.uint8(90))
+    max_error, clear_contrast = rng.uniform(0, 2, 2)
+    shares = shares_beside(labels, (left, top), views, max_error, clear_contrast)
 
     first, last = -(-np.array([top, left]) // 4), np.array([top + height, left + width]) // 4
     place = tuple(slice(*at) for at in zip(first, last, strict=True))
@@ -42,5 +45,6 @@ def test_the_wall_beside_a_body_and_its_rim_are_compared(
     is_wall = wall[place] >= 90
     is_around = grown(inside, 8) & ~grown(covered, 2) & is_wall
     is_rim = ~grown(~covered, 1) & grown(~inside, 3) & is_wall
-    np.testing.assert_allclose(around, error[is_around], atol=1e-5)
-    np.testing.assert_allclose(rim, error[is_rim], atol=1e-5)
+    differing, faint = error[is_around] > max_error, error[is_rim] <= clear_contrast
+    assert shares.wall == pytest.approx(differing.mean() if differing.size else 0.0)
+    assert shares.rim == pytest.approx(faint.mean() if faint.size else 0.0)
