@@ -117,7 +117,9 @@ def _require_plausible(camera: CameraCalibration, path: str) -> None:
         field_mm = width_px * distance_mm / focal_px if focal_px > 0 else np.inf
         if not FIELD_AT_ORIGIN_MM[0] <= field_mm <= FIELD_AT_ORIGIN_MM[1]:
             raise RigError(f"{path}.K", f"focal length {focal_px:.6g} px is out of range (is it in pixels?)")
-    direction = camera.rays([[(width_px - 1) / 2, (height_px - 1) / 2]])[0]
+    # in the middle no lens bends a ray by as much as is allowed here
+    middle = np.linalg.solve(camera.K, [(width_px - 1) / 2, (height_px - 1) / 2, 1])
+    direction = camera.R.T @ middle / np.linalg.norm(middle)
     along_mm = float(-camera.center_mm @ direction)
     miss_mm = float(np.linalg.norm(camera.center_mm + along_mm * direction))
     if along_mm <= 0 or miss_mm > MAX_MISS_MM:

@@ -27,10 +27,11 @@ def _silhouette(camera: CameraCalibration) -> Silhouette:
     outline_uv = camera.project(circle_mm @ camera.R[:2])[0]
     left, top = np.floor(outline_uv.min(axis=0)).astype(int) - MARGIN_PX
     right, bottom = np.ceil(outline_uv.max(axis=0)).astype(int) + MARGIN_PX
-    v, u = np.mgrid[top:bottom, left:right]
     center_uv = outline_uv.mean(axis=0)
+    u, v = np.arange(left, right) - center_uv[0], np.arange(top, bottom) - center_uv[1]
     radius_px = np.linalg.norm(outline_uv - center_uv, axis=1).mean()
-    distance_px = np.clip(radius_px - np.hypot(u - center_uv[0], v - center_uv[1]), -MARGIN_PX, MARGIN_PX)
+    from_center_px = np.sqrt(np.add.outer(v * v, u * u).astype(np.float32))
+    distance_px = np.clip(np.float32(radius_px) - from_center_px, -MARGIN_PX, MARGIN_PX)
     return Silhouette(
         camera=camera.id,
         status=ViewStatus.OK,
@@ -38,5 +39,5 @@ def _silhouette(camera: CameraCalibration) -> Silhouette:
         offset_uv=(int(left), int(top)),
         labels=np.where(distance_px > 0, INSIDE, OUTSIDE),
         outline_uv=outline_uv,
-        distances=KnownDistances(distance_px.astype(np.float32)),
+        distances=KnownDistances(distance_px),
     )

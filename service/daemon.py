@@ -218,8 +218,13 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         app = create_app(store, daemon, settings.api)
         server = RestServer(server_config(app, settings.api))
         manager.notify("STATUS=warming up the workers")
-        # else FastAPI prepares routes and their description when first asked, and holds the loop for 0.2 s
-        await asyncio.gather(daemon.pool.start(), asyncio.to_thread(app.openapi))
+        # else what is prepared when it is first asked for holds the loop for 0.3 s: FastAPI's routes and their
+        # description, and numba's tables, with the first ray from which dark panels are looked for
+        await asyncio.gather(
+            daemon.pool.start(),
+            asyncio.to_thread(app.openapi),
+            asyncio.to_thread(daemon.calibrations.calibration.cameras[0].rays, [[0, 0]]),
+        )
         spare_collections()
         async with asyncio.TaskGroup() as tasks:
             serving = tasks.create_task(server.serve([listener]))

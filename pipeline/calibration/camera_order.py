@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # what is used of it is imported then
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
@@ -56,7 +56,7 @@ def camera_order(drops: Sequence[BallDrop], rig: RigCalibration) -> CameraOrder 
     for _ in range(N_ASSIGNMENTS):
         offsets_mm = _ball_offsets_mm(patterns_uv, scales[places])
         misfits_px = _misfits_px(patterns_uv, scales, offsets_mm)
-        _, assigned = linear_sum_assignment(misfits_px)
+        _, assigned = scipy.optimize.linear_sum_assignment(misfits_px)
         if (assigned == places).all():
             break
         places = assigned

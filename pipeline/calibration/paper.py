@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy  # what is used of it is imported then
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.nearest_point import nearest_point
@@ -66,7 +66,7 @@ def refined(camera: CameraCalibration, points_mm: Array, centroids_uv: Array) ->
         return float(distances_px(matrix(entries), homogeneous, centroids_uv).sum())
 
     initial = np.linalg.solve(camera.K, camera.projection) * lengths_mm / lengths_mm[0]
-    found = minimize(error_px, initial.ravel(), method="BFGS")
+    found = scipy.optimize.minimize(error_px, initial.ravel(), method="BFGS")
     K, R, t_mm = decomposed(matrix(found.x), f"camera {camera.id}")
     return replace(camera, K=K, distortion=np.zeros(5), R=R, t_mm=t_mm)
 

@@ -12,8 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # what is used of it is imported then
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.problem import Problem
@@ -107,7 +107,7 @@ def recalibrate(
     wanted = displaced_cameras(fitted, rig) if cameras is None else cameras
     free = tuple(camera for camera in rig.camera_ids if camera in wanted)
     poses = _Poses(rig, free)
-    solution = least_squares(
+    solution = scipy.optimize.least_squares(
         poses.residuals, np.zeros(6 * len(free)), jac=poses.jacobian, loss="soft_l1", args=(fitted,)
     )
     moved = poses.rig_at(solution.x)

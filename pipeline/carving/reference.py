@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
+import scipy  # what is used of it is imported then
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
 from pipeline.carving.views import View, usable_views
@@ -47,7 +47,7 @@ def _distance_mm(view: View, points_mm: Array) -> Array:
     """Signed distances (N,) to a viewing cone, positive within."""
     camera, silhouette = view
     pixels_uv, depths_mm = camera.project(points_mm)
-    sampled_px = map_coordinates(
+    sampled_px = scipy.ndimage.map_coordinates(
         silhouette.distance_px,
         (pixels_uv - silhouette.offset_uv).T[::-1],
         output=np.float64,

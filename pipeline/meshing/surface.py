@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import skimage  # what is used of it is imported then
 from numpy.typing import NDArray
-from skimage.measure import marching_cubes
 
 from pipeline.carving import VisualHull, all_leaves
 from pipeline.meshing.cubes import march
@@ -44,7 +44,7 @@ def mesh_hull(hull: VisualHull, mesher: Mesher = "leaves") -> ParticleMesh | Non
 def _skimage_surface(hull: VisualHull) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if not (hull.field > hull.level).any():
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    vertices, faces, _, _ = marching_cubes(
+    vertices, faces, _, _ = skimage.measure.marching_cubes(
         hull.field, hull.level, gradient_direction="ascent", allow_degenerate=False
     )
     return vertices.astype(np.float64), faces.astype(np.int64)

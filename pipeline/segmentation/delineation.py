@@ -16,7 +16,6 @@ from itertools import accumulate, pairwise
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from pipeline.frames import Frame
 from pipeline.segmentation.edge import Edge
@@ -97,7 +96,8 @@ def delineate(
             break
     if np.count_nonzero(seen) < len(seen):
         # the last points before a gap already bend towards what hides the edge
-        seen = minimum_filter1d(seen, 2 * BESIDE_GAP + 1, mode="wrap")
+        around = seen.take(np.arange(-BESIDE_GAP, len(seen) + BESIDE_GAP), mode="wrap")
+        seen = np.lib.stride_tricks.sliding_window_view(around, 2 * BESIDE_GAP + 1).min(axis=1)
     edge = Edge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
 

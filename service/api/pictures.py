@@ -3,10 +3,10 @@
 from enum import StrEnum
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
@@ -15,6 +15,9 @@ from drivers.recording import read_bundle, read_header
 from drivers.silhouette_file import read_silhouettes
 from pipeline.frames import CameraId
 from pipeline.preview import render_preview
+
+if TYPE_CHECKING:
+    import trimesh
 
 PREVIEW_SIZE_PX = 480
 MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -97,5 +100,7 @@ def _stored(path: Path) -> Path:
     return path
 
 
-def _mesh(path: Path) -> trimesh.Trimesh:
+def _mesh(path: Path) -> "trimesh.Trimesh":
+    import trimesh  # here: with all that it brings it is a tenth of the daemon's start
+
     return trimesh.load_mesh(path, process=False)

@@ -22,7 +22,7 @@ def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
     """Measure the stones of a rig, keep the results and serve them, until SIGTERM."""
-    import_for_workers("pipeline.particle")  # not the job with its onnxruntime, which has a thread
+    import_for_workers("service.worker_origin")
     # imported here: meanwhile
     from service.daemon import run
     from service.settings import load_settings, problems
