@@ -11,7 +11,6 @@ and qhull, which merges facets that are nearly coplanar, does it all.
 from typing import NamedTuple
 
 import numpy as np
-import scipy.spatial
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, compiled_within, whole
@@ -82,29 +81,24 @@ def growth_for(n_points: int, extent: float, tolerance: float) -> Growth:
 def facets_of(growth: Growth) -> Facets:
     """What has grown."""
     is_facet = growth.above[: growth.counts[0]] != NO_FACET
-    number, places = np.cumsum(is_facet, dtype=np.int32) - np.int32(1), np.flatnonzero(is_facet)
-    facets = growth.facets[places]
-    return Facets(facets[:, :3].copy(), number[facets[:, 3:6]], growth.planes[places, :4])
+    n = np.count_nonzero(is_facet)
+    facets = Facets(np.empty((n, 3), np.int32), np.empty((n, 3), np.int32), np.empty((n, 4)))
+    _write_down(growth, np.cumsum(is_facet, dtype=np.int32) - np.int32(1), facets)
+    return facets
 
 
-def restart_by_qhull(points: Array, added: Indices, growth: Growth) -> None:
-    """Replace what has grown by the library's convex hull of some points.
-
-    Raises
-    ------
-    scipy.spatial.QhullError
-        The points lie in one plane.
-    """
-    hull = scipy.spatial.ConvexHull(points[added])
-    a, b, c = (hull.points[hull.simplices[:, k]] for k in range(3))
-    is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])[:, None] < 0
-    opposite = np.where(is_inward, hull.neighbors[:, [0, 2, 1]], hull.neighbors)
-    n = len(hull.simplices)
-    growth.facets[:n, :3] = added[np.where(is_inward, hull.simplices[:, [0, 2, 1]], hull.simplices)]
-    growth.facets[:n, 3:6] = opposite[:, [2, 0, 1]]
-    growth.facets[:n, SEEN_BY] = growth.above[:n] = NONE
-    growth.planes[:n, :4] = hull.equations
-    growth.counts[:] = n, 0
+@compiled
+def _write_down(growth: Growth, number: Indices, written: Facets) -> None:
+    """Fill in what has grown, by the `number` (K,) of each place."""
+    for place in range(len(number)):
+        if growth.above[place] == NO_FACET:
+            continue
+        n = number[place]
+        for k in range(3):
+            written.corners[n, k] = growth.facets[place, k]
+            written.across[n, k] = number[growth.facets[place, 3 + k]]
+        for k in range(4):
+            written.planes[n, k] = growth.planes[place, k]
 
 
 def start(points: Array, which: Indices, growth: Growth) -> bool:

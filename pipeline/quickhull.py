@@ -5,19 +5,21 @@ own, by a walk from where the one before it ended.
 """
 
 import numpy as np
+import scipy.spatial
 from numpy.typing import NDArray
 
 from pipeline.bounds import bounds
 from pipeline.compiled import compiled, whole
 from pipeline.growing_hull import (
     NO_FACET,
+    NONE,
+    SEEN_BY,
     Growth,
     facets_of,
     grow,
     growth_for,
     height_above,
     put_above,
-    restart_by_qhull,
     start,
 )
 
@@ -46,9 +48,9 @@ def hull_facets(points_mm: Array) -> tuple[Indices, Array]:
     points = np.ascontiguousarray(points_mm)
     every = np.arange(len(points), dtype=np.int32)
     protruding = every[::RUN].copy()
-    low, high = bounds(points)
-    _find_protruding(points, (low + high) / 2, protruding)
-    origin = points[protruding].mean(axis=0)
+    _find_protruding(points, points[protruding].mean(axis=0), protruding)
+    outer = points[protruding]
+    origin, (low, high) = outer.mean(axis=0), bounds(outer)
     growth = growth_for(len(points), float((high - low).max()), TOLERANCE)
     has_grown = start(points, protruding, growth) and grow(points, growth)
     walls = np.empty((growth.counts[0], 3, 3))
@@ -57,6 +59,26 @@ def hull_facets(points_mm: Array) -> tuple[Indices, Array]:
         restart_by_qhull(points, every, growth)
     facets = facets_of(growth)
     return facets.corners, facets.planes[:, :3].copy()
+
+
+def restart_by_qhull(points: Array, added: Indices, growth: Growth) -> None:
+    """Replace what has grown by the library's convex hull of some points.
+
+    Raises
+    ------
+    scipy.spatial.QhullError
+        The points lie in one plane.
+    """
+    hull = scipy.spatial.ConvexHull(points[added])
+    a, b, c = (hull.points[hull.simplices[:, k]] for k in range(3))
+    is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])[:, None] < 0
+    opposite = np.where(is_inward, hull.neighbors[:, [0, 2, 1]], hull.neighbors)
+    n = len(hull.simplices)
+    growth.facets[:n, :3] = added[np.where(is_inward, hull.simplices[:, [0, 2, 1]], hull.simplices)]
+    growth.facets[:n, 3:6] = opposite[:, [2, 0, 1]]
+    growth.facets[:n, SEEN_BY] = growth.above[:n] = NONE
+    growth.planes[:n, :4] = hull.equations
+    growth.counts[:] = n, 0
 
 
 @compiled

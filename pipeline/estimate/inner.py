@@ -23,9 +23,9 @@ from pipeline.growing_hull import (
     grow,
     growth_for,
     put_above,
-    restart_by_qhull,
     start,
 )
+from pipeline.quickhull import restart_by_qhull
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
