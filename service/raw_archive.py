@@ -8,7 +8,6 @@ that, the frames of some are not kept, and it says so.
 import asyncio
 import logging
 import os
-import shutil
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Protocol
 
 from drivers.bundle_file import Compression, read_bundle, read_header, write_bundle
 from drivers.errors import RecordingError
-from drivers.files import replacing, sync
+from drivers.files import copy_past_cache, replacing, sync
 from pipeline.frames import CameraId
 from service.worker_process import WarmUp, worker_boundary
 from service.workers import JobLostError, WorkerPool
@@ -79,7 +78,7 @@ def keep(job: KeepJob) -> None:
             write_bundle(job.out_path, bundle, job.camera_ids, compression=job.compression)
         else:
             with replacing(job.out_path) as unfinished:
-                shutil.copyfile(job.bundle_path, unfinished)
+                copy_past_cache(job.bundle_path, unfinished)
 
 
 class RawArchive:
