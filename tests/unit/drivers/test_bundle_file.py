@@ -82,6 +82,15 @@ def test_a_file_is_written_over(tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_was_mapped_is_another_file_by_now(tmp_path: Path) -> None:
+    path = tmp_path / "b.tiff"
+    for number in range(3):
+        write_bundle(path, make_bundle(2 * number), CAMERAS, compression="none")
+        assert_same_bundle(read_bundle(path, CAMERAS, mapped=True), make_bundle(2 * number))
+        overwrite_bundle(path, make_bundle(2 * number + 1), CAMERAS)
+        assert_same_bundle(read_bundle(path, CAMERAS, mapped=True), make_bundle(2 * number + 1))
+
+
 def test_header_needs_no_pixels(tmp_path: Path) -> None:
     path = tmp_path / "b.tiff"
     write_bundle(path, make_bundle(5), CAMERAS, compression="none")
