@@ -1,14 +1,15 @@
 """Frames of the newest stones, compressed beside their results: afterwards, and with what time is left over.
 
 A process of its own does it, which yields to all others, so that neither latency nor measuring pays. While others
-wait it does not compress, which takes four times as long. What waits is bounded: while stones come faster than even
-that, the frames of some are not kept, and it says so.
+wait, or come in a rush, it does not compress, which takes many times as long. What waits is bounded: while stones come
+faster than even that, the frames of some are not kept, and it says so.
 """
 
 import asyncio
 import logging
 import os
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ log = logging.getLogger(__name__)
 
 DEADLINE_S = 300.0
 """0.1 s of an idle core, but this process is the last to get one."""
+RUSH, RUSH_S = 6, 1.0
+"""So many stones in so short a time are a rush: no core is idle for long enough to compress one before the next."""
 RECENT_S = 60.0
 """So long health warns of frames that were not kept."""
 NAME = "stonefall-keep"
@@ -101,6 +104,7 @@ class RawArchive:
         self.left_out = 0
         """Results whose frames were not kept."""
         self._last_left_out_s = -RECENT_S
+        self._taken_s: deque[float] = deque(maxlen=RUSH)
 
     @property
     def trouble(self) -> str | None:
@@ -115,6 +119,7 @@ class RawArchive:
         """Take over the file of the bundle of a result, unless too many are waiting."""
         if self._waiting.qsize() < self._max_waiting:
             self._waiting.put_nowait((path, seq))
+            self._taken_s.append(time.monotonic())
             return True
         self._leave_out(seq, "too many are waiting")
         return False
@@ -132,8 +137,7 @@ class RawArchive:
                 if pool.pids == []:
                     await pool.start()
                 try:
-                    compression: Compression = "zstd" if self._waiting.empty() else "none"
-                    job = KeepJob(path, self._camera_ids, self._folder.raw_path(seq), compression)
+                    job = KeepJob(path, self._camera_ids, self._folder.raw_path(seq), self._compression())
                     await pool.run(keep, job)
                     await self._folder.drop_old_raw(seq)
                 except (JobLostError, RecordingError) as err:
@@ -141,6 +145,10 @@ class RawArchive:
                 await self._on_done(path)
         finally:
             pool.close()
+
+    def _compression(self) -> Compression:
+        is_rush = len(self._taken_s) == RUSH and self._taken_s[-1] - self._taken_s[0] < RUSH_S
+        return "zstd" if self._waiting.empty() and not is_rush else "none"
 
     def _leave_out(self, seq: int, reason: str) -> None:
         level = logging.DEBUG if self.trouble else logging.WARNING

@@ -6,6 +6,7 @@ import tifffile
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle
 
 from drivers.bundle_file import overwrite_bundle, read_bundle
+from service import raw_archive
 from service.raw_archive import RawArchive
 
 
@@ -50,7 +51,12 @@ async def test_frames_are_kept_beside_their_results_and_the_files_given_back(tmp
     assert archive.left_out == 1
 
 
-async def test_they_are_compressed_while_no_others_wait(tmp_path: Path):
+@pytest.mark.parametrize(("rush", "expected"), [(4, ["NONE", "ZSTD", "ZSTD"]), (2, ["NONE", "NONE", "NONE"])])
+async def test_they_are_compressed_while_no_others_wait_unless_they_come_in_a_rush(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rush: int, expected: list[str]
+):
+    monkeypatch.setattr(raw_archive, "RUSH", rush)
+    monkeypatch.setattr(raw_archive, "RUSH_S", 60.0)
     folder = Folder(tmp_path)
     files = [tmp_path / f"spool-{seq}.tiff" for seq in (1, 2, 3)]
 
@@ -65,7 +71,7 @@ async def test_they_are_compressed_while_no_others_wait(tmp_path: Path):
         await asyncio.to_thread(overwrite_bundle, path, make_bundle(seq), CAMERAS)
     assert all(archive.take(path, seq) for seq, path in enumerate(files[:2], start=1))
     await archive.run()
-    assert [compression(folder.raw_path(seq)) for seq in (1, 2, 3)] == ["NONE", "ZSTD", "ZSTD"]
+    assert [compression(folder.raw_path(seq)) for seq in (1, 2, 3)] == expected
 
 
 def compression(path: Path) -> str:
