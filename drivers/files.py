@@ -14,7 +14,7 @@ from typing import Any
 from drivers.errors import RecordingError
 
 BLOCK = 4096
-"""What goes past the page cache begins and ends at multiples of this; no device asks for more."""
+"""What goes past the page cache begins and ends at multiples of this; a device that asks for more refuses it."""
 
 
 @contextmanager
