@@ -194,16 +194,10 @@ def test_a_clock_that_is_set_while_stones_fall_moves_no_frame(
 @given(data=st.data(), times_ns=trigger_times_ns())
 def test_a_stone_whose_line_is_late_is_one_stone(data: st.DataObject, times_ns: list[int]) -> None:
     """However late the lines are read, in their order: either they get the frames, or the frames came without."""
-    deliveries = [
-        delivery
-        for camera in CAMERAS
-        for delivery in exposures(
-            camera,
-            times_ns,
-            [Fate() for _ in times_ns],
-            data.draw(cameras(has_clock=True)),
-        )
-    ]
+    fates = [Fate() for _ in times_ns]
+    deliveries = []
+    for camera in CAMERAS:
+        deliveries += exposures(camera, times_ns, fates, data.draw(cameras(has_clock=True)))
     late_ns = st.sampled_from([0, 0, 0, 300 * MS]) | st.integers(0, 3_000 * MS)
     read_ns = [times_ns[0], *(at_ns + data.draw(late_ns) for at_ns in times_ns[1:])]
     for number, at_ns in enumerate(times_ns):
