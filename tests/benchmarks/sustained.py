@@ -208,7 +208,7 @@ def sample(daemon: DaemonProcess) -> dict[str, Any]:
     return {
         "at_s": time.monotonic(),
         "loop_ms": daemon.get("/health")["checks"]["loop"]["observed_value"],
-        "cpu_s": {"daemon": cpu_s([pid]), "workers": cpu_s(workers)},
+        "cpu_s": {"daemon": {pid: cpu_s([pid])}, "workers": {worker: cpu_s([worker]) for worker in workers}},
         "rss_mb": {"daemon": [rss_mb(pid)], "workers": [rss_mb(worker) for worker in workers]},
         "own_mb": {"workers": [own_mb(worker) for worker in workers]},
     }
@@ -248,7 +248,7 @@ def run_of(
         if len(rows)
         else 0,
         loop_ms=max(each["loop_ms"] for each in samples),
-        cores={part: (last["cpu_s"][part] - first["cpu_s"][part]) / span_s for part in ("daemon", "workers")},
+        cores={part: busy_s(samples, part) / span_s for part in ("daemon", "workers")},
         memory_mb={
             "daemon": last["rss_mb"]["daemon"],
             "workers": last["rss_mb"]["workers"],
@@ -258,6 +258,14 @@ def run_of(
         lock_ms=max(waits_ms(daemon.folder / LOCK_WAITS, since_s=first["at_s"]), default=0.0),
         recorded=", ".join(f"{each['state']} {each['bundles']}" for each in recording) or "-",
     )
+
+
+def busy_s(samples: Sequence[dict[str, Any]], part: str) -> float:
+    """Processor time between the first and the last sample, of processes that came or went meanwhile, too."""
+    before, latest = samples[0]["cpu_s"][part], {}
+    for each in samples:
+        latest |= each["cpu_s"][part]
+    return sum(seconds - before.get(pid, 0.0) for pid, seconds in latest.items())
 
 
 def table_of(runs: Sequence[Run], read_ms: float, arguments: Any) -> Table:
