@@ -61,7 +61,13 @@ def require_unused(path: Path) -> None:
 def copy_past_cache(source: Path, target: Path) -> None:
     """Copy a file that is not empty without leaving it in memory, where the file system can.
 
-    The machine takes a third of its time for it: nothing is copied into the page cache, and nothing from there.
+    So the machine does not copy it into the page cache first, and from there later. `target` may exist; it is not
+    synced.
+
+    Raises
+    ------
+    OSError
+        As of any copy; `target` may be incomplete then.
     """
     descriptor = -1
     try:

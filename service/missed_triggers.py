@@ -17,9 +17,10 @@ class _Gap(NamedTuple):
 
 
 class MissedTriggers:
-    """Offsets orphans against the gaps of the gate's counter, one by one."""
+    """Offsets orphans against what the gate announces late and the gaps of its counter, one by one."""
 
     def __init__(self, tolerance_ns: int) -> None:
+        """`tolerance_ns`: by how much the time of an orphan, which is that of its frames, may be off."""
         self._tolerance_ns = tolerance_ns
         self._gaps: deque[_Gap] = deque()
         self._orphans_ns: list[int] = []  # that neither gap nor announcement has explained yet
