@@ -20,7 +20,7 @@ from pipeline.carving import View
 from pipeline.carving.interpolation import interpolate
 from pipeline.carving.views import lenses_of, pixel_of
 from pipeline.compiled import compiled
-from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette
+from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, Silhouette
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -125,7 +125,7 @@ def _values_mm(field: Field, search: _Search, n_samples: int) -> Single:
     rays[:, FIRST] = rays[:, LOW] + rays[:, PITCH] / 2
     smallest_mm = np.full((field.overruled + 1, n_samples, len(rays)), np.inf, np.float32)
     for view, silhouette in enumerate(field.silhouettes):
-        n_left = _lower(smallest_mm, rays, view, asked[view], field.cameras[view], silhouette.distance_px)
+        n_left = _lower(smallest_mm, rays, view, asked[view], field.cameras[view], silhouette.fine_px)
         asked[view] = asked[view][:n_left]
     return smallest_mm[-1]
 
@@ -148,7 +148,7 @@ def _narrow(values_mm: Single, reach: int, rays: Single) -> None:
 
 @compiled
 def _lower(
-    smallest_mm: Single, rays: Single, view: int, asked: Indices, camera: Single, distance_px: Single
+    smallest_mm: Single, rays: Single, view: int, asked: Indices, camera: Single, fine_px: Single
 ) -> int:
     """Enter a view's values into the smallest so far (K, S, R), in order, on rays (A,) about which it is asked.
 
@@ -156,9 +156,9 @@ def _lower(
     moved to the front.
     """
     n_ranks, n_samples = smallest_mm.shape[0], smallest_mm.shape[1]
-    height, width = distance_px.shape
-    flat_px, beyond_px = distance_px.reshape(-1), np.float32(-MARGIN_PX)
-    zero, last_u, last_v = np.float32(0), np.float32(width - 1), np.float32(height - 1)
+    height, width = fine_px.shape
+    flat_px, beyond_px, per_px = fine_px.reshape(-1), np.float32(-MARGIN_PX), np.float32(1 / FINE_PX)
+    zero, last_u, last_v = np.float32(0), np.float32(FINE_PX * width - 1), np.float32(FINE_PX * height - 1)
     lens = (
         camera[LENS], camera[LENS + 1], camera[LENS + 2], camera[LENS + 3], camera[LENS + 4],
         camera[LENS + 5], camera[LENS + 6], camera[LENS + 7], camera[LENS + 8], camera[LENS + 9],
@@ -189,7 +189,7 @@ def _lower(
             for i in range(n):
                 x, y, z = samples_mm[0, i], samples_mm[1, i], samples_mm[2, i]
                 seen[0, i], seen[1, i] = pixel_of(lens, x / z, y / z)
-            interpolate(flat_px, height, width, np.float32(1), seen, n, pixels, weights, values)
+            interpolate(flat_px, height, width, per_px, seen, n, pixels, weights, values)
             for i in range(n):  # not min and max, here and below: these are not put into vectors
                 u, v = seen[0, i], seen[1, i]
                 is_within = (u >= zero) & (u <= last_u) & (v >= zero) & (v <= last_v)

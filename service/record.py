@@ -8,7 +8,7 @@ from pipeline.frames import CameraId, Trigger
 from pipeline.particle import ParticleMeasurement, ParticleResult
 from pipeline.segmentation.optics import ViewOptics
 
-ALGORITHM_VERSION = "8"
+ALGORITHM_VERSION = "9"
 """Raised by every change that may change a result."""
 
 MEASURED_FIELDS = (

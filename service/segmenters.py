@@ -71,4 +71,4 @@ def warm_up(segmenter: ChoosingSegmenter) -> None:
     image[100:150, 140:190] = 60
     frame = Frame(camera=CameraId("warm-up"), image=image, frame_id=0, device_ns=0, received_ns=0)
     background = {frame.camera: CameraBackground(mean=wall, n_frames=1)}
-    _ = segmenter.network(frame, background).distance_px
+    _ = segmenter.network(frame, background).fine_px

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pipeline.carving.interpolation import interpolate
 from pipeline.carving.views import CHUNK, HALVES, Pinholes, View, look
 from pipeline.compiled import compiled, compiled_within, whole
-from pipeline.segmentation.silhouette import SPACING_PX
+from pipeline.segmentation.silhouette import COARSE_PX
 
 Array = NDArray[np.float32]
 Blocks = NDArray[np.int32]
@@ -130,7 +130,7 @@ def _judge(
     seen, weights = np.empty((HALVES, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
     at, inwards_px = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.float32)
     bits = np.empty((2, CHUNK), np.uint8)
-    n_blocks, last, per_px = len(within), len(excluded) - 1, np.float32(1 / SPACING_PX)
+    n_blocks, last, per_px = len(within), len(excluded) - 1, np.float32(1 / COARSE_PX)
     for view in range(len(nodes)):
         n_asked = FIRST
         for block in range(n_blocks):
@@ -169,7 +169,7 @@ def _decide(
 ) -> None:
     """Set the bit of this half where all around the first `n` places is within the silhouette, and where outside."""
     across_mm, along_mm = reach_mm[0, view], reach_mm[1, view]
-    slack_px, unbounded, spacing_px = np.float32(SLACK_PX), np.float32(np.inf), np.float32(SPACING_PX)
+    slack_px, unbounded, spacing_px = np.float32(SLACK_PX), np.float32(np.inf), np.float32(COARSE_PX)
     last_u, last_v = spacing_px * np.float32(width - 1), spacing_px * np.float32(height - 1)
     for cube in range(n):
         u, v, depth_mm, slope = places[0, cube], places[1, cube], places[2, cube], places[3, cube]

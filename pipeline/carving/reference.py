@@ -10,7 +10,7 @@ from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
 from pipeline.carving.views import View, usable_views
 from pipeline.frames import CameraId
 from pipeline.rig import RigCalibration
-from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN, Silhouette
+from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, UNKNOWN, Silhouette
 
 Array = NDArray[np.float64]
 
@@ -47,15 +47,13 @@ def _distance_mm(view: View, points_mm: Array) -> Array:
     """Signed distances (N,) to a viewing cone, positive within."""
     camera, silhouette = view
     pixels_uv, depths_mm = camera.project(points_mm)
+    fine_px, places_vu = silhouette.fine_px, (pixels_uv - silhouette.offset_uv).T[::-1]
     sampled_px = scipy.ndimage.map_coordinates(
-        silhouette.distance_px,
-        (pixels_uv - silhouette.offset_uv).T[::-1],
-        output=np.float64,
-        order=1,
-        mode="constant",
-        cval=-MARGIN_PX,
+        fine_px, places_vu / FINE_PX, output=np.float64, order=1, mode="nearest"
     )
-    return np.where(depths_mm > 0, sampled_px, -MARGIN_PX) * np.abs(depths_mm) / camera.focal_px
+    last_vu = FINE_PX * np.array(fine_px.shape) - 1
+    is_seen = ((places_vu >= 0) & (places_vu <= last_vu[:, None])).all(axis=0) & (depths_mm > 0)
+    return np.where(is_seen, sampled_px, -MARGIN_PX) * np.abs(depths_mm) / camera.focal_px
 
 
 def _contains(view: View, points_mm: Array) -> NDArray[np.int64]:

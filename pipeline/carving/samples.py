@@ -12,7 +12,7 @@ from pipeline.carving.interpolation import interpolate
 from pipeline.carving.octree import Blocks, Halves
 from pipeline.carving.views import CHUNK, HALVES, Pinholes, look
 from pipeline.compiled import compiled, whole
-from pipeline.segmentation.silhouette import MARGIN_PX, UNKNOWN
+from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, UNKNOWN
 
 Array = NDArray[np.float32]
 Grey = NDArray[np.uint8]
@@ -44,18 +44,18 @@ def lower(
     half_mm: float,
     pinholes: Pinholes,
     view: int,
-    distance_px: Array,
+    fine_px: Array,
 ) -> None:
     """Enter a view's signed distances to its viewing cone into the smallest so far (M, HALVES, PARTS), in order.
 
     Only those of the first `n_parts` of some parts, of all with their centres (3, PARTS) and half the pitch.
     """
-    height, width = distance_px.shape
-    flat_px = distance_px.reshape(-1)
-    last_u, last_v = np.float32(width - 1), np.float32(height - 1)
+    height, width = fine_px.shape
+    flat_px = fine_px.reshape(-1)
+    last_u, last_v = np.float32(FINE_PX * width - 1), np.float32(FINE_PX * height - 1)
     per_focal, beyond_px = np.float32(1) / pinholes.focals_px[view], np.float32(-MARGIN_PX)
     seen, weights = np.empty((HALVES, 4, CHUNK), np.float32), np.empty((2, CHUNK), np.float32)
-    at, found, per_px = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.float32), np.float32(1)
+    at, found, per_px = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.float32), np.float32(1 / FINE_PX)
     for begin in range(0, n_parts, CHUNK):
         n = CHUNK if begin + CHUNK < n_parts else n_parts - begin
         look(pinholes, view, centres_mm, parts, begin, n, half_mm, seen)

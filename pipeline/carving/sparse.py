@@ -81,7 +81,7 @@ def _distances_mm(
     parts = np.empty(n_parts + 1, np.int32)
     for view, (_, silhouette) in enumerate(views):
         n = undecided(octree.within, octree.parts, view, parts)
-        lower(smallest_mm, centres_mm, parts, n, half_mm, pinholes, view, silhouette.distance_px)
+        lower(smallest_mm, centres_mm, parts, n, half_mm, pinholes, view, silhouette.fine_px)
     return smallest_mm[-1]
 
 

@@ -129,7 +129,7 @@ def warm_up() -> None:
     empty = {camera: CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)}
     frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
     silhouette = ChoosingSegmenter(classical=BackgroundSegmenter(), network=None)(frame, empty)
-    _ = silhouette.distance_px
+    _ = silhouette.fine_px
     observe_optics(frame, empty, silhouette)
 
 

@@ -3,8 +3,8 @@
 The edge crosses the line between two neighbouring pixels on different sides where the interpolated
 coverage is 1/2. Each pixel of the body beside the edge owns a short piece of it: through the mean of its
 crossings, along the chain of its neighbours' points. Each second piece, twice as long, writes its distance into the
-pixels around it, where the least one stays. Further out only the sign and the rough size of a distance count: there
-the same is done for every `SPACING_PX`-th pixel and piece, and what lies between is interpolated.
+nodes around it, where the least one stays: every second pixel is one. Further out only the sign and the rough size of
+a distance count: there the same is done for every sixth pixel and piece, and what lies between is interpolated.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, compiled_within
-from pipeline.segmentation.silhouette import MARGIN_PX, SPACING_PX
+from pipeline.segmentation.silhouette import COARSE_PX, FINE_PX, MARGIN_PX
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-REACH = 8
-"""A piece of edge writes into so many pixels to either side. A cell of marching cubes is 4 to 5 px wide."""
-NEAR_PX = REACH - 1
-"""Up to here the distance is the true one: the nearest piece has surely written."""
-FINE = 2
-"""Of the pieces every so many-th is looked at for fine distances: they are about as far apart as pixels."""
+FINE_REACH, COARSE_REACH = 4, 8
+"""Into so many nodes to either side a piece of edge writes."""
+NEAR_PX = FINE_PX * (FINE_REACH - 1)
+"""Up to here the distance is the true one: the nearest piece has surely written. A cell of marching cubes is 4 to 5 px
+wide."""
+FINER = COARSE_PX // FINE_PX
+"""Fine nodes for each coarse one."""
 TANGENT_REACH = 3
 """The direction of the edge is the slope of the regression through so many points on either side."""
 
@@ -46,43 +47,43 @@ class Edge:
         return self.points_uv[:n_outer].compress(self.seen[:n_outer], axis=0)
 
     def coarse_px(self) -> Array:
-        """Signed distances of every `SPACING_PX`-th pixel, positive within, cut off at +-`MARGIN_PX`.
+        """Signed distances of every `COARSE_PX`-th pixel, positive within, cut off at +-`MARGIN_PX`.
 
         They are rough: up to 3 px too small, hardly ever too large.
         """
-        is_within = self.body[::SPACING_PX, ::SPACING_PX]
+        is_within = self.body[::COARSE_PX, ::COARSE_PX]
         distances = np.where(is_within, np.float32(MARGIN_PX), np.float32(-MARGIN_PX))
-        _keep_nearest(distances, SPACING_PX, self.points_uv, self.ends, SPACING_PX)
+        _keep_nearest(distances, COARSE_PX, COARSE_REACH, self.points_uv, self.ends)
         return distances
 
     def fine_px(self, coarse_px: Array) -> Array:
-        """Signed distances (h, w), up to `NEAR_PX` those to the sub-pixel edge, beyond as rough as the coarse ones."""
+        """Of every `FINE_PX`-th pixel: up to `NEAR_PX` to the sub-pixel edge, beyond as rough as the coarse ones."""
         distances = _between(coarse_px, self.body)
-        _keep_nearest(distances, 1, self.points_uv, self.ends, FINE)
+        _keep_nearest(distances, FINE_PX, FINE_REACH, self.points_uv, self.ends)
         return distances
 
 
 @compiled
 def _between(nodes: Array, body: Grey) -> Array:
-    """Distances (h, w) between those of every `SPACING_PX`-th pixel, at least `NEAR_PX`, positive within the body."""
-    height, width = body.shape
+    """Distances of fine nodes of a body (h, w) between those of coarse ones, at least `NEAR_PX`, positive within."""
+    height, width = -(-body.shape[0] // FINE_PX), -(-body.shape[1] // FINE_PX)
     n_rows, n_columns = nodes.shape
     distances = np.empty((height, width), np.float32)
-    lines = np.empty((2, SPACING_PX * n_columns), np.float32)  # above and below
+    lines = np.empty((2, FINER * n_columns), np.float32)  # above and below
     for row in range(n_rows):
         for line in range(2):
             at = min(row + line, n_rows - 1)
             for column in range(n_columns):
                 left, right = nodes[at, column], nodes[at, min(column + 1, n_columns - 1)]
-                for u in range(SPACING_PX):
-                    share = np.float32(u) / np.float32(SPACING_PX)
-                    lines[line, SPACING_PX * column + u] = left + share * (right - left)
-        for v in range(SPACING_PX * row, min(SPACING_PX * row + SPACING_PX, height)):
-            share = np.float32(v - SPACING_PX * row) / np.float32(SPACING_PX)
+                for u in range(FINER):
+                    share = np.float32(u) / np.float32(FINER)
+                    lines[line, FINER * column + u] = left + share * (right - left)
+        for v in range(FINER * row, min(FINER * row + FINER, height)):
+            share, here = np.float32(v - FINER * row) / np.float32(FINER), body[FINE_PX * v]
             for u in range(width):
                 rough = abs(lines[0, u] + share * (lines[1, u] - lines[0, u]))
                 distance = max(rough, np.float32(NEAR_PX))
-                distances[v, u] = distance if body[v, u] else -distance
+                distances[v, u] = distance if here[FINE_PX * u] else -distance
     return distances
 
 
@@ -130,22 +131,24 @@ def _piece(points_uv: NDArray[np.float64], first: int, n: int, i: int, half: int
 
 @compiled
 def _keep_nearest(
-    distances: Array, spacing_px: int, points_uv: NDArray[np.float64], ends: NDArray[np.int64], every: int
+    distances: Array, spacing_px: int, reach: int, points_uv: NDArray[np.float64], ends: NDArray[np.int64]
 ) -> None:
     """Replace signed distances of every `spacing_px`-th pixel by those to pieces of edge around that are nearer.
 
-    Of the points (N, 2) of contours, which begin and end at `ends` (C + 1,), every so many-th has a piece.
+    Of the points (N, 2) of contours, which begin and end at `ends` (C + 1,), every `spacing_px`-th has a piece, which
+    reaches so many nodes to either side.
     """
     height, width = distances.shape
     flat = distances.reshape(-1)
-    n_rows, n_columns = min(2 * REACH, height), min(2 * REACH, width)
+    n_rows, n_columns = min(2 * reach, height), min(2 * reach, width)
     spacing = np.float32(spacing_px)
     for contour in range(len(ends) - 1):
         first, length = ends[contour], ends[contour + 1] - ends[contour]
-        for i in range(0, length, every):
-            point_u, point_v, inward_u, inward_v, half_px = _piece(points_uv, first, length, i, every // 2)
-            left = min(max(int(point_u / spacing) - REACH + 1, 0), width - n_columns)
-            top = min(max(int(point_v / spacing) - REACH + 1, 0), height - n_rows)
+        for i in range(0, length, spacing_px):
+            place = _piece(points_uv, first, length, i, spacing_px // 2)
+            point_u, point_v, inward_u, inward_v, half_px = place
+            left = min(max(int(point_u / spacing) - reach + 1, 0), width - n_columns)
+            top = min(max(int(point_v / spacing) - reach + 1, 0), height - n_rows)
             for row in range(top, top + n_rows):
                 offset_u = spacing * np.float32(left) - point_u
                 offset_v = spacing * np.float32(row) - point_v

@@ -15,8 +15,9 @@ OUTSIDE, UNKNOWN, INSIDE = np.uint8(0), np.uint8(128), np.uint8(255)
 MARGIN_PX = 40
 """Width of the known surroundings of a silhouette; further out, all is outside by at least this much."""
 
-SPACING_PX = 6
-"""Between the nodes of a coarse field of distances; the first one is the region's first pixel."""
+FINE_PX, COARSE_PX = 2, 6
+"""Between the nodes of a field of distances, the first of which is the region's first pixel. A voxel is 2.3 px wide
+and more."""
 
 MAX_STEP_PX = 3.0
 """Neighbouring points of an outline are closer; further apart, the edge between them was not seen."""
@@ -36,10 +37,10 @@ class Distances(Protocol):
     """Computes signed distances to an edge, which costs as much as finding it and is not always asked for."""
 
     def coarse_px(self) -> NDArray[np.float32]:
-        """(h / SPACING_PX, w / SPACING_PX), both rounded up: `Silhouette.coarse_px`."""
+        """(h / COARSE_PX, w / COARSE_PX), both rounded up: `Silhouette.coarse_px`."""
 
     def fine_px(self, coarse_px: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(h, w) from the coarse ones: `Silhouette.distance_px`."""
+        """(h / FINE_PX, w / FINE_PX), both rounded up, from the coarse ones: `Silhouette.fine_px`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +50,12 @@ class KnownDistances:
     distance_px: NDArray[np.float32]  # (h, w)
 
     def coarse_px(self) -> NDArray[np.float32]:
-        """Those of the nodes."""
-        return np.ascontiguousarray(self.distance_px[::SPACING_PX, ::SPACING_PX])
+        """Those of the coarse nodes."""
+        return np.ascontiguousarray(self.distance_px[::COARSE_PX, ::COARSE_PX])
 
     def fine_px(self, coarse_px: NDArray[np.float32]) -> NDArray[np.float32]:
-        """All."""
-        return self.distance_px
+        """Those of the fine nodes."""
+        return np.ascontiguousarray(self.distance_px[::FINE_PX, ::FINE_PX])
 
 
 NOWHERE = KnownDistances(np.zeros((0, 0), np.float32))
@@ -83,12 +84,12 @@ class Silhouette:
 
     @cached_property
     def coarse_px(self) -> NDArray[np.float32]:
-        """As `distance_px`, rough, of every `SPACING_PX`-th pixel: up to 3 px too small, hardly ever too large."""
+        """As `fine_px`, rough, of every `COARSE_PX`-th pixel: up to 3 px too small, hardly ever too large."""
         return self.distances.coarse_px()
 
     @cached_property
-    def distance_px(self) -> NDArray[np.float32]:
-        """(h, w) signed distance of the pixel centre to the edge of *inside or unknown*, positive within."""
+    def fine_px(self) -> NDArray[np.float32]:
+        """Signed distance of every `FINE_PX`-th pixel's centre to the edge of *inside or unknown*, positive within."""
         return self.distances.fine_px(self.coarse_px)
 
     @property

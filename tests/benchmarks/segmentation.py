@@ -164,11 +164,11 @@ def tried(
 ) -> Outcome:
     if name not in (U2NETP, MASK):  # too slow for a second time, and too slow to notice
         # what is kept of a background is there from the second stone on
-        _ = segmenter(view.frame, view.background).distance_px
+        _ = segmenter(view.frame, view.background).fine_px
     start = time.process_time()
     silhouette = segmenter(view.frame, view.background)
     found = time.process_time()
-    _ = silhouette.distance_px
+    _ = silhouette.fine_px
     end = time.process_time()
     wanted = true_status(view.coverage, SegmentationParameters())
     is_judged = silhouette.is_usable and wanted is ViewStatus.OK

@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from pipeline.frames import CameraId
 from pipeline.rig import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import (
+    FINE_PX,
     INSIDE,
     MARGIN_PX,
     OUTSIDE,
@@ -87,6 +89,14 @@ def sphere_silhouettes(
     }
 
 
+def distances_of(silhouette: Silhouette) -> NDArray[np.float32]:
+    """The signed distances (h, w) of all pixels: those that a silhouette was made with, else between the fine ones."""
+    if isinstance(silhouette.distances, KnownDistances):
+        return silhouette.distances.distance_px
+    nodes_vu = np.indices(silhouette.labels.shape) / FINE_PX
+    return np.asarray(map_coordinates(silhouette.fine_px, nodes_vu, order=1, mode="nearest"))
+
+
 def hidden(silhouette: Silhouette, at: int, share: float) -> Silhouette:
     """The silhouette with a disc around the outline's point `at` unknown; its radius is a share of the width."""
     outline_uv = silhouette.outline_uv
@@ -96,7 +106,7 @@ def hidden(silhouette: Silhouette, at: int, share: float) -> Silhouette:
     center_u, center_v = outline_uv[at] - silhouette.offset_uv
     within_px = (radius_px - np.hypot(u - center_u, v - center_v)).clip(-MARGIN_PX, MARGIN_PX)
     known = np.linalg.norm(outline_uv - outline_uv[at], axis=1) > radius_px
-    distance_px = np.maximum(silhouette.distance_px, within_px).astype(np.float32)
+    distance_px = np.maximum(distances_of(silhouette), within_px).astype(np.float32)
     return replace(
         silhouette,
         labels=np.where(within_px > 0, UNKNOWN, silhouette.labels),

@@ -139,7 +139,7 @@ def test_views_that_may_disagree_do_not_carve_alone() -> None:
         image_size_px=seen.image_size_px,
         offset_uv=seen.offset_uv,
         labels=np.full_like(seen.labels, OUTSIDE),
-        distances=KnownDistances(np.full_like(seen.distance_px, -40)),
+        distances=KnownDistances(np.full(seen.labels.shape, -40, np.float32)),
     )
     silhouettes[CameraId("c07")] = wrong
     assert carve(silhouettes, RIG, COARSE).field.size == 0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.silhouettes import sphere_silhouettes
+from support.silhouettes import distances_of, sphere_silhouettes
 
 from pipeline.carving import LEAF, CarvingParameters, VisualHull, carve, octree, samples, warm_up
 from pipeline.carving.reference import carve_every_voxel
@@ -41,7 +41,7 @@ def seen(lens: str, center_mm: tuple[float, float, float]) -> tuple[RigCalibrati
 def with_unknown(silhouette: Silhouette, share: float) -> Silhouette:
     """The left part of the region unknown: all of it may be body."""
     column = int(share * silhouette.labels.shape[1])
-    labels, distance_px = silhouette.labels.copy(), silhouette.distance_px.copy()
+    labels, distance_px = silhouette.labels.copy(), distances_of(silhouette).copy()
     labels[:, :column] = UNKNOWN
     from_border_px = column - 0.5 - np.arange(labels.shape[1], dtype=np.float32)
     distance_px = np.maximum(distance_px, np.clip(from_border_px, -40, 40))

@@ -12,7 +12,7 @@ from pipeline.carving import View, usable_views
 from pipeline.clearance import N_RAYS, body_sphere, clearances_px
 from pipeline.ray_field import HALF_MM
 from pipeline.rig_design import as_built, nominal_rig
-from pipeline.segmentation.silhouette import MARGIN_PX
+from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX
 
 RIG = as_built(nominal_rig(), seed=8)
 N_SAMPLES = 1500
@@ -27,8 +27,8 @@ def views() -> list[View]:
 def values_mm(view: View, points_mm: np.ndarray) -> np.ndarray:
     camera, silhouette = view
     pixels_uv, depths_mm = camera.project(points_mm)
-    place = (pixels_uv - silhouette.offset_uv).T[::-1]
-    found_px = map_coordinates(silhouette.distance_px, place, order=1, cval=-MARGIN_PX)
+    place = (pixels_uv - silhouette.offset_uv).T[::-1] / FINE_PX
+    found_px = map_coordinates(silhouette.fine_px, place, order=1, cval=-MARGIN_PX)
     return np.asarray(found_px * depths_mm / camera.focal_px)
 
 

@@ -26,7 +26,7 @@ from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.ground import carried
 from pipeline.segmentation.network import load_network
 from pipeline.segmentation.neural import NetworkSegmenter
-from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
+from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
 from service.segmenters import warm_up
@@ -132,8 +132,8 @@ def test_without_a_background_the_light_around_the_body_will_do() -> None:
 
 def off_outline_px(silhouette: Silhouette, other: Silhouette) -> np.ndarray:
     """How far the outline points of one silhouette are outside of another's edge."""
-    (u, v), distance_px = (silhouette.outline_uv - other.offset_uv).T.astype(np.float32), other.distance_px
-    return -cv2.remap(distance_px, u[:, None], v[:, None], cv2.INTER_LINEAR).ravel()
+    u, v = ((silhouette.outline_uv - other.offset_uv).T / FINE_PX).astype(np.float32)
+    return -cv2.remap(other.fine_px, u[:, None], v[:, None], cv2.INTER_LINEAR).ravel()
 
 
 def test_smooth_light_moves_no_edge() -> None:

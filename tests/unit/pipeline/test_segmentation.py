@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.special import ndtr
 from support import rendered
-from support.silhouettes import sphere_silhouette
+from support.silhouettes import distances_of, sphere_silhouette
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segment_all
@@ -18,7 +18,7 @@ from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.delineation import delineate
 from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.light import flash_gain
-from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette
+from pipeline.segmentation.silhouette import FINE_PX, INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere
 
@@ -64,8 +64,8 @@ def test_a_body_brighter_than_the_wall_is_found_as_well() -> None:
     wall = background[frame.camera].mean
     body = np.zeros(wall.shape, np.float32)
     truth = sphere_silhouette(camera, CENTER_MM, 7.5)
-    (u, v), (h, w) = truth.offset_uv, truth.distance_px.shape
-    body[v : v + h, u : u + w] = np.clip(truth.distance_px + 0.5, 0, 1)
+    (u, v), (h, w) = truth.offset_uv, distances_of(truth).shape
+    body[v : v + h, u : u + w] = np.clip(distances_of(truth) + 0.5, 0, 1)
     body = cv2.GaussianBlur(body, (0, 0), 0.7)
     silhouette = SEGMENTER(with_image(frame, wall * (1 - body) + 210 * body), background)
     assert abs(outline_errors_px(silhouette, CENTER_MM).mean()) < 0.05
@@ -76,7 +76,7 @@ def test_light_parts_of_a_body_belong_to_it(shading: str) -> None:
     camera = CameraId("c02")
     wall = rendered.background()[camera].mean
     truth = sphere_silhouette(RIG.subset([camera]).cameras[0], CENTER_MM, 7.5)
-    depth = np.clip(truth.distance_px, 0, None) / 156
+    depth = np.clip(distances_of(truth), 0, None) / 156
     rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
     match shading:
         case "lit from the camera":
@@ -85,7 +85,7 @@ def test_light_parts_of_a_body_belong_to_it(shading: str) -> None:
             grey = 60 + 80 * columns / columns.max()
         case _:
             grey = np.where(np.abs(columns - rows - 20) < 9, 145, 70)
-    share = np.clip(truth.distance_px + 0.5, 0, 1)
+    share = np.clip(distances_of(truth) + 0.5, 0, 1)
     (u, v), (h, w) = truth.offset_uv, share.shape
     image = wall.astype(float)
     image[v : v + h, u : u + w] = image[v : v + h, u : u + w] * (1 - share) + grey * share
@@ -141,8 +141,8 @@ def dotted(center_uv: tuple[int, int], radius_px: int) -> tuple[Frame, dict]:
     dot = 0.85 * cv2.GaussianBlur(dot, (0, 0), 4)
     body = np.zeros(known.mean.shape, np.float32)
     truth = sphere_silhouette(RIG.subset([camera]).cameras[0], CENTER_MM, 7.5)
-    (u, v), (h, w) = truth.offset_uv, truth.distance_px.shape
-    body[v : v + h, u : u + w] = np.clip(truth.distance_px + 0.5, 0, 1)
+    (u, v), (h, w) = truth.offset_uv, distances_of(truth).shape
+    body[v : v + h, u : u + w] = np.clip(distances_of(truth) + 0.5, 0, 1)
     image = frame.image * (1 - dot * (1 - body))
     return with_image(frame, image), {camera: replace(known, mean=known.mean * (1 - dot))}
 
@@ -161,8 +161,8 @@ def test_a_dark_dot_at_the_edge_is_unknown_not_guessed(angle: float, off_px: flo
     assert labels[v, u] == UNKNOWN
     # where the truth is more than a pixel away from the edge, what is decided is right
     clear = np.zeros(labels.shape, np.float32)
-    (left, top), (h, w) = truth.offset_uv, truth.distance_px.shape
-    clear[top : top + h, left : left + w] = truth.distance_px
+    (left, top), (h, w) = truth.offset_uv, distances_of(truth).shape
+    clear[top : top + h, left : left + w] = distances_of(truth)
     decided_inside, decided_outside = labels == INSIDE, labels == OUTSIDE
     assert not (decided_inside & (clear < -1)).any()
     assert not (decided_outside & (clear > 1)).any()
@@ -170,9 +170,9 @@ def test_a_dark_dot_at_the_edge_is_unknown_not_guessed(angle: float, off_px: flo
     assert (expected == INSIDE).sum() > 0
     # unknown pixels do not carve: the distance never denies the body
     offset_u, offset_v = silhouette.offset_uv
-    height, width = silhouette.distance_px.shape
-    inside_truth = clear[offset_v : offset_v + height, offset_u : offset_u + width] > 1
-    assert silhouette.distance_px[inside_truth].min() > -0.5
+    height, width = silhouette.labels.shape
+    inside_truth = clear[offset_v : offset_v + height : FINE_PX, offset_u : offset_u + width : FINE_PX] > 1
+    assert silhouette.fine_px[inside_truth].min() > -0.5
 
 
 @settings(max_examples=30)
@@ -189,10 +189,10 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     few_px = true_px[::2, ::2]
     edge = delineate(image, expected, limits_from(few_px > 4.5, few_px > -4.5, few_px > 99)).edge
     assert edge is not None
-    distance_px, outline = edge.fine_px(edge.coarse_px()), edge.outline_uv
-    within = (np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25)
-    assert np.abs(distance_px - true_px)[within].max() < 0.1
-    assert abs((distance_px - true_px)[within].mean()) < 0.06
+    errors_px, outline = edge.fine_px(edge.coarse_px()) - true_px[::FINE_PX, ::FINE_PX], edge.outline_uv
+    within = ((np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25))[::FINE_PX, ::FINE_PX]
+    assert np.abs(errors_px)[within].max() < 0.1
+    assert abs(errors_px[within].mean()) < 0.06
     errors = (outline[:, 0] - 40) * np.cos(angle) + (outline[:, 1] - 40) * np.sin(angle) + shift_px
     inner = (np.abs(outline - 40) < 30).all(axis=1)
     assert np.abs(errors[inner]).max() < 0.1
