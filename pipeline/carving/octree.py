@@ -87,7 +87,10 @@ def octree_of(views: Sequence[View], pinholes: Pinholes, n: int, size_mm: float,
 
 def centres_of(blocks: Blocks, edge: int, n: int, pitch_mm: float) -> Array:
     """Centres (3, B) of blocks with this edge in a grid of n^3 voxels."""
-    return np.ascontiguousarray((pitch_mm * (blocks + (edge - n) / 2)).T, np.float32)
+    centres_mm = np.array(blocks.T, np.float32, order="C")
+    centres_mm += np.float32((edge - n) / 2)
+    centres_mm *= np.float32(pitch_mm)
+    return centres_mm
 
 
 def _judged(

@@ -100,9 +100,9 @@ def _counts(
 
 def _part_centres(octree: Octree, parameters: CarvingParameters) -> Array:
     """(3, PARTS) in the world frame."""
-    steps = LEAF // 2 * np.indices((2, 2, 2), np.int32).reshape(3, HALVES).T
-    firsts = (octree.leaves[:, None] + steps).reshape(-1, 3)
-    return centres_of(firsts, LEAF // 2, parameters.n, parameters.pitch_mm)
+    steps_mm = np.float32(LEAF // 2 * parameters.pitch_mm) * np.indices((2, 2, 2), np.float32)
+    firsts_mm = centres_of(octree.leaves, LEAF // 2, parameters.n, parameters.pitch_mm)
+    return (firsts_mm[:, :, None] + steps_mm.reshape(3, 1, HALVES)).reshape(3, -1)
 
 
 def _close(field: Array, corner: NDArray[np.int64], n: int, level: float, outside: float) -> bool:

@@ -106,20 +106,17 @@ class CameraBackground:
         field = self.flat_field
         return np.asarray(field > DARK * np.median(field))
 
-    def gain(self, image: Grey) -> float:
-        """Strength of the flash that an image (H, W) was taken with, see `flash_gain`."""
-        places, levels = self._flash_wall
-        return gain_of(np.divide(image.take(places), levels, dtype=np.float32))
+    def gain(self, seen: Grey) -> float:
+        """Strength of the flash in which blocks (H/4, W/4) were seen, see `flash_gain`."""
+        is_lit, levels = self._flash_wall
+        return gain_of(np.divide(seen[SPARSE][is_lit], levels, dtype=np.float32))
 
     @cached_property
-    def _flash_wall(self) -> tuple[NDArray[np.intp], Array]:
-        """What that is read off: flat indices (N,) of pixels in the middle of blocks, and the means of these."""
+    def _flash_wall(self) -> tuple[Mask, Array]:
+        """What that is read off: which of the sparse blocks, and the means (N,) of these."""
         wall = np.maximum(self.coarse[SPARSE], 1)
-        is_lit = wall > LEAST_GREY
-        rows, columns = (
-            COARSE * every.step * at + COARSE // 2 for every, at in zip(SPARSE, is_lit.nonzero(), strict=True)
-        )
-        return rows * self.mean.shape[1] + columns, wall[is_lit]
+        is_lit = np.asarray(wall > LEAST_GREY)
+        return is_lit, wall[is_lit]
 
 
 BackgroundModel = Mapping[CameraId, CameraBackground]

@@ -31,25 +31,28 @@ class Thresholds(NamedTuple):
     dark: np.uint8  # where they are less, no deviation tells anything
 
 
+@compiled
 def sampled(image: Grey) -> Grey:
     """A pixel (H/4, W/4) from the middle of each block."""
-    height, width = (size // COARSE for size in image.shape)
-    return image[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE][:height, :width].copy()
+    seen = np.empty((len(image) // COARSE, image.shape[1] // COARSE), np.uint8)
+    for row in range(len(seen)):
+        for u in range(seen.shape[1]):
+            seen[row, u] = image[COARSE * row + COARSE // 2, COARSE * u + COARSE // 2]
+    return seen
 
 
 @compiled
 def compare(
-    image: Grey,
+    seen: Grey,
     levels: Grey,
     darkest: Grey,
     wall: Array,
     is_plain: Mask,
     thresholds: Thresholds,
-    seen: Grey,
     marks: Grey,
     light: Array,
 ) -> tuple[int, int, int, int, int]:
-    """Write what an image (H, W) shows, in blocks; the box of what differs, and how many blocks of light are uneven.
+    """Compare what was `sampled` (H/4, W/4): the box of what differs, and how many blocks of light are uneven.
 
     The box is empty if nothing differs, else left, top, right and bottom, the first ones beyond it.
 
@@ -61,8 +64,6 @@ def compare(
         (H/4, W/4) the empty view's least level of each block and its neighbours, which the lens mixes.
     wall, is_plain
         (H/16, W/16) grey levels of the empty view, and where the light is read off.
-    seen
-        (H/4, W/4) for a pixel from the middle of each block.
     marks
         (H/4, W/4) for DIFFERS from the empty view, DARK, or neither.
     light
@@ -72,10 +73,7 @@ def compare(
     n_lit = min(light.shape[1], width // LIT)
     sums, differ = np.empty(width, np.uint16), np.zeros(width, np.uint8)
     top, bottom, n_uneven = height, 0, 0
-    for row in range(height):  # one after the other, that each is vectorized
-        for u in range(width):
-            seen[row, u] = image[COARSE * row + COARSE // 2, COARSE * u + COARSE // 2]
-    for row in range(height):
+    for row in range(height):  # loops one after the other, that each is vectorized
         for u in range(width):
             marks[row, u] = _mark(seen[row, u], levels[row, u], darkest[row, u], thresholds)
     for row in range(height):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
-from pipeline.segmentation.comparison import DIFFERS, Thresholds, compare, limits_around
+from pipeline.segmentation.comparison import DIFFERS, Thresholds, compare, limits_around, sampled
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
 from pipeline.segmentation.light import EVEN_SHARE, uneven_light
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
@@ -72,8 +72,9 @@ class BackgroundSegmenter:
         known = background.get(frame.camera)
         if known is None or known.mean.shape != frame.image.shape:
             return no_body(frame, ViewStatus.NO_BACKGROUND), None
-        thresholds = self.thresholds(frame.image, known)
-        empty = empty_view(frame.image, known, thresholds)
+        seen = sampled(frame.image)
+        thresholds = self.thresholds(seen, known)
+        empty = empty_view(seen, known, thresholds)
         status, box = self.locate(empty)
         if box is None:
             return no_body(frame, status), empty
@@ -121,26 +122,25 @@ class BackgroundSegmenter:
         u, v, width, height = largest
         return ViewStatus.OK, (left + u, top + v, width, height)
 
-    def thresholds(self, image: Grey, known: CameraBackground) -> Thresholds:
-        """What is a deviation from the empty view in an image (H, W)."""
+    def thresholds(self, seen: Grey, known: CameraBackground) -> Thresholds:
+        """What is a deviation from the empty view in what is seen, in blocks (H/4, W/4)."""
         return Thresholds(
-            gain=np.float32(known.gain(image)),
+            gain=np.float32(known.gain(seen)),
             min_contrast=np.float32(self.parameters.min_contrast),
             dark=np.uint8(ceil(self.parameters.dark_share * known.typical)),
         )
 
 
-def empty_view(image: Grey, known: CameraBackground, thresholds: Thresholds) -> EmptyView:
-    """What an image (H, W) would show without a body, beside what it shows."""
+def empty_view(seen: Grey, known: CameraBackground, thresholds: Thresholds) -> EmptyView:
+    """What blocks (H/4, W/4) would show without a body, beside what they show."""
     wall, levels, light = known.plain_wall, known.coarse_levels, None
-    seen, marks = np.empty_like(levels), np.empty_like(levels)
-    ratio = np.empty_like(wall.levels)
-    arrays = known.coarse_darkest, wall.levels, wall.is_plain, thresholds, seen, marks, ratio
-    *box, n_uneven = compare(image, levels, *arrays)
+    marks, ratio = np.empty_like(levels), np.empty_like(wall.levels)
+    arrays = known.coarse_darkest, wall.levels, wall.is_plain, thresholds, marks, ratio
+    *box, n_uneven = compare(seen, levels, *arrays)
     if n_uneven >= EVEN_SHARE * ratio.size:
         light = uneven_light(ratio, wall, levels.shape)
         levels = _lit(levels, light)
-        *box, _ = compare(image, levels, *arrays)
+        *box, _ = compare(seen, levels, *arrays)
     left, top, right, bottom = box
     return EmptyView(
         seen=seen,

@@ -145,7 +145,8 @@ def test_a_rig_that_was_dirty_when_first_seen_is_clean_once_it_is_cleaned() -> N
 
 
 def empty_view_of(image: NDArray[np.uint8], known: CameraBackground) -> EmptyView:
-    return empty_view(image, known, BackgroundSegmenter().thresholds(image, known))
+    blocks = sampled(image)
+    return empty_view(blocks, known, BackgroundSegmenter().thresholds(blocks, known))
 
 
 def light_of(grey: NDArray[np.float32], seed: int = 7) -> NDArray[np.float32]:

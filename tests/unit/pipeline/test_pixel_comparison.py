@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.segmentation.background import coarsen
+from pipeline.segmentation.background import COARSE, coarsen
 from pipeline.segmentation.comparison import (
     DARK,
     DIFFERS,
@@ -52,9 +52,10 @@ def test_a_pixel_of_each_block_is_compared_and_the_light_of_larger_ones(
     samples, empty = sampled(image), sampled(wall)
     lit = coarsen(coarsen(wall.astype(np.float32)))
     is_plain = lit > 150
-    seen, marks, light = np.empty_like(samples), np.empty_like(samples), np.empty_like(lit)
-    *box, n_uneven = compare(image, empty, empty, lit, is_plain, THRESHOLDS, seen, marks, light)
-    np.testing.assert_array_equal(seen, samples)
+    assert samples.shape == (height // COARSE, width // COARSE)
+    np.testing.assert_array_equal(samples, image[2::COARSE, 2::COARSE][: len(samples), : samples.shape[1]])
+    marks, light = np.empty_like(samples), np.empty_like(lit)
+    *box, n_uneven = compare(samples, empty, empty, lit, is_plain, THRESHOLDS, marks, light)
     np.testing.assert_array_equal(marks, reference(samples, empty))
     rows, columns = np.nonzero(marks == DIFFERS)
     if len(rows):
