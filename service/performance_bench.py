@@ -34,7 +34,16 @@ from service.background_folder import write_background
 from service.errors import UsageError
 from service.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.store import open_store
-from service.worker_job import MESH, MeasureJob, RigFile, WorkerContext, initialize, measure, this_worker
+from service.worker_job import (
+    MESH,
+    SILHOUETTES,
+    MeasureJob,
+    RigFile,
+    WorkerContext,
+    initialize,
+    measure,
+    this_worker,
+)
 
 SIZES_MM = (5.0, 15.0, 25.0, 40.0)
 """Greatest diameters; the last ones fill the image."""
@@ -207,6 +216,7 @@ def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tu
         rig=RigFile(folder / "rig.json", scene.true_rig.calibration_id),
         background_path=folder / "background",
         out_dir=folder / name,
+        save_silhouettes=True,
     )
     write_bundle(job.bundle_path, bundle, job.camera_ids, compression="none")
     times_ms = asyncio.run(_measured_and_stored(folder / "state", job, bundle))
@@ -220,5 +230,7 @@ async def _measured_and_stored(state: Path, job: MeasureJob, bundle: FrameBundle
         await store.record_trigger(session, bundle.trigger, bundle.name)
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
         record = measure(job)
-        await store.finish(session, bundle.name, record, {MESH: job.out_dir / MESH})
+        await store.finish(
+            session, bundle.name, record, {name: job.out_dir / name for name in (MESH, SILHOUETTES)}
+        )
         return 1000 * (time.perf_counter() - start_s), 1000 * (time.process_time() - start_cpu_s)

@@ -232,8 +232,8 @@ def _write_files(job: MeasureJob, result: ParticleResult) -> None:
     if job.save_silhouettes:
         seen = result.silhouettes
         size_px = next(iter(seen.values())).image_size_px
-        labels = (silhouette.label_image() for silhouette in seen.values())
-        write_silhouettes(job.out_dir / SILHOUETTES, list(seen), labels, size_px)
+        regions = {camera: (silhouette.offset_uv, silhouette.labels) for camera, silhouette in seen.items()}
+        write_silhouettes(job.out_dir / SILHOUETTES, regions, size_px)
 
 
 def learn_background(job: LearnJob) -> dict[str, Any]:

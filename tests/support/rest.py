@@ -115,8 +115,8 @@ async def add(
 def particle_files(folder: Path) -> dict[str, Path]:
     """What a worker leaves behind: the mesh of a box, two silhouettes, the frames of two cameras."""
     folder.mkdir(parents=True, exist_ok=True)
-    labels = (np.full((6, 8), grey // 2, np.uint8) for grey in GREY.values())
-    write_silhouettes(folder / "silhouettes.tiff", list(GREY), labels, (8, 6))
+    labels = {camera: ((0, 0), np.full((6, 8), grey // 2, np.uint8)) for camera, grey in GREY.items()}
+    write_silhouettes(folder / "silhouettes.tiff", labels, (8, 6))
     trimesh.creation.box(BOX_MM).export(folder / "mesh.ply")
     frames = {
         camera: Frame(
