@@ -39,11 +39,16 @@ class EventInbox:
                 self._refused[type(event).__name__] += 1
                 return False
             self._events.append(event)
-            self._loop.call_soon_threadsafe(self._arrived.set)
+            if (
+                len(self._events) == 1
+            ):  # the loop, which only waits when there is none, was woken for any other
+                self._loop.call_soon_threadsafe(self._arrived.set)
         return True
 
     async def get(self, timeout_s: float | None = None) -> DeviceEvent | None:
         """Next event, or nothing when none came in time."""
+        if self._events:  # as for nearly all of a stone's frames
+            return self._events.popleft()
         try:
             async with asyncio.timeout(timeout_s):
                 while not self._events:

@@ -97,6 +97,25 @@ async def test_nothing_is_lost_between_many_threads_and_the_loop() -> None:
         assert all(earlier < later for earlier, later in pairwise(ids))
 
 
+async def test_whoever_waits_is_woken() -> None:
+    """The loop is woken for one of several events; it waits in between as often as not."""
+    inbox = EventInbox(asyncio.get_running_loop(), capacity=5000)
+    pauses_s = np.random.default_rng(1).exponential(2e-5, 2000)
+
+    def produce(camera: int) -> None:
+        for number, pause_s in enumerate(pauses_s.tolist()):
+            inbox.deliver(frame(number, camera))
+            time.sleep(pause_s)
+
+    threads = [threading.Thread(target=produce, args=(camera,)) for camera in range(2)]
+    for thread in threads:
+        thread.start()
+    for _ in range(2 * len(pauses_s)):
+        assert await inbox.get(timeout_s=5) is not None
+    for thread in threads:
+        thread.join()
+
+
 async def test_a_closed_loop_refuses() -> None:
     loop = asyncio.new_event_loop()
     inbox = EventInbox(loop, capacity=3)
