@@ -15,7 +15,6 @@ from pipeline.frames import CameraId, FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
-from pipeline.measuring.solid import surface_area_mm2
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
 from pipeline.rig import RigCalibration
@@ -165,7 +164,7 @@ def measure_bundle(
         estimate = None if parameters.body.kind == "hull" else estimate_body(hull_mesh, carving, rig)
         on_stage("estimate")
         mesh = hull_mesh if estimate is None else estimate.mesh
-        measurement = _measure(mesh, hull_mesh, estimate, carving, rig, parameters.measuring)
+        measurement = _measure(mesh, estimate, carving, rig, parameters.measuring)
         on_stage("measure")
     except RejectedError as rejection:
         return ParticleResult(
@@ -191,7 +190,6 @@ def measure_bundle(
 
 def _measure(
     mesh: ParticleMesh,
-    hull: ParticleMesh,
     estimate: BodyEstimate | None,
     carving: SilhouetteSet,
     rig: RigCalibration,
@@ -201,14 +199,15 @@ def _measure(
         shape = measure_shape(mesh.vertices_mm, mesh.faces)
     except MeshError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
-    hull_volume_mm3 = shape.volume_mm3 if estimate is None else estimate.hull_volume_mm3
     if estimate is None or estimate.fallback is not None:  # the least excess that any body's hull has
         body: BodyKind = "hull"
         volume_model = "sphere"
-        volume_mm3 = hull_volume_mm3 / _sphere_excess(shape, carving, rig)
+        hull = HullMeasurement(volume_mm3=shape.volume_mm3, surface_area_mm2=shape.surface_area_mm2)
+        volume_mm3 = hull.volume_mm3 / _sphere_excess(shape, carving, rig)
     else:
         body, volume_model = "estimate", parameters.volume_model.id
-        volume_mm3 = parameters.volume_model.volume_mm3(hull_volume_mm3, estimate.volume_mm3)
+        hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
+        volume_mm3 = parameters.volume_model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
     angularities = [
         gradient_angularity(silhouette.outline_uv)
         for silhouette in carving.values()
@@ -218,12 +217,7 @@ def _measure(
     return ParticleMeasurement(
         body=body,
         shape=shape,
-        hull=HullMeasurement(
-            volume_mm3=hull_volume_mm3,
-            surface_area_mm2=(
-                shape.surface_area_mm2 if mesh is hull else surface_area_mm2(hull.vertices_mm, hull.faces)
-            ),
-        ),
+        hull=hull,
         volume_mm3=volume_mm3,
         volume_model=volume_model,
         volume_estimate_mm3=None if estimate is None else estimate.volume_mm3,

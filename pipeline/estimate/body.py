@@ -40,11 +40,12 @@ PULL = 0.999
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyEstimate:
-    """The estimate, and the volume of the hull that it is within."""
+    """The estimate, and what the hull that it is within measures."""
 
     mesh: ParticleMesh
     volume_mm3: float
     hull_volume_mm3: float
+    hull_area_mm2: float
     fallback: str | None = None  # why the estimate is the hull itself
 
 
@@ -65,18 +66,24 @@ def estimate_body(
     center_mm = (low_mm + high_mm) / 2
     inner = inner_surface(usable_views(silhouettes, rig), center_mm, hull.vertices_mm)
     if isinstance(inner, str):
-        hull_volume_mm3, _ = _volumes_mm3(
-            hull.vertices_mm, hull.faces, center_mm, np.ones(len(hull.vertices_mm))
-        )
+        unmoved = np.ones(len(hull.vertices_mm))
+        volume_mm3, area_mm2, _ = _integrals(hull.vertices_mm, hull.faces, center_mm, unmoved)
         return BodyEstimate(
-            mesh=hull, volume_mm3=hull_volume_mm3, hull_volume_mm3=hull_volume_mm3, fallback=inner
+            mesh=hull,
+            volume_mm3=volume_mm3,
+            hull_volume_mm3=volume_mm3,
+            hull_area_mm2=area_mm2,
+            fallback=inner,
         )
     bulge = bulge_share(inner.half_heights, inner.radii)
     vertices_mm, shares = np.empty(hull.vertices_mm.shape), np.empty(len(hull.vertices_mm))
     _pull(hull.vertices_mm, center_mm, inner, bulge, shares, vertices_mm)
-    hull_volume_mm3, volume_mm3 = _volumes_mm3(hull.vertices_mm, hull.faces, center_mm, shares)
+    hull_volume_mm3, hull_area_mm2, volume_mm3 = _integrals(hull.vertices_mm, hull.faces, center_mm, shares)
     return BodyEstimate(
-        mesh=ParticleMesh(vertices_mm, hull.faces), volume_mm3=volume_mm3, hull_volume_mm3=hull_volume_mm3
+        mesh=ParticleMesh(vertices_mm, hull.faces),
+        volume_mm3=volume_mm3,
+        hull_volume_mm3=hull_volume_mm3,
+        hull_area_mm2=hull_area_mm2,
     )
 
 
@@ -94,21 +101,25 @@ def _pull(
 
 
 @compiled
-def _volumes_mm3(
+def _integrals(
     points_mm: Array, faces: NDArray[np.int64], center_mm: Array, shares: Array
-) -> tuple[float, float]:
-    """Volumes of a closed mesh with points (N, 3), before and after these move to `shares` of the way from the centre.
+) -> tuple[float, float, float]:
+    """Volume and area of a closed mesh with points (N, 3), and its volume once these are at `shares` of their way.
 
-    Each is that of the tetrahedra of the centre and every face.
+    That way is from the centre; volumes are those of the tetrahedra of the centre and every face.
     """
-    whole = pulled = 0.0
+    whole = area = pulled = 0.0
     x, y, z = center_mm[0], center_mm[1], center_mm[2]
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         ax, ay, az = points_mm[a, 0] - x, points_mm[a, 1] - y, points_mm[a, 2] - z
         bx, by, bz = points_mm[b, 0] - x, points_mm[b, 1] - y, points_mm[b, 2] - z
         cx, cy, cz = points_mm[c, 0] - x, points_mm[c, 1] - y, points_mm[c, 2] - z
-        sixfold_mm3 = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        nx = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
+        ny = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+        nz = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        area += np.sqrt(nx * nx + ny * ny + nz * nz)
+        sixfold_mm3 = ax * nx + ay * ny + az * nz
         whole += sixfold_mm3
         pulled += sixfold_mm3 * shares[a] * shares[b] * shares[c]
-    return whole / 6, pulled / 6
+    return whole / 6, area / 2, pulled / 6

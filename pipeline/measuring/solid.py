@@ -138,20 +138,6 @@ def _add_up(
     return CLOSED if fingerprint == np.uint64(0) else OPEN
 
 
-@compiled
-def surface_area_mm2(vertices_mm: Array, faces: Faces) -> float:
-    """Area of any triangle mesh with vertices (N, 3) and faces (M, 3)."""
-    area = 0.0
-    for face in range(len(faces)):
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        ax, ay, az = vertices_mm[a, 0], vertices_mm[a, 1], vertices_mm[a, 2]
-        ux, uy, uz = vertices_mm[b, 0] - ax, vertices_mm[b, 1] - ay, vertices_mm[b, 2] - az
-        vx, vy, vz = vertices_mm[c, 0] - ax, vertices_mm[c, 1] - ay, vertices_mm[c, 2] - az
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area += np.sqrt(x * x + y * y + z * z) / 2
-    return area
-
-
 def _defect(faces: Faces, n_vertices: int) -> str:
     """What is wrong with a mesh some of whose edges lack their opposite."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()

@@ -5,7 +5,6 @@ import numpy as np
 from pipeline.icosphere import icosphere
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.shape import ShapeMeasurement, measure_shape
-from pipeline.measuring.solid import surface_area_mm2
 
 RADIUS_MM = 5.0
 
@@ -14,7 +13,6 @@ def warm_up() -> ShapeMeasurement:
     """The shape of a coarse ball."""
     directions, faces = icosphere(subdivisions=2)
     vertices_mm = RADIUS_MM * directions
-    surface_area_mm2(vertices_mm, faces)
     angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
     gradient_angularity(np.column_stack([np.cos(angle), np.sin(angle)]))
     return measure_shape(vertices_mm, faces)

@@ -98,6 +98,9 @@ def test_the_estimate_is_nearer_than_the_hull(name: str, bar_mm: float) -> None:
     hull_mm, estimate_mm = mean_mm(hull, truth), mean_mm(estimate.mesh, truth)
     assert estimate_mm < bar_mm
     assert estimate_mm < hull_mm + 0.002
+    solid = solid_of(hull.vertices_mm, hull.faces)
+    assert estimate.hull_volume_mm3 == pytest.approx(solid.volume_mm3)
+    assert estimate.hull_area_mm2 == pytest.approx(solid.surface_area_mm2)
     assert estimate.volume_mm3 <= estimate.hull_volume_mm3
     assert abs(estimate.volume_mm3 / truth.volume - 1) < abs(estimate.hull_volume_mm3 / truth.volume - 1)
 
