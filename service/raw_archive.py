@@ -1,8 +1,8 @@
 """Frames of the newest stones, compressed beside their results: afterwards, and with what time is left over.
 
-A process of its own does it, which yields to all others, so that neither latency nor measuring pays. While others
-wait, or come in a rush, it does not compress, which takes many times as long. What waits is bounded: while stones come
-faster than even that, the frames of some are not kept, and it says so.
+A process of its own does it, nicer than workers, so that neither latency nor measuring pays. It compresses on cores
+that nobody else wants; while others wait, or come in a rush, it only copies, which takes a twentieth of the time. What
+waits is bounded: while stones come faster than even that, the frames of some are not kept, and it says so.
 """
 
 import asyncio
@@ -11,6 +11,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -25,7 +26,7 @@ from service.workers import JobLostError, WorkerPool
 log = logging.getLogger(__name__)
 
 DEADLINE_S = 300.0
-"""0.1 s of an idle core, but this process is the last to get one."""
+"""0.2 s of an idle core, but there may be none for long."""
 RUSH, RUSH_S = 6, 1.0
 """So many stones in so short a time are a rush: no core is idle for long enough to compress one before the next."""
 RECENT_S = 60.0
@@ -52,10 +53,15 @@ class KeepJob:
     compression: Compression
 
 
-def yield_to_all(context: None) -> tuple[WarmUp, ...]:
-    """Run when nobody else wants to; the nicest of processes would still take an eighth of a worker's time."""
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+def step_back(context: None) -> tuple[WarmUp, ...]:
+    """Whoever measures comes first: beside a busy worker it gets less than a third of a core."""
+    os.nice(14)
     return ()
+
+
+def _run_when_idle() -> None:
+    """Give this thread a core when nobody else wants it."""
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
 def keep(job: KeepJob) -> None:
@@ -78,7 +84,11 @@ def keep(job: KeepJob) -> None:
             job.out_path.parent.mkdir()
             sync(job.out_path.parent.parent)
         if bundle is not None:
-            write_bundle(job.out_path, bundle, job.camera_ids, compression=job.compression)
+            with ThreadPoolExecutor(1, "compress", _run_when_idle) as thread:
+                writing = thread.submit(
+                    write_bundle, job.out_path, bundle, job.camera_ids, compression=job.compression
+                )
+                writing.result()
         else:
             with replacing(job.out_path) as unfinished:
                 copy_past_cache(job.bundle_path, unfinished)
@@ -130,7 +140,7 @@ class RawArchive:
 
     async def run(self) -> None:
         """Write what is taken, one after the other."""
-        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=yield_to_all, context=None, name=NAME)
+        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=step_back, context=None, name=NAME)
         try:
             while (item := await self._waiting.get()) is not None:
                 path, seq = item

@@ -1,13 +1,14 @@
 import asyncio
+import os
 from pathlib import Path
 
 import pytest
 import tifffile
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle
 
-from drivers.bundle_file import overwrite_bundle, read_bundle
+from drivers.bundle_file import Compression, overwrite_bundle, read_bundle
 from service import raw_archive
-from service.raw_archive import RawArchive
+from service.raw_archive import KeepJob, RawArchive, keep
 
 
 class Folder:
@@ -72,6 +73,28 @@ async def test_they_are_compressed_while_no_others_wait_unless_they_come_in_a_ru
     assert all(archive.take(path, seq) for seq, path in enumerate(files[:2], start=1))
     await archive.run()
     assert [compression(folder.raw_path(seq)) for seq in (1, 2, 3)] == expected
+
+
+@pytest.mark.parametrize(
+    ("compression", "writer", "policy"),
+    [("zstd", "write_bundle", os.SCHED_IDLE), ("none", "copy_past_cache", os.SCHED_OTHER)],
+)
+def test_only_to_compress_it_waits_for_an_idle_core(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: Compression, writer: str, policy: int
+):
+    path, policies = tmp_path / "spool.tiff", []
+    overwrite_bundle(path, make_bundle(1), CAMERAS)
+    write = getattr(raw_archive, writer)
+
+    def noting(*args: object, **options: object) -> None:
+        policies.append(os.sched_getscheduler(0))
+        write(*args, **options)
+
+    monkeypatch.setattr(raw_archive, writer, noting)
+    keep(KeepJob(path, CAMERAS, tmp_path / "1" / "bundle.tiff", compression))
+    assert policies == [policy]
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+    assert_same_bundle(read_bundle(tmp_path / "1" / "bundle.tiff", CAMERAS), make_bundle(1))
 
 
 def compression(path: Path) -> str:
