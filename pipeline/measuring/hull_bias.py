@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 N_DIRECTIONS = 5000
-"""So many make the excess good to 1e-3 of it."""
+"""So many make the excess good to 1e-3 of it, single precision to 1e-5."""
 
 
 def sphere_hull_excess(camera_centers_mm: ArrayLike, center_mm: ArrayLike, radius_mm: float) -> float:
@@ -31,22 +31,22 @@ def sphere_hull_excess(camera_centers_mm: ArrayLike, center_mm: ArrayLike, radiu
     distances_mm = np.linalg.norm(axes, axis=1)
     if not (distances_mm > radius_mm).all():
         raise ValueError(f"camera {int(distances_mm.argmin())} is inside the sphere")
-    sin_alpha = radius_mm / distances_mm
+    sin_alpha = (radius_mm / distances_mm).astype(np.float32)
     cos_alpha = np.sqrt(1 - sin_alpha**2)
-    cos_psi = (axes / distances_mm[:, None]) @ sphere_directions(N_DIRECTIONS)
+    cos_psi = (axes / distances_mm[:, None]).astype(np.float32) @ sphere_directions(N_DIRECTIONS)
     sin_psi = np.sqrt(np.maximum(1 - cos_psi**2, 0))
     # radius over r(u); all directions of a camera, then the next camera's: it runs in vectors
     nearest = (sin_psi * cos_alpha[:, None] - cos_psi * sin_alpha[:, None]).max(axis=0)
     if not (nearest > 0).all():
         raise ValueError(f"{len(axes)} cameras leave the hull of the sphere open")
-    return float(np.mean(1 / (nearest * nearest * nearest)))
+    return float(np.mean(1 / (nearest * nearest * nearest), dtype=np.float64))
 
 
 @cache
-def sphere_directions(n: int) -> NDArray[np.float64]:
+def sphere_directions(n: int) -> NDArray[np.float32]:
     """Unit directions (3, n) in equal parts of the sphere (Fibonacci spiral)."""
     i = np.arange(n) + 0.5
     z = 1 - 2 * i / n
     azimuth = np.pi * (1 + np.sqrt(5)) * i
     across = np.sqrt(1 - z * z)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z])
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z], dtype=np.float32)
