@@ -1,7 +1,8 @@
 """The background on disk: a folder a version, never rewritten under its name.
 
 Every array is a file as numpy writes them, `<camera>.npy` the mean and others beside it. They are mapped: the means
-of 16 cameras are 84 MB, which all workers share.
+of 16 cameras are 84 MB, which all workers share. What segmentation asks of a mean with all its pixels is there as well:
+each worker would compute it anew after each exposure of the empty rig, while a stone waits.
 """
 
 from pathlib import Path
@@ -16,13 +17,16 @@ from pipeline.segmentation.background import CameraBackground
 
 COUNTS, REFUSED, CLEAN = ".counts", ".refused", ".clean"
 """Endings of the arrays beside a camera's mean; a camera id has no dot."""
+FOLLOWING = ("levels", "coarse")
+"""Properties of a background that follow from its mean. Folders of before lack them."""
 
 
 def read_background(folder: Path) -> BackgroundModel:
     """The background model that `write_background` wrote; its arrays are views of the files."""
-    # not memmap: each view of one is a Python object that costs as much as a kernel's call
-    arrays = {path.stem: np.asarray(np.load(path, mmap_mode="r")) for path in sorted(folder.glob("*.npy"))}
-    return {
+    # not memmap: each view of one is a Python object that costs as much as a kernel's call; and to be written to, in
+    # this process alone: for what may not be, kernels would be compiled once more
+    arrays = {path.stem: np.asarray(np.load(path, mmap_mode="c")) for path in sorted(folder.glob("*.npy"))}
+    model = {
         CameraId(name): CameraBackground(
             mean=mean,
             n_frames=n_frames,
@@ -34,6 +38,11 @@ def read_background(folder: Path) -> BackgroundModel:
         if "." not in name
         for n_frames, n_refused in [arrays[name + COUNTS].tolist()]
     }
+    for camera, known in model.items():  # into the cache of its properties
+        known.__dict__.update(
+            {name: arrays[f"{camera}.{name}"] for name in FOLLOWING if f"{camera}.{name}" in arrays}
+        )
+    return model
 
 
 def write_background(folder: Path, model: BackgroundModel) -> None:
@@ -45,6 +54,7 @@ def write_background(folder: Path, model: BackgroundModel) -> None:
             COUNTS: np.array([known.n_frames, known.n_refused]),
             REFUSED: known.refused,
             CLEAN: known.clean,
+            **{f".{name}": getattr(known, name) for name in FOLLOWING},
         }
         for ending, array in arrays.items():
             if array is not None:

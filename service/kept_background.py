@@ -22,7 +22,7 @@ from service.background_folder import read_background
 log = logging.getLogger(__name__)
 
 KEEP_EVERY_S = 600.0
-"""It is 84 MB; dust does not settle faster."""
+"""It is 110 MB; dust does not settle faster."""
 
 
 OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")
