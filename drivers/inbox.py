@@ -39,9 +39,8 @@ class EventInbox:
                 self._refused[type(event).__name__] += 1
                 return False
             self._events.append(event)
-            if (
-                len(self._events) == 1
-            ):  # the loop, which only waits when there is none, was woken for any other
+            # the loop only waits when there is none: for those before it was woken
+            if len(self._events) == 1:
                 self._loop.call_soon_threadsafe(self._arrived.set)
         return True
 
