@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
-from imagecodecs import zstd_encode
 
-from drivers.bundle_file import TIFF_DAMAGE
+from drivers.bundle_file import TIFF_DAMAGE, packed
 from drivers.errors import RecordingError
 from pipeline.frames import CameraId, Image
 
@@ -35,7 +34,7 @@ def write_silhouettes(
     ]
     with tifffile.TiffWriter(path) as tiff:
         tiff.write(
-            _packed([seen for _, seen in regions.values()], np.zeros((height, width), np.uint8)),
+            map(packed, _pages([seen for _, seen in regions.values()], np.zeros((height, width), np.uint8))),
             shape=(len(regions), height, width),
             dtype=np.uint8,
             photometric="minisblack",
@@ -47,12 +46,12 @@ def write_silhouettes(
         )
 
 
-def _packed(regions: Sequence[Image], page: Image) -> Iterator[bytes]:
-    """Regions, each as a page that has room for any; tifffile would copy them all first."""
+def _pages(regions: Sequence[Image], page: Image) -> Iterator[Image]:
+    """Regions, one after the other in the corner of the same page (H, W), which has room for any."""
     for seen in regions:
         page[:] = 0
         page[: seen.shape[0], : seen.shape[1]] = seen
-        yield bytes(zstd_encode(page, level=1))  # type: ignore[arg-type]  # its stub knows no array
+        yield page
 
 
 def read_silhouettes(path: Path) -> dict[CameraId, Image]:

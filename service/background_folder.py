@@ -38,10 +38,10 @@ def read_background(folder: Path) -> BackgroundModel:
         if "." not in name
         for n_frames, n_refused in [arrays[name + COUNTS].tolist()]
     }
-    for camera, known in model.items():  # into the cache of its properties
-        known.__dict__.update(
-            {name: arrays[f"{camera}.{name}"] for name in FOLLOWING if f"{camera}.{name}" in arrays}
-        )
+    for camera, known in model.items():
+        for name in FOLLOWING:
+            if (array := arrays.get(f"{camera}.{name}")) is not None:
+                vars(known)[name] = array  # where a cached property has its value
     return model
 
 

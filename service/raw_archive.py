@@ -1,7 +1,7 @@
 """Frames of the newest stones, compressed beside their results: afterwards, and with what time is left over.
 
 A process of its own does it, nicer than workers, so that neither latency nor measuring pays. It compresses on cores
-that nobody else wants; while others wait, or come in a rush, it only copies, which takes a twentieth of the time. What
+that nobody else wants; while others wait, or come in a rush, it only copies, which takes a fraction of the time. What
 waits is bounded: while stones come faster than even that, the frames of some are not kept, and it says so.
 """
 
@@ -54,7 +54,7 @@ class KeepJob:
 
 
 def step_back(context: None) -> tuple[WarmUp, ...]:
-    """Whoever measures comes first: beside a busy worker it gets less than a third of a core."""
+    """Yield to workers, which are less nice, and to the daemon."""
     os.nice(14)
     return ()
 

@@ -84,12 +84,15 @@ class Silhouette:
 
     @cached_property
     def coarse_px(self) -> NDArray[np.float32]:
-        """As `fine_px`, rough, of every `COARSE_PX`-th pixel: up to 3 px too small, hardly ever too large."""
+        """(h / COARSE_PX, w / COARSE_PX), rounded up: as `fine_px`, up to 3 px too small, hardly ever too large."""
         return self.distances.coarse_px()
 
     @cached_property
     def fine_px(self) -> NDArray[np.float32]:
-        """Signed distance of every `FINE_PX`-th pixel's centre to the edge of *inside or unknown*, positive within."""
+        """(h / FINE_PX, w / FINE_PX), rounded up: signed distances in px of pixel centres to the edge.
+
+        That is the edge of *inside or unknown*; they are positive within.
+        """
         return self.distances.fine_px(self.coarse_px)
 
     @property
