@@ -48,8 +48,8 @@ def hull_facets(points_mm: Array) -> tuple[Indices, Array]:
     points = np.ascontiguousarray(points_mm)
     every = np.arange(len(points), dtype=np.int32)
     protruding = every[::RUN].copy()
-    _find_protruding(points, points[protruding].mean(axis=0), protruding)
-    outer = points[protruding]
+    _find_protruding(points, points.take(protruding, axis=0).mean(axis=0), protruding)
+    outer = points.take(protruding, axis=0)
     origin, (low, high) = outer.mean(axis=0), bounds(outer)
     growth = growth_for(len(points), float((high - low).max()), TOLERANCE)
     has_grown = start(points, protruding, growth) and grow(points, growth)

@@ -38,7 +38,8 @@ def planes_around(views: Sequence[View], cameras: CameraArrays, hulls: OutlineHu
     """`N_ANGLES` planes through each camera's centre that touch the silhouette, or else its region."""
     angles = 2 * np.pi / N_ANGLES * np.arange(N_ANGLES)
     outwards = np.array([np.cos(angles), np.sin(angles)])
-    of_outlines = dict(zip(hulls.cameras, (hulls.rays[:, :, :2] @ outwards).max(axis=1), strict=True))
+    along = outwards.T @ hulls.rays[:, :, :2].transpose(0, 2, 1)
+    of_outlines = dict(zip(hulls.cameras, along.max(axis=2), strict=True))
     closed = {camera for camera, is_closed in zip(hulls.cameras, hulls.is_closed, strict=True) if is_closed}
     heights = [
         of_outlines[view[0].id] if view[0].id in closed else (_region_corners(view) @ outwards).max(axis=0)

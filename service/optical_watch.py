@@ -96,6 +96,7 @@ WORDS = {
 @dataclass(slots=True)
 class _Camera:
     series: dict[str, deque[float]] = field(default_factory=dict)
+    optics: CameraOptics = CameraOptics()  # of these
     severities: dict[str, Severity] = field(default_factory=dict)  # by limit
 
     def add(self, figures: Mapping[str, Any], limits: OpticalParameters) -> None:
@@ -103,18 +104,11 @@ class _Camera:
         for name, value in {**figures, "gradient_u": gradient_u, "gradient_v": gradient_v}.items():
             if name != "gradient_uv" and value is not None:
                 self.series.setdefault(name, deque(maxlen=WINDOW)).append(value)
+        typical = {name: median(seen) for name, seen in self.series.items() if len(seen) >= MIN_EXPOSURES}
+        self.optics = CameraOptics(**typical, flicker=_flicker(self.series.get("brightness", ())))
         for name, value in self.judged().items():
             share = value / getattr(limits, name)
             self.severities[name] = _severity(share, self.severities.get(name, Severity.NOTHING))
-
-    @property
-    def optics(self) -> CameraOptics:
-        typical = {
-            each.name: median(self.series[each.name])
-            for each in fields(CameraOptics)
-            if len(self.series.get(each.name, ())) >= MIN_EXPOSURES
-        }
-        return CameraOptics(**typical, flicker=_flicker(self.series.get("brightness", ())))
 
     def judged(self) -> dict[str, float]:
         """The figures that have a limit, by its name."""
@@ -232,7 +226,7 @@ def _flicker(brightness: Sequence[float]) -> float | None:
     if len(brightness) < MIN_EXPOSURES:
         return None
     steps = sorted(abs(after - before) for before, after in pairwise(brightness))[:-1]
-    return sqrt(fmean(step**2 for step in steps) / 2) / max(fmean(brightness), 0.01)
+    return sqrt(fmean([step**2 for step in steps]) / 2) / max(fmean(brightness), 0.01)
 
 
 def _place(place: DarkPlace) -> str:

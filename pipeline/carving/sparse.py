@@ -102,7 +102,9 @@ def _part_centres(octree: Octree, parameters: CarvingParameters) -> Array:
     """(3, PARTS) in the world frame."""
     steps_mm = np.float32(LEAF // 2 * parameters.pitch_mm) * np.indices((2, 2, 2), np.float32)
     firsts_mm = centres_of(octree.leaves, LEAF // 2, parameters.n, parameters.pitch_mm)
-    return (firsts_mm[:, :, None] + steps_mm.reshape(3, 1, HALVES)).reshape(3, -1)
+    centres_mm = np.repeat(firsts_mm, HALVES, axis=1)
+    centres_mm += np.tile(steps_mm.reshape(3, HALVES), len(octree.leaves))
+    return centres_mm
 
 
 def _close(field: Array, corner: NDArray[np.int64], n: int, level: float, outside: float) -> bool:

@@ -40,7 +40,7 @@ def max_feret(body: ConvexBody) -> Array:
     directions = half_sphere().directions
     slack = 1 - np.cos(COVERING_RAD)
     depth_mm = slack / (1 - slack) * body.width_mm.max()
-    upper, lower = (body.vertices_mm[body.touching[:, end]] for end in (0, 1))
+    upper, lower = (body.vertices_mm.take(body.touching[:, end], axis=0) for end in (0, 1))
     spans_mm = upper - lower
     lengths_mm = np.sqrt(np.vecdot(spans_mm, spans_mm))
     best, best_mm = spans_mm[lengths_mm.argmax()], lengths_mm.max()
@@ -148,9 +148,9 @@ def extents_across(body: ConvexBody, axis: Array) -> tuple[float, float]:
     """Greatest dimension perpendicular to an axis (3,), and the dimension perpendicular to both; exact."""
     along = body.normals @ (axis / np.linalg.norm(axis))
     is_near, is_far = np.zeros((2, len(body.vertices_mm)), bool)
-    is_near[body.facets[along >= -RIM]] = True
-    is_far[body.facets[along <= RIM]] = True
-    flat_mm = body.vertices_mm[is_near & is_far] @ _across(axis).T
+    is_near[body.facets.compress(along >= -RIM, axis=0)] = True
+    is_far[body.facets.compress(along <= RIM, axis=0)] = True
+    flat_mm = body.vertices_mm.compress(is_near & is_far, axis=0) @ _across(axis).T
     if len(flat_mm) > MANY_POINTS:
         flat_mm = flat_mm[scipy.spatial.ConvexHull(flat_mm).vertices]
     distances_mm = scipy.spatial.distance.cdist(flat_mm, flat_mm)

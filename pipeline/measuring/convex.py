@@ -48,8 +48,8 @@ def convex_body(points_mm: Array, center_mm: ArrayLike = (0, 0, 0)) -> ConvexBod
     facets, normals = hull_facets(points_mm)
     is_vertex = np.zeros(len(points_mm), bool)
     is_vertex[facets] = True
-    vertices_mm = points_mm[is_vertex] - np.asarray(center_mm, np.float64)
-    facets = (np.cumsum(is_vertex, dtype=np.int32) - 1)[facets]
+    vertices_mm = points_mm.compress(is_vertex, axis=0) - np.asarray(center_mm, np.float64)
+    facets = (np.cumsum(is_vertex, dtype=np.int32) - np.int32(1)).take(facets)
     first = np.zeros(len(vertices_mm) + 1, np.int32)
     neighbors = np.empty(facets.size, np.int32)
     volume_mm3 = _connect(vertices_mm, facets, first, neighbors)

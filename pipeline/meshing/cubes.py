@@ -51,7 +51,7 @@ def march(field: Field, level: float, leaves: Leaves) -> tuple[Array, Faces]:
     n_vertices, n_faces = _classify(field, level, leaves, table.n_triangles, rows, is_cut, cases)
     vertices, faces = np.empty((n_vertices, 3)), np.empty((n_faces, 3), np.int64)
     if n_faces:
-        leaves, cases = leaves[is_cut], cases[is_cut]
+        leaves, cases = leaves.compress(is_cut, axis=0), cases.compress(is_cut, axis=0)
         ids = np.empty((len(leaves) + 1, SAMPLES), np.int32)
         ids[-1] = NO_LEAF
         _place(field, level, leaves, cases, vertices, ids)

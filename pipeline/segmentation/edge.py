@@ -42,7 +42,7 @@ class Edge:
 
     @property
     def outline_uv(self) -> NDArray[np.float64]:
-        """Points (M, 2) in order around the outer contour, only where the edge was seen."""
+        """Points (M, 2) in order around the outer contour, only where the edge was seen; a copy."""
         n_outer = self.ends[1]
         return self.points_uv[:n_outer].compress(self.seen[:n_outer], axis=0)
 

@@ -37,9 +37,9 @@ def _note_waits(file: TextIO) -> None:
     is_told = "LOCK_STACKS" in os.environ
     own = os.open(f"/proc/self/task/{threading.get_native_id()}/schedstat", os.O_RDONLY)
     machines = os.open("/proc/stat", os.O_RDONLY)
+    no_core_ns, computed_ns = 0, 0  # so that nothing is noted at first
     while True:
-        no_core_ns = -_waited_for_core_ns(own) - _stolen_ns(machines)
-        computed_ns = -time.process_time_ns()
+        no_core_before_ns, computed_before_ns = no_core_ns, computed_ns
         due_ns = time.monotonic_ns() + round(1e9 * PERIOD_S)
         if is_told:
             faulthandler.dump_traceback_later(PERIOD_S + LONG_S, file=file)  # by a thread that needs no lock
@@ -47,9 +47,11 @@ def _note_waits(file: TextIO) -> None:
         now_ns = time.monotonic_ns()
         if is_told:
             faulthandler.cancel_dump_traceback_later()
-        computed_ns += time.process_time_ns()
-        no_core_ns += _waited_for_core_ns(own) + _stolen_ns(machines)
-        if (waited_ms := min(now_ns - due_ns - no_core_ns, computed_ns) / 1e6) > NOTED_MS:
+        computed_ns = time.process_time_ns()
+        no_core_ns = _waited_for_core_ns(own) + _stolen_ns(machines)
+        without_core_ns, meanwhile_ns = no_core_ns - no_core_before_ns, computed_ns - computed_before_ns
+        waited_ms = min(now_ns - due_ns - without_core_ns, meanwhile_ns) / 1e6
+        if waited_ms > NOTED_MS:
             file.write(f"{now_ns / 1e9:.3f} {waited_ms:.1f}\n")
             file.flush()
 
