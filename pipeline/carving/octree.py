@@ -103,12 +103,12 @@ def _judged(
 ) -> _Judgement:
     """Of the halves of blocks around `centres_mm` (3, B); half of a half's edge is `half_mm`.
 
-    A half reaches `reach_mm` (2, V) at right angles to each view's optical axis, and along it. `known` (B, V) is not
-    0 where all of a block is within a view.
+    A half reaches `reach_mm` (2, V) at right angles to each view's optical axis, and along it. `known` (B, V) is 1
+    where all of a block is within a view, and else 0.
     """
     n_blocks = len(known)
     counts = np.zeros((2, overruled + 1, n_blocks), np.uint8)
-    judgement = _Judgement(np.where(known, ALL, np.uint8(0)), counts[0], counts[1])
+    judgement = _Judgement(known * ALL, counts[0], counts[1])
     asked = np.empty(n_blocks + 1, np.int32)
     _judge(centres_mm, half_mm, *looked_at, reach_mm, asked, judgement)
     return judgement
