@@ -8,16 +8,14 @@ import math
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers import gvcp
 from drivers.cameras.aravis_library import explained, forgetful, load_aravis
 from drivers.cameras.feature_access import Applied, FeatureAccess
 from drivers.cameras.finding import find_camera
-from drivers.cameras.frame_reader import FrameReader
+from drivers.cameras.frame_reader import FrameReader, Memory, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
 from drivers.cameras.stream_socket import widen_receive_buffer
 from drivers.errors import CameraUnavailableError
@@ -48,7 +46,7 @@ class AravisCamera:
         self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see forgetful
         self._stream: Any = None
         self._reader: FrameReader | None = None
-        self._memory: dict[int, NDArray[np.uint8]] = {}
+        self._memory: Memory = {}
         self._control_lost = threading.Event()
         self._control_lost_signal = 0
         self._applied: list[Applied] = []
@@ -210,15 +208,14 @@ class AravisCamera:
         except (LookupError, OSError) as err:
             raise CameraUnavailableError(self.id, f"cannot widen its receive buffer: {err}") from err
         self._warnings = tuple(self._opening_warnings())
+        another_buffer = partial(new_buffer, aravis, payload_bytes, self._memory)
         for _ in range(settings.n_buffers):
-            pixels = np.zeros(payload_bytes, np.uint8)
-            buffer = aravis.Buffer.new(pixels.nbytes, pixels.ctypes.data)
-            self._memory[hash(buffer)] = pixels
-            self._stream.push_buffer(buffer)
+            self._stream.push_buffer(another_buffer())
         self._reader = FrameReader(
             self.id,
             self._stream,
             memory=self._memory,
+            new_buffer=another_buffer,
             image_size_px=settings.image_size_px,
             control_lost=self._control_lost,
         )

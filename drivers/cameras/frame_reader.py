@@ -1,12 +1,13 @@
-"""The thread that takes a camera's frames from Aravis and delivers them.
+"""The thread that takes a camera's frames from Aravis and delivers them, without a copy.
 
-Pulled, never pushed: a callback or signal would run in Aravis' receive thread and cost packets. A
-buffer goes back at once, after one copy; every other status than success means there is no image.
+Pulled, never pushed: a callback or signal would run in Aravis' receive thread and cost packets. The
+memory that a frame was received into is its image, and Aravis gets a buffer with other memory at once.
+Every other status than success means there is no image.
 """
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,20 @@ from pipeline.frames import CameraId, Frame, Image
 
 POP_US = 50_000
 """How long one wait for a frame lasts, and so how long `stop` may take."""
+Memory = dict[int, NDArray[np.uint8]]
+"""What the buffers that Aravis has receive into, by a buffer's hash, which is its address."""
 LATEST_LOSS_NS = 500_000_000
 """A frame that is not whole by then is given up."""
 OLDEST_NS = 1_000_000_000
 """A frame is not older than this: else the wall clock was set between its leader and now."""
+
+
+def new_buffer(aravis: Any, n_bytes: int, memory: Memory) -> Any:
+    """A buffer that receives into `memory` of ours."""
+    pixels = np.empty(n_bytes, np.uint8)
+    buffer = aravis.Buffer.new(n_bytes, pixels.ctypes.data)
+    memory[hash(buffer)] = pixels
+    return buffer
 
 
 class FrameReader:
@@ -31,13 +42,15 @@ class FrameReader:
         camera: CameraId,
         stream: Any,
         *,
-        memory: Mapping[int, NDArray[np.uint8]],
+        memory: Memory,
+        new_buffer: Callable[[], Any],
         image_size_px: tuple[int, int],
         control_lost: threading.Event,
     ) -> None:
         self._camera = camera
         self._stream = stream
-        self._memory = memory  # of each buffer, by the buffer's hash, which is its address in Aravis
+        self._memory = memory
+        self._new_buffer = new_buffer
         self._size_px = image_size_px
         self._control_lost = control_lost
         self._is_stopping = threading.Event()
@@ -71,6 +84,9 @@ class FrameReader:
             buffer = self._stream.timeout_pop_buffer(POP_US)
             if buffer is not None:
                 event = self._event(buffer)
+                if isinstance(event, Frame):
+                    del self._memory[hash(buffer)]  # it is the frame's now
+                    buffer = self._new_buffer()
                 self._stream.push_buffer(buffer)
                 if not self._is_stopping.is_set():
                     sink.deliver(event)
@@ -95,7 +111,7 @@ class FrameReader:
         )
 
     def _image(self, buffer: Any) -> Image | str:
-        """A copy of the pixels, without the chunks behind them; or what is wrong with the picture."""
+        """The buffer's pixels, without the chunks behind them; or what is wrong with the picture."""
         width_px, height_px = self._size_px
         if buffer.get_n_parts() != 1:
             return f"{buffer.get_n_parts()} images in a frame"
@@ -103,7 +119,7 @@ class FrameReader:
         if got_px != self._size_px:
             return f"wrong size: {got_px[0]} x {got_px[1]}, not {width_px} x {height_px}"
         pixels = self._memory[hash(buffer)][: height_px * width_px]
-        return pixels.reshape(height_px, width_px).copy()
+        return pixels.reshape(height_px, width_px)
 
     def _lost(self, reason: str, buffer: Any) -> FrameLost:
         """A loss is told when Aravis has waited long enough, but belongs to the moment of its leader."""

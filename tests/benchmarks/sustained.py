@@ -275,7 +275,7 @@ def table_of(runs: Sequence[Run], read_ms: float, arguments: Any) -> Table:
         title=f"{arguments.seconds:g} s each, burst {arguments.burst_seconds:g} s; {arguments.stones} stones"
         f" of {arguments.size_mm:g} mm again and again, {arguments.slots} workers, frames of {arguments.keep_raw} kept;"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
-        caption=f"The daemon also reads the recording, at {read_ms:.0f} ms a bundle.",
+        caption=f"How busy the host is: to read and check a bundle took {read_ms:.0f} ms afterwards.",
     )
     for label, cells in {
         "triggers = measured + rejected + lost": [
