@@ -1,4 +1,4 @@
-"""Loops over pixels, compiled."""
+"""Loops over pixels, voxels and faces, compiled."""
 
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast

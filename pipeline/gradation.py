@@ -46,7 +46,7 @@ class LotGradation:
 def gradation(
     sieve_sizes_mm: Sequence[float], volumes_mm3: Sequence[float], sieves_mm: Sequence[float] = SIEVES_MM
 ) -> LotGradation:
-    """P(s) = 100 sum(V_i [d_i <= s]) / sum(V_i); equality passes (domain 2.1).
+    """P(s) = 100 sum(V_i [d_i <= s]) / sum(V_i); equality passes.
 
     Raises
     ------

@@ -15,7 +15,7 @@ LAYER_TOLERANCE_DEG = 10.0
 
 
 class Quality(StrEnum):
-    """How many views a result rests on (domain 4.3)."""
+    """How many views a result rests on."""
 
     GOOD = "good"
     REDUCED = "reduced"
@@ -73,7 +73,7 @@ def judge_views(
 
 
 def quality_of(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
-    """Quality by the number of views; below `reduced` every layer of cameras needs two (domain 4.3).
+    """Quality by the number of views; below `reduced` every layer of cameras needs two.
 
     Raises
     ------

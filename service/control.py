@@ -113,7 +113,7 @@ class Health:
     reasons: tuple[str, ...] = ()  # why not ready, or why not `good`
     checks: Mapping[str, Check] = field(default_factory=dict)
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `segmentation`, `calibration`, `clock`, `store`, `disk`, `recording`, `rig`, `optics`."""
+    `segmentation`, `calibration`, `clock`, `store`, `disk`, `archive`, `recording`, `rig`, `optics`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -74,7 +74,7 @@ def assess(facts: Facts) -> Health:
     """Judge every fact; the worst check decides.
 
     NE 107: a failed check other than a camera's is *failure*; cameras count as the quality of the results
-    they still allow (domain 4.3): reduced is *maintenance required*, degraded *out of specification*.
+    they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
     checks = _checks(facts)
     parent = checks["cameras"].status is CheckStatus.FAIL

@@ -22,6 +22,7 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Network, load_network
+from service.user_cache import user_cache
 
 BUILT_IN = "roi_network"
 
@@ -69,9 +70,8 @@ class ModelEntry:
 
 
 def default_models_dir() -> Path:
-    """Where fetched models are kept: the user's cache (XDG Base Directory Specification)."""
-    cache = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(cache) if Path(cache).is_absolute() else Path.home() / ".cache") / "stonefall" / "models"
+    """Where fetched models are kept."""
+    return user_cache() / "models"
 
 
 def read_model(model: str = "", models_dir: Path | None = None) -> bytes:

@@ -1,4 +1,4 @@
-"""The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed (design, section 4)."""
+"""The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -113,7 +113,7 @@ def _offer(action: CalibrationAction, scope: Scope, text: str, status: int = 200
 _offer(
     CalibrationAction.SOLVE,
     Scope.OPERATE,
-    "Solve it from the drops so far, in a worker; ask for it again until it is `solved`, or `collecting` again.",
+    "Solve it from the drops so far, in its own process; ask for it again until it is `solved`, or `collecting` again.",
     202,
 )
 _offer(

@@ -43,11 +43,11 @@ class VerificationSummary(BaseModel):
     """Over the balls measured so far."""
 
     error_mm: float = Field(
-        description="Mean of the equivalent diameter minus the true one, mm; limit 0.10 either way"
+        description="Mean of the equivalent diameter minus the true one, mm; limit 0.10 either way by default"
     )
-    sd_mm: float = Field(description="Of the equivalent diameter, mm; limit 0.05")
+    sd_mm: float = Field(description="Of the equivalent diameter, mm; limit 0.05 by default")
     vertical_minus_horizontal_mm: float | None = Field(
-        description="Mean of the diameter, mm; limit 0.05 either way"
+        description="Mean of the diameter, mm; limit 0.05 either way by default"
     )
 
 

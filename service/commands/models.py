@@ -11,7 +11,9 @@ from rich.table import Table
 
 from service.models import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
 
-command = typer.Typer(help="The networks that segment images: list them, fetch published ones.")
+command = typer.Typer(
+    help="The networks that segment images: list them, fetch published ones, train our own."
+)
 
 ModelsDir = Annotated[
     Path | None, typer.Option("--dir", help="Folder of the models; the user's cache where it is not given.")

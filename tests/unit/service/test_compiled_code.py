@@ -43,11 +43,23 @@ def test_a_process_that_was_started_by_another_shares_its_folder(
     assert folder(monkeypatch, first) == first
 
 
-def test_without_the_variable_it_is_beside_the_sources_or_where_numba_finds_a_place(
-    source: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_the_variable_it_is_beside_the_sources_or_in_the_users_cache(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert folder(monkeypatch, None).parent == source.parents[1] / "__pycache__"
-    monkeypatch.delenv(FOLDER)
     monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert folder(monkeypatch, None).parent == tmp_path / "cache/stonefall/numba"
+
+
+@pytest.mark.usefixtures("source")
+def test_for_a_user_without_a_home_numba_finds_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(Path, "home", nowhere)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv(FOLDER, raising=False)
     keep_apart()
     assert FOLDER not in os.environ
