@@ -215,7 +215,7 @@ class AravisCamera:
             self.id,
             self._stream,
             memory=self._memory,
-            new_buffer=another_buffer,
+            another_buffer=another_buffer,
             image_size_px=settings.image_size_px,
             control_lost=self._control_lost,
         )

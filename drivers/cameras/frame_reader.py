@@ -27,7 +27,7 @@ OLDEST_NS = 1_000_000_000
 
 
 def new_buffer(aravis: Any, n_bytes: int, memory: Memory) -> Any:
-    """A buffer that receives into `memory` of ours."""
+    """An `aravis.Buffer` of so many bytes that receives into an array of ours, entered into `memory`."""
     pixels = np.empty(n_bytes, np.uint8)
     buffer = aravis.Buffer.new(n_bytes, pixels.ctypes.data)
     memory[hash(buffer)] = pixels
@@ -43,14 +43,14 @@ class FrameReader:
         stream: Any,
         *,
         memory: Memory,
-        new_buffer: Callable[[], Any],
+        another_buffer: Callable[[], Any],
         image_size_px: tuple[int, int],
         control_lost: threading.Event,
     ) -> None:
         self._camera = camera
         self._stream = stream
         self._memory = memory
-        self._new_buffer = new_buffer
+        self._another_buffer = another_buffer
         self._size_px = image_size_px
         self._control_lost = control_lost
         self._is_stopping = threading.Event()
@@ -86,7 +86,7 @@ class FrameReader:
                 event = self._event(buffer)
                 if isinstance(event, Frame):
                     del self._memory[hash(buffer)]  # it is the frame's now
-                    buffer = self._new_buffer()
+                    buffer = self._another_buffer()
                 self._stream.push_buffer(buffer)
                 if not self._is_stopping.is_set():
                     sink.deliver(event)
