@@ -33,6 +33,8 @@ START_DEADLINE_S = 300.0
 """Compiling takes 20 s, on a machine that does nothing else."""
 START_ATTEMPTS = 3
 CLOSE_DEADLINE_S = 2.0
+CALM_S = 3.0
+"""Without a job for so long, the next stone is hardly the one that a new process makes late."""
 WORKER_NAME = "stonefall-work"
 """What `ps` and `top` call a process that measures."""
 
@@ -70,8 +72,8 @@ class WorkerPool:
     """Life cycle: `start`, any number of concurrent `run`, `close`; all on the event loop.
 
     `prepare` and the context must be picklable, like jobs and results. Processes that start together share what there
-    is to compile: none begins a warm-up that another is at. `renew` replaces those that had to compile: the
-    compiler's memory stays. The processes are called `name` (15 bytes).
+    is to compile: none begins a warm-up that another is at. `renew` replaces those that had to compile, when there is
+    nothing to measure: the compiler's memory stays. The processes are called `name` (15 bytes).
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class WorkerPool:
         self._slots = [_Slot(name, prepare, context, warming) for _ in range(slots)]
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
+        self._n_jobs = 0
         self.restarts = 0
 
     @property
@@ -124,6 +127,7 @@ class WorkerPool:
         WorkerStartError
             The slot could not be rebuilt.
         """
+        self._n_jobs += 1
         slot = await self._idle.get()
         try:
             async with slot.at_work:
@@ -131,14 +135,21 @@ class WorkerPool:
         finally:
             self._idle.put_nowait(slot)
 
-    async def renew(self) -> None:
-        """Replace the processes that had to compile, one by one, while they measure on; one that cannot be stays."""
+    async def renew(self, calm_s: float = CALM_S) -> None:
+        """Replace the processes that had to compile, each after so long without a job; one that cannot be stays."""
         for slot in self._slots:
             if slot.is_spent:
+                await self._calm(calm_s)
                 try:
                     await slot.renew()
                 except WorkerStartError as err:
                     log.warning("a worker keeps its compiler's memory: %s", err)
+
+    async def _calm(self, calm_s: float) -> None:
+        n_before = -1
+        while n_before != self._n_jobs or self._idle.qsize() < self.size:
+            n_before = self._n_jobs
+            await asyncio.sleep(calm_s)
 
     async def _run_in(self, slot: "_Slot", function: Callable[[Job], Result], job: Job) -> Result:
         try:

@@ -28,6 +28,8 @@ def prepare(context: str) -> list[WarmUp]:
 def share(notes: Path) -> list[WarmUp]:
     if (notes / "broken").exists():
         os._exit(7)
+    while (notes / "hold").exists():
+        time.sleep(0.01)
     return [partial(compile_once, notes, part) for part in ("a", "b", "c")]
 
 

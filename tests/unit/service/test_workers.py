@@ -90,19 +90,39 @@ async def test_a_worker_killed_while_idle_is_replaced():
         assert other != pid
 
 
-async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_they_work(tmp_path: Path):
+async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_job_comes(tmp_path: Path):
     pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
     await pool.start()
     before = pool.pids
-    job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
-    renewing = asyncio.create_task(pool.renew())
+    (tmp_path / "hold").touch()
+    renewing = asyncio.create_task(pool.renew(calm_s=0))
     while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - nobody signals it
         await asyncio.sleep(0.01)
+    job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
+    await asyncio.sleep(0.1)
+    (tmp_path / "hold").unlink()
+    await asyncio.sleep(0.1)
     assert pool.pids == before
     (tmp_path / "go").touch()
     assert await job in before
     await renewing
     assert len(pool.pids) == 2
+    assert not set(before) & set(pool.pids)
+    pool.close()
+
+
+async def test_a_process_is_renewed_when_there_is_nothing_to_measure(tmp_path: Path):
+    pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
+    await pool.start()
+    before = pool.pids
+    renewing = asyncio.create_task(pool.renew(calm_s=0.2))
+    (tmp_path / "go").touch()
+    for _ in range(8):  # closer than calm
+        await pool.run(wait_for, tmp_path / "go")
+        await asyncio.sleep(0.1)
+        assert len(multiprocessing.active_children()) == 2
+    assert pool.pids == before
+    await renewing
     assert not set(before) & set(pool.pids)
     pool.close()
 
@@ -113,7 +133,7 @@ async def test_a_worker_that_cannot_be_renewed_stays(tmp_path: Path):
     before = pool.pids
     (tmp_path / "broken").touch()
     (tmp_path / "go").touch()
-    await pool.renew()
+    await pool.renew(calm_s=0)
     assert [await pool.run(wait_for, tmp_path / "go")] == before
     pool.close()
 
