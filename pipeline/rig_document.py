@@ -1,6 +1,7 @@
 """The rig document as it is read: every defect is named by its member."""
 
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any, get_args
 
 import numpy as np
@@ -57,10 +58,19 @@ def rig_from_document(document: Any) -> RigCalibration:
     return RigCalibration(
         name=name,
         method=method,
-        created_at=str(root.get("created_at", "")),
+        created_at=_created_at(root.get("created_at", "")),
         cameras=cameras,
         ball_diameter_mm=None if ball is None else float(ball),
     )
+
+
+def _created_at(value: Any) -> str:
+    try:
+        if value != "" and datetime.fromisoformat(value).tzinfo is None:
+            raise ValueError
+    except (TypeError, ValueError) as err:
+        raise RigError("created_at", f"must be a time with its offset from UTC, not {value!r}") from err
+    return str(value)
 
 
 def _camera(entry: Any, path: str) -> CameraCalibration:
@@ -92,6 +102,8 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
         isinstance(rms_px, bool) or not isinstance(rms_px, int | float) or not 0 <= rms_px < 1e6
     ):
         raise RigError(f"{path}.rms_px", f"must be a residual in pixels or null, not {rms_px!r}")
+    if serial is not None and not isinstance(serial, str):
+        raise RigError(f"{path}.serial", f"must be text or null, not {serial!r}")
     camera = CameraCalibration(
         id=CameraId(camera_id),
         image_size_px=(int(size[0]), int(size[1])),
@@ -99,7 +111,7 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
         distortion=distortion,
         R=R,
         t_mm=t_mm,
-        serial=None if serial is None else str(serial),
+        serial=serial,
         rms_px=None if rms_px is None else float(rms_px),
     )
     _require_plausible(camera, path)

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from service.drop_job import Method
 
+BALL_DIAMETERS_MM = (1.0, 45.0)
+"""What is seen, and fully in view."""
 SIZES_APART = 1.2
 """Balls whose diameters differ by less cannot be told apart before the rig is calibrated."""
 
@@ -24,8 +26,11 @@ class CalibrationPlan:
                 f"ball_diameters_mm: method {self.method} needs {' or '.join(map(str, n_needed))},"
                 f" not {len(self.ball_diameters_mm)}"
             )
-        if not all(1 <= each <= 50 for each in self.ball_diameters_mm):
-            raise ValueError(f"ball_diameters_mm must be in 1..50, not {list(self.ball_diameters_mm)}")
+        low_mm, high_mm = BALL_DIAMETERS_MM
+        if not all(low_mm <= each <= high_mm for each in self.ball_diameters_mm):
+            raise ValueError(
+                f"ball_diameters_mm must be in {low_mm:g}..{high_mm:g}, not {list(self.ball_diameters_mm)}"
+            )
         if len(self.ball_diameters_mm) == 2:
             small_mm, large_mm = sorted(self.ball_diameters_mm)
             if large_mm < SIZES_APART * small_mm:

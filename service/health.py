@@ -50,7 +50,7 @@ class Facts:
     views: ViewsParameters  # how many cameras make which quality
     waiting: int  # bundles in the spool
     max_waiting: int
-    overflows: int  # bundles lost because the spool was full
+    overflows: int  # stones and balls lost because the spool was full
     workers: int  # processes that are up
     slots: int
     worker_restarts: int

@@ -66,6 +66,7 @@ class Spool:
         self.held = 0
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
+        """Stones and balls lost because there were so many."""
         self.on_release: Callable[[], None] = lambda: None
         """Called on the loop for every bundle that is through, file and all, lost ones included."""
         self.keep: Callable[[Path, int], bool] = lambda path, seq: False
@@ -78,7 +79,7 @@ class Spool:
         if not bundle.frames:
             self._lose(bundle, _without_frames(bundle))
         elif self.held >= self.max_bundles:
-            self.overflows += 1
+            self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
             self._lose(bundle, Loss(reason="queue_full", detail=f"{self.held} bundles were waiting"))
         else:
             self.held += 1

@@ -19,6 +19,7 @@ from drivers.errors import RecordingError
 from drivers.files import write_json
 from pipeline.frames import BundleKind
 from service.calibration_files import CALIBRATION_NAME, read_document
+from service.calibration_plan import BALL_DIAMETERS_MM
 from service.drop_files import ObservedDrop
 from service.processing import DropCollector
 from service.store import utc_now
@@ -76,8 +77,9 @@ class VerificationPlan:
     by: str | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.diameter_mm <= 50:
-            raise ValueError(f"diameter_mm must be in 1..50, not {self.diameter_mm:g}")
+        low_mm, high_mm = BALL_DIAMETERS_MM
+        if not low_mm <= self.diameter_mm <= high_mm:
+            raise ValueError(f"diameter_mm must be in {low_mm:g}..{high_mm:g}, not {self.diameter_mm:g}")
         if not 2 <= self.count <= 100:
             raise ValueError(f"count must be in 2..100, not {self.count}")
 

@@ -6,10 +6,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.schemas import TIME
 from service.calibration_files import Origin
+from service.calibration_plan import BALL_DIAMETERS_MM
 from service.calibration_states import CalibrationState
 from service.drop_job import Method
 
-DiameterMm = Annotated[float, Field(ge=1, le=50)]
+DiameterMm = Annotated[float, Field(ge=BALL_DIAMETERS_MM[0], le=BALL_DIAMETERS_MM[1])]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 

@@ -135,7 +135,8 @@ def _valid_plan(wanted: CalibrationRequest) -> CalibrationPlan:
     try:
         return CalibrationPlan(**members | {"ball_diameters_mm": tuple(wanted.ball_diameters_mm)})
     except ValueError as err:
-        raise Problem(422, "invalid-request", str(err)) from err
+        errors = [{"field": "body", "message": str(err)}]
+        raise Problem(422, "invalid-request", str(err), errors=errors) from err
 
 
 def _summary(context: ApiContext, record: CalibrationRecord) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Errors as RFC 9457 problem details: one shape for everything that is not a success, and no stack traces."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any, TypeVar
 
@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.routing import compile_path
 
 from service.calibration_states import CalibrationConflictError
 from service.control import ConflictError
@@ -109,17 +110,31 @@ async def _of_http(request: Request, error: Exception) -> JSONResponse:
         return problem_response(request, error)
     assert isinstance(error, HTTPException)  # noqa: S101 - the handler's registration says so, the type cannot
     slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
-    return problem_response(request, Problem(error.status_code, slug, error.detail, headers=error.headers))
+    headers = error.headers
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers = {"Allow": _methods_of(request) or "GET"}  # Starlette names those of the first route alone
+    return problem_response(request, Problem(error.status_code, slug, error.detail, headers=headers))
+
+
+def _methods_of(request: Request) -> str:
+    """What the path of the request can be asked with, if it is described."""
+    described = request.app.openapi()["paths"].items()
+    fitting = [methods for path, methods in described if compile_path(path)[0].match(request.scope["path"])]
+    return ", ".join(sorted({method.upper() for methods in fitting for method in methods}))
 
 
 async def _of_validation(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
     errors = [
-        {"field": ".".join(str(part) for part in item["loc"]), "message": item["msg"]}
-        for item in error.errors()
+        {"field": ".".join(map(str, _place(item["loc"]))), "message": item["msg"]} for item in error.errors()
     ]
     detail = "; ".join(f"{item['field']}: {item['message']}" for item in errors)
     return problem_response(request, Problem(422, "invalid-request", detail, errors=errors))
+
+
+def _place(location: Sequence[str | int]) -> Sequence[str | int]:
+    """Where it is wrong; of a parameter without the kind of value, of several, that it is not."""
+    return location if location[0] == "body" else location[:2]
 
 
 async def _of_conflict(request: Request, error: Exception) -> JSONResponse:

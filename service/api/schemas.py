@@ -181,7 +181,7 @@ class Acquisition(BaseModel):
     gate_error: str | None
     gate_warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
     last_stone_age_s: float | None = Field(description="Seconds since the last stone; null before the first")
-    triggers: int
+    triggers: int = Field(description="Since the rig was armed, exposures of the empty rig among them")
     orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
     unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
     in_dead_time: int = Field(description="Triggers too soon after another; lost")

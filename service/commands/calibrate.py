@@ -45,11 +45,9 @@ from pipeline.frames import BundleKind, FrameBundle
 from pipeline.segmentation import BackgroundModel, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
+from service.calibration_plan import BALL_DIAMETERS_MM
 from service.commands.calibrate_stones import calibrate_from_stones
 from service.errors import UsageError
-
-DIAMETERS_MM = (1.0, 45.0)
-"""What is fully in view."""
 
 Seen = TypeVar("Seen")
 
@@ -145,7 +143,7 @@ def command(
 
 
 def _distinct_diameters_mm(diameters_mm: Sequence[float]) -> list[float]:
-    low_mm, high_mm = DIAMETERS_MM
+    low_mm, high_mm = BALL_DIAMETERS_MM
     for diameter_mm in diameters_mm:
         if not low_mm <= diameter_mm <= high_mm:
             raise typer.BadParameter(

@@ -125,7 +125,7 @@ def verify(
     n_shown = 0
     while True:
         for ball in found["balls"][n_shown:]:
-            measured = f"{ball['equivalent_diameter_mm']} mm" if ball["detail"] is None else ball["detail"]
+            measured = ball["detail"] or f"{ball['equivalent_diameter_mm']:.3f} mm"
             typer.echo(f"{ball['bundle']}: {measured}", err=as_json)
         n_shown = len(found["balls"])
         if found["state"] != VerificationState.COLLECTING:

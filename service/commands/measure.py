@@ -11,7 +11,6 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path
@@ -42,6 +41,8 @@ DEADLINE_S = 600.0
 """Nobody waits for a stone here; only a worker that hangs is ended."""
 IN_FLIGHT = 4
 """Bundles a worker on their way at a time."""
+RESULTS, GRADATION = "results.jsonl", "gradation.json"
+MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
 
 
 class SegmenterName(StrEnum):
@@ -118,13 +119,33 @@ def command(
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
         segmentation=_plan(segmentation, segmenter, model),
     )
-    (out / "meshes").mkdir(parents=True, exist_ok=True)
+    if (
+        out.is_dir()
+        and not (out / RESULTS).exists()
+        and (taken := [n for n in FOLDERS if (out / n).exists()])
+    ):
+        raise UsageError(f"{out} has {taken[0]}/ but no {RESULTS}: it is no folder of results")
+    out.mkdir(parents=True, exist_ok=True)
     rig_file = RigFile(rig_path, calibration.calibration_id)
-    records = _measure_all(source, context, rig_file, out, workers, save_silhouettes)
-    stones = [r for r in records if r["outcome"] == "measured" and r["kind"] == BundleKind.PARTICLE]
-    curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
-    (out / "gradation.json").write_text(json.dumps(asdict(curve), indent=2) + "\n")
+    with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as name:
+        made = Path(name)
+        records = _measure_all(source, context, rig_file, made, workers, save_silhouettes)
+        stones = [r for r in records if r["outcome"] == "measured" and r["kind"] == BundleKind.PARTICLE]
+        curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
+        (made / GRADATION).write_text(json.dumps(asdict(curve), indent=2) + "\n")
+        _put_in_place(made, out)
     _report(records, as_json)
+
+
+def _put_in_place(made: Path, out: Path) -> None:
+    """Replace what an earlier run left, all of it; `results.jsonl` is there when everything is."""
+    for name in (RESULTS, GRADATION):
+        (out / name).unlink(missing_ok=True)
+    for name in FOLDERS:
+        shutil.rmtree(out / name, ignore_errors=True)
+    for name in (*FOLDERS, GRADATION, RESULTS):
+        if (made / name).exists():
+            (made / name).rename(out / name)
 
 
 def _plan(
@@ -180,11 +201,10 @@ class _Folder:
         """Keep a record, and its files where the command promises them."""
         kept = dict(record)
         if mesh := (files or {}).get(MESH):
-            kept["mesh"] = f"meshes/{bundle}.ply"
+            kept["mesh"] = f"{MESHES}/{bundle}.ply"
             mesh.replace(self._out / kept["mesh"])
         if silhouettes := (files or {}).get(SILHOUETTES):
-            folder = self._out / "silhouettes" / bundle
-            shutil.rmtree(folder, ignore_errors=True)
+            folder = self._out / LABELS / bundle
             folder.mkdir(parents=True)
             for camera, labels in read_silhouettes(silhouettes).items():
                 write_png(folder / f"{camera}.png", labels)
@@ -201,27 +221,20 @@ def _measure_all(
     workers: int,
     save_silhouettes: bool,
 ) -> list[dict[str, Any]]:
-    """All records in playback order; `results.jsonl` appears when it is complete."""
-    partial = out / "results.jsonl.tmp"
-    try:
-        with (
-            partial.open("w") as lines,
-            tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as work,
-            Progress(console=Console(file=sys.stderr)) as progress,
-        ):
-            results = _Folder(out, lines)
-            processing_context = ProcessingContext(
-                session=0,
-                camera_ids=source.camera_ids,
-                is_simulated=source.is_simulated,
-                save_silhouettes=save_silhouettes,
-                folder=Path(work),
-            )
-            asyncio.run(_run(source, context, rig, processing_context, results, workers, progress))
-        partial.rename(out / "results.jsonl")
-    finally:
-        with suppress(FileNotFoundError):
-            partial.unlink()
+    """All records in playback order; with their files they are in `out`."""
+    (out / MESHES).mkdir()
+    work = out / "work"
+    work.mkdir()
+    with (out / RESULTS).open("w") as lines, Progress(console=Console(file=sys.stderr)) as progress:
+        results = _Folder(out, lines)
+        processing_context = ProcessingContext(
+            session=0,
+            camera_ids=source.camera_ids,
+            is_simulated=source.is_simulated,
+            save_silhouettes=save_silhouettes,
+            folder=work,
+        )
+        asyncio.run(_run(source, context, rig, processing_context, results, workers, progress))
     return results.records
 
 

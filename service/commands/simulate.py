@@ -17,6 +17,7 @@ import typer
 
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from drivers.recording import open_recording
+from service.errors import UsageError
 from service.record import ALGORITHM_VERSION
 
 POLL_S = 0.1
@@ -72,6 +73,8 @@ def command(
         raise typer.BadParameter(str(err), param_hint="--address") from err
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     source = open_recording(recording or _rendered(bodies, count, seed))
+    if cameras is not None and cameras > len(source.camera_ids):
+        raise UsageError(f"{source.path} has {len(source.camera_ids)} cameras, not {cameras}")
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

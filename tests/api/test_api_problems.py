@@ -36,6 +36,18 @@ async def test_unknown_paths_and_methods(client: httpx.AsyncClient) -> None:
     refused = await client.post("/results")
     assert_problem(refused, 405, "method-not-allowed")
     assert refused.headers["Allow"] == "GET"
+    for path, allowed in (("/acquisition", "GET, PUT"), ("/verifications", "GET, POST")):
+        refused = await client.delete(path)
+        assert_problem(refused, 405, "method-not-allowed")
+        assert refused.headers["Allow"] == allowed
+
+
+async def test_wrong_fields_are_named_as_the_client_wrote_them(client: httpx.AsyncClient) -> None:
+    answer = await client.get("/accounting", params={"session": "x"})
+    assert_problem(answer, 422, "invalid-request")
+    assert {error["field"] for error in answer.json()["errors"]} == {"query.session"}
+    answer = await client.put("/acquisition", json={"state": "flying", "more": 1})
+    assert {error["field"] for error in answer.json()["errors"]} == {"body.state", "body.more"}
 
 
 async def test_malformed_bodies(client: httpx.AsyncClient) -> None:

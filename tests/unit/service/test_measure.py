@@ -23,6 +23,7 @@ from pipeline.synthesis.bodies import Body, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream, without_views
 from pipeline.synthesis.renderer import PlacedBody, simulate_rig
 from service.cli import build_app
+from service.commands import measure
 from service.commands.measure import _report
 from service.errors import UsageError
 
@@ -220,6 +221,36 @@ def test_a_view_with_a_damaged_pixel_is_not_used(tmp_path: Path) -> None:
     run(recording, "--out", tmp_path / "out", "--workers", 1)
     (record,) = records(tmp_path / "out")
     assert (record["outcome"], record["dropped_views"]) == ("measured", {"c05": "damaged"})
+
+
+def test_a_folder_has_the_results_of_one_run_alone(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for number, n_stones in enumerate((2, 1)):
+        recording = tmp_path / str(number)
+        write_small_recording(recording, n_stones=n_stones)
+        bundles = sorted(path.stem for path in (recording / "bundles").iterdir())[-n_stones:]
+        options = ("--save-silhouettes",) if number == 0 else ()
+        run(recording, "--out", out, "--workers", 1, *options)
+        assert [record["bundle"] for record in records(out)] == bundles
+        assert sorted(path.stem for path in (out / "meshes").iterdir()) == bundles
+    assert {path.name for path in out.iterdir()} == {"results.jsonl", "meshes", "gradation.json"}
+
+
+def test_folders_of_others_are_left_alone(recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    with pytest.raises(UsageError, match=r"has meshes/ but no results\.jsonl"):
+        run(recording, "--out", tmp_path)
+
+
+def test_what_does_not_get_to_its_end_changes_nothing(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(recording, "--out", tmp_path, "--workers", 1)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    monkeypatch.setattr(measure, "gradation", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run(recording, "--out", tmp_path, "--workers", 1)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 def test_a_recording_without_rig_needs_one(recording: Path, tmp_path: Path) -> None:

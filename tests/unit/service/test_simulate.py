@@ -18,6 +18,7 @@ from support.recordings import CAMERAS, make_bundle, write_recording
 from drivers import gvcp
 from pipeline.frames import BundleKind
 from service.commands.simulate import command
+from service.errors import UsageError
 
 FIRST_ADDRESS = "127.32.4.2"
 
@@ -108,3 +109,8 @@ def test_a_second_one_is_refused_in_one_line(recording_path: Path) -> None:
 def test_wrong_usage(recording_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises(typer.BadParameter):
         command(recording_path, **wrong)
+
+
+def test_more_cameras_than_were_recorded(recording_path: Path) -> None:
+    with pytest.raises(UsageError, match="has 4 cameras, not 99"):
+        command(recording_path, cameras=99)

@@ -77,6 +77,15 @@ async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
     assert spool.held == 0
 
 
+async def test_lost_exposures_of_the_empty_rig_are_no_lost_stones(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    for sequence in (1, 2):
+        spool.offer(bundle_of(sequence, kind=BundleKind.BACKGROUND))
+    assert (spool.held, spool.overflows) == (1, 0)
+    spool.offer(bundle_of(3))
+    assert spool.overflows == 1
+
+
 async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path):
     spool = Spool(tmp_path, max_bundles=20, camera_ids=CAMERAS)
     async with writing(spool):
