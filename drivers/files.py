@@ -20,15 +20,20 @@ BLOCK = 4096
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place, durably, when the block ends without error."""
-    unfinished = path.with_name(f"{path.name}.tmp")
+    temporary = unfinished(path)
     try:
-        yield unfinished
-        sync(unfinished)
-        unfinished.replace(path)
+        yield temporary
+        sync(temporary)
+        temporary.replace(path)
     except BaseException:
-        unfinished.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
     sync(path.parent)
+
+
+def unfinished(path: Path) -> Path:
+    """What is to take the place of `path`, until it does."""
+    return path.with_name(f"{path.name}.tmp")
 
 
 @contextmanager
@@ -42,14 +47,14 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     path = path.resolve()  # `.` has no name, and a link must not be replaced
     require_unused(path)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    unfinished.mkdir(parents=True)
+    hidden = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+    hidden.mkdir(parents=True)
     try:
-        yield unfinished
-        unfinished.replace(path)
+        yield hidden
+        hidden.replace(path)
         sync(path.parent)
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
 def require_unused(path: Path) -> None:

@@ -8,7 +8,7 @@ meanwhile; without the gate or with too few cameras the session is held, and wha
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -44,7 +44,7 @@ INBOX_TRIGGERS = 8
 class TriggerLog(Protocol):
     """The part of the store that learns of triggers."""
 
-    async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None: ...
+    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None: ...
 
 
 class Acquisition:
@@ -232,8 +232,8 @@ class Acquisition:
             bundles = assembler.advance(now_ns)
         else:
             event = self.cameras.vet(event)
-            if isinstance(event, Trigger):
-                event = await self._recorded(event)
+            if isinstance(event, Trigger) and not assembler.has_adopted(event):
+                (event,) = await self._recorded([event])
             self.cameras.note(event)
             bundles = assembler.feed(event)
         await self._hand_over(bundles)
@@ -259,15 +259,18 @@ class Acquisition:
 
     async def _end_session(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
         self.is_at_work = False
+        self.trouble = None
         await self._hand_over(assembler.flush(DISARMED))
         log.info("disarmed triggers=%d", assembler.counters.triggers)
         if inbox.refused:
             log.error("events lost, the loop was too slow: %s", inbox.refused)
 
     async def _hand_over(self, bundles: list[FrameBundle]) -> None:
+        told = [bundle.trigger for bundle in bundles if not bundle.trigger.is_announced]
+        recorded = iter(await self._recorded(list(map(self._dated, told))) if told else [])
         for bundle in bundles:
             if not bundle.trigger.is_announced:
-                bundle = replace(bundle, trigger=await self._recorded(self._dated(bundle.trigger)))
+                bundle = replace(bundle, trigger=next(recorded))
                 level = logging.DEBUG if self.gate.state == "lost" else logging.WARNING
                 log.log(
                     level, "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
@@ -282,17 +285,21 @@ class Acquisition:
             trigger, utc=(datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
         )
 
-    async def _recorded(self, trigger: Trigger) -> Trigger:
-        """Make the trigger durable, under a name of its own: a gate may count anew at any time."""
+    async def _recorded(self, triggers: Sequence[Trigger]) -> list[Trigger]:
+        """Make triggers durable, at once: the gate may have counted thousands while it was away."""
+        named = {str(trigger.name): trigger for trigger in map(self._named, triggers)}
+        await self._triggers.record_triggers(self._session, named)
+        return list(named.values())
+
+    def _named(self, trigger: Trigger) -> Trigger:
+        """The trigger under a name of its own: a gate may count anew at any time."""
         self._last_trigger_s = time.monotonic()
         if trigger.kind is not BundleKind.BACKGROUND:
             self._last_stone_s = self._last_trigger_s
             if self._is_ball():
                 trigger = replace(trigger, kind=BundleKind.BALL)
-        name = trigger.name
-        if name is None:
-            self._n_named += 1
-            name = f"{self._n_named:08d}" if trigger.is_announced else f"{self._n_named:08d}-orphan"
-            trigger = replace(trigger, name=name)
-        await self._triggers.record_trigger(self._session, trigger, name)
-        return trigger
+        if trigger.name is not None:
+            return trigger
+        self._n_named += 1
+        suffix = "" if trigger.is_announced else "-orphan"
+        return replace(trigger, name=f"{self._n_named:08d}{suffix}")

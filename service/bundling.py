@@ -130,11 +130,16 @@ class BundleAssembler:
         self._open.clear()
         return bundles + self._unseen(self._missed.unseen())
 
+    def has_adopted(self, trigger: Trigger) -> bool:
+        """Whether the frames of a stone have a trigger already: the line that announces it is late, and ignored."""
+        return trigger.kind is not BundleKind.BACKGROUND and self._missed.has_adopted(trigger)
+
     def _announce(self, trigger: Trigger) -> None:
         """Expect the frames of a trigger, unless they are here already or another one's are on their way."""
-        is_here = self._missed.announced(trigger)
+        is_here = self.has_adopted(trigger)
+        self._missed.announced(trigger)
         self._last_sequence = trigger.sequence
-        if is_here and trigger.kind is BundleKind.PARTICLE:
+        if is_here:
             self._last_trigger = trigger
             self.counters.triggers_ignored += 1
             return

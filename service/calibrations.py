@@ -203,8 +203,11 @@ class Calibrations:
                 async with asyncio.timeout(IDLE_CHECK_S):
                     name = await self._to_solve.get()
             except TimeoutError:
-                await self._cancel_idle()
-                await self.verifications.cancel_idle()
+                try:
+                    await self._cancel_idle()
+                    await self.verifications.cancel_idle()
+                except OSError as err:
+                    log.error("what is idle cannot be cancelled: %s", err)
             else:
                 await self._solve(name)
 

@@ -26,18 +26,20 @@ class MissedTriggers:
         self._orphans_ns: list[int] = []  # that neither gap nor announcement has explained yet
         self._last_announced = 0
 
-    def announced(self, trigger: Trigger) -> bool:
-        """Note an announcement; whether its line was so late that its frames have been adopted.
+    def has_adopted(self, trigger: Trigger) -> bool:
+        """Whether the line of an announcement comes so late that its frames have been adopted."""
+        return any(
+            abs(orphan_ns - trigger.received_ns) <= self._tolerance_ns for orphan_ns in self._orphans_ns
+        )
 
-        If the gate missed nothing before it, earlier orphans were no stones of its.
-        """
+    def announced(self, trigger: Trigger) -> None:
+        """Note an announcement: if the gate missed nothing before it, earlier orphans were no stones of its."""
         is_next = trigger.sequence == self._last_announced + 1 and not self._gaps
         self._last_announced = trigger.sequence
         orphans_ns, at_ns = self._orphans_ns, trigger.received_ns
         earlier_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns < at_ns - self._tolerance_ns]
         later_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns > at_ns + self._tolerance_ns]
         self._orphans_ns = later_ns if is_next else earlier_ns + later_ns
-        return len(earlier_ns) + len(later_ns) < len(orphans_ns)
 
     def adopted(self, received_ns: int) -> None:
         """Note frames that got a trigger of their own, of this time."""

@@ -227,7 +227,7 @@ def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tu
 async def _measured_and_stored(state: Path, job: MeasureJob, bundle: FrameBundle) -> tuple[float, float]:
     with open_store(state) as store:
         session = await store.begin_session({})
-        await store.record_trigger(session, bundle.trigger, bundle.name)
+        await store.record_triggers(session, {bundle.name: bundle.trigger})
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
         record = measure(job)
         await store.finish(

@@ -233,7 +233,10 @@ class Processing:
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
                 if (collector := turn.given.collector) is not None and drop is not None:
                     outlines = folder / OUTLINES if drop.problem is None else None
-                    await collector.add(drop, record, outlines)
+                    try:
+                        await collector.add(drop, record, outlines)
+                    except OSError as err:  # the ball has its outcome; a calibration lacks it
+                        log.error("ball not kept for the calibration: %s bundle=%s", err, bundle.name)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
                 return seq
@@ -255,9 +258,12 @@ class Processing:
                 return await self._learn(bundle.content, given.background, folder)
             return await self._measure(bundle.content, given, folder)
         except JobLostError as err:
-            return Loss(reason=err.reason, detail=err.detail)
+            loss = Loss(reason=err.reason, detail=err.detail)
         except RecordingError as err:
-            return Loss(reason="unreadable", detail=err.problem)
+            loss = Loss(reason="unreadable", detail=err.problem)
+        # what a job had written by then would fill the tmpfs
+        await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
+        return loss
 
     async def _learn(self, path: Path, background: Path | None, out_path: Path) -> Learnt:
         job = LearnJob(

@@ -19,7 +19,7 @@ from typing import Protocol
 from drivers.bundle_file import Compression, read_bundle, read_header, write_bundle
 from drivers.errors import RecordingError
 from drivers.files import copy_past_cache, replacing, sync
-from pipeline.frames import CameraId
+from pipeline.frames import CameraId, FrameBundle
 from service.worker_process import WarmUp, worker_boundary
 from service.workers import JobLostError, WorkerPool
 
@@ -64,15 +64,15 @@ def _run_when_idle() -> None:
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def keep(job: KeepJob) -> None:
-    """Write the bundle, durably.
+def keep(job: KeepJob) -> str | None:
+    """Write the bundle, durably; why not, if the disk does not take it.
 
     Raises
     ------
     RecordingError
         Nothing of the bundle can be read.
     WorkerFailure
-        It cannot be written.
+        Anything else.
     """
     bundle = None
     if job.compression == "none":  # kept as it is: to look at pixels and checksums would take as long
@@ -80,18 +80,27 @@ def keep(job: KeepJob) -> None:
     else:
         bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
-        if not job.out_path.parent.exists():  # of a result without files of its own
-            job.out_path.parent.mkdir()
-            sync(job.out_path.parent.parent)
-        if bundle is not None:
-            with ThreadPoolExecutor(1, "compress", _run_when_idle) as thread:
-                writing = thread.submit(
-                    write_bundle, job.out_path, bundle, job.camera_ids, compression=job.compression
-                )
-                writing.result()
-        else:
-            with replacing(job.out_path) as unfinished:
-                copy_past_cache(job.bundle_path, unfinished)
+        try:
+            _write(job, bundle)
+        except OSError as err:
+            return str(err.strerror)
+    return None
+
+
+def _write(job: KeepJob, bundle: FrameBundle | None) -> None:
+    """Compressed, or, without the bundle, as it is."""
+    if not job.out_path.parent.exists():  # of a result without files of its own
+        job.out_path.parent.mkdir()
+        sync(job.out_path.parent.parent)
+    if bundle is not None:
+        with ThreadPoolExecutor(1, "compress", _run_when_idle) as thread:
+            writing = thread.submit(
+                write_bundle, job.out_path, bundle, job.camera_ids, compression=job.compression
+            )
+            writing.result()
+    else:
+        with replacing(job.out_path) as unfinished:
+            copy_past_cache(job.bundle_path, unfinished)
 
 
 class RawArchive:
@@ -113,6 +122,7 @@ class RawArchive:
         self._waiting: asyncio.Queue[tuple[Path, int] | None] = asyncio.Queue()
         self.left_out = 0
         """Results whose frames were not kept."""
+        self._last_reason = ""
         self._last_left_out_s = -RECENT_S
         self._taken_s: deque[float] = deque(maxlen=RUSH)
 
@@ -121,9 +131,7 @@ class RawArchive:
         """That frames were not kept within the last minute."""
         if time.monotonic() - self._last_left_out_s > RECENT_S:
             return None
-        return (
-            f"frames of {self.left_out} stones were not kept so far: they come faster than frames are written"
-        )
+        return f"frames of {self.left_out} stones were not kept so far: {self._last_reason}"
 
     def take(self, path: Path, seq: int) -> bool:
         """Take over the file of the bundle of a result, unless too many are waiting."""
@@ -131,7 +139,7 @@ class RawArchive:
             self._waiting.put_nowait((path, seq))
             self._taken_s.append(time.monotonic())
             return True
-        self._leave_out(seq, "too many are waiting")
+        self._leave_out(seq, "they come faster than frames are written")
         return False
 
     def finish(self) -> None:
@@ -148,8 +156,10 @@ class RawArchive:
                     await pool.start()
                 try:
                     job = KeepJob(path, self._camera_ids, self._folder.raw_path(seq), self._compression())
-                    await pool.run(keep, job)
-                    await self._folder.drop_old_raw(seq)
+                    if (refusal := await pool.run(keep, job)) is None:
+                        await self._folder.drop_old_raw(seq)
+                    else:
+                        self._leave_out(seq, refusal)
                 except (JobLostError, RecordingError) as err:
                     self._leave_out(seq, str(err))
                 await self._on_done(path)
@@ -163,5 +173,6 @@ class RawArchive:
     def _leave_out(self, seq: int, reason: str) -> None:
         level = logging.DEBUG if self.trouble else logging.WARNING
         self.left_out += 1
+        self._last_reason = reason
         self._last_left_out_s = time.monotonic()
         log.log(level, "frames not kept: %s seq=%d", reason, seq)

@@ -10,6 +10,7 @@ A lost bundle keeps its place in the order, without a file.
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,8 +92,13 @@ class Spool:
 
     async def write(self) -> None:
         """Write what is offered, one after the other, off the loop; returns after `finish`."""
-        while (item := await self._offered.get()) is not None:
-            self._ready.put_nowait(await self._spooled(item) if isinstance(item, FrameBundle) else item)
+        with ThreadPoolExecutor(
+            1, thread_name_prefix="spool"
+        ) as thread:  # of its own: no stone waits for clients
+            while (item := await self._offered.get()) is not None:
+                self._ready.put_nowait(
+                    await self._spooled(item, thread) if isinstance(item, FrameBundle) else item
+                )
         self._ready.put_nowait(None)
 
     async def take(self) -> SpooledBundle | None:
@@ -119,10 +125,12 @@ class Spool:
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
         self._offered.put_nowait(SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss))
 
-    async def _spooled(self, bundle: FrameBundle) -> SpooledBundle:
+    async def _spooled(self, bundle: FrameBundle, thread: ThreadPoolExecutor) -> SpooledBundle:
         path = self._file()
         try:
-            await asyncio.to_thread(overwrite_bundle, path, bundle, self._camera_ids)
+            await asyncio.get_running_loop().run_in_executor(
+                thread, overwrite_bundle, path, bundle, self._camera_ids
+            )
         except OSError as err:  # a full tmpfs is a full queue
             await asyncio.to_thread(path.unlink, missing_ok=True)
             log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)

@@ -32,6 +32,9 @@ HOLE_PX = 400
 """Holes up to this area are glints on the body, larger ones are seen through."""
 N_ROUNDS = 4
 """How often what is unknown may grow beside an edge that is not the body's."""
+NOISE_ROWS, NOISE_TURNS = 16, 64
+"""More turns than so many between body and background in a row, of every so many looked at, are no body, but a broken
+sensor: to follow 100 000 contours takes seconds."""
 BESIDE_GAP = 3
 """So many points beside an edge that was not seen are not either."""
 
@@ -77,7 +80,7 @@ def delineate(
     """
     view = GreyLevels(image=image, expected=expected, gain=np.float32(gain), limits=limits)
     labels, levels, is_inside = decided(view, min_contrast)
-    if not is_inside:
+    if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
     for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
         body, contours = _largest_with_holes_filled(labels, hole_px)
@@ -144,6 +147,11 @@ def no_body(frame: Frame, status: ViewStatus, found_by: str = "background") -> S
     )
 
 
+def _is_noise(labels: Grey) -> bool:
+    rows = labels[::NOISE_ROWS]
+    return bool(np.count_nonzero(rows[:, 1:] != rows[:, :-1]) > NOISE_TURNS * len(rows))
+
+
 def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contours]:
     """The component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
@@ -166,13 +174,13 @@ def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contou
     kept = [contours[largest]]
     for other in outer:
         if other != largest:
-            cv2.drawContours(body, contours, other, int(OUTSIDE), cv2.FILLED)
+            cv2.drawContours(body, [contours[other]], 0, int(OUTSIDE), cv2.FILLED)
     hole = int(hierarchy[0][largest][2])
     while hole >= 0:
         if cv2.contourArea(contours[hole]) > hole_px:
             kept.append(contours[hole])
         else:
-            cv2.drawContours(body, contours, hole, int(INSIDE), cv2.FILLED)
+            cv2.drawContours(body, [contours[hole]], 0, int(INSIDE), cv2.FILLED)
         hole = int(hierarchy[0][hole][0])
     if body is not labels:
         cv2.copyTo(body, is_known, labels)

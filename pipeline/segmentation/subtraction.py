@@ -108,7 +108,7 @@ class BackgroundSegmenter:
             differs = marks[v : v + height, u : u + width] & DIFFERS
             if len(contours) > 1:
                 part = np.zeros((height, width), np.uint8)
-                cv2.drawContours(part, contours, number, 1, cv2.FILLED, offset=(-u, -v))
+                cv2.drawContours(part, [contours[number]], 0, 1, cv2.FILLED, offset=(-u, -v))
                 differs &= part
             n_px = COARSE**2 * cv2.countNonZero(differs)
             if n_px > largest_px:

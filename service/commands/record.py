@@ -7,6 +7,7 @@ import asyncio
 import fcntl
 import json
 import signal
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -67,7 +68,7 @@ def command(
 class _Unaccounted:
     """In the place of the store: nothing is promised about these triggers."""
 
-    async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None:
+    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
         pass
 
 

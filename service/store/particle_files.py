@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from drivers.files import sync
+from drivers.files import sync, unfinished
 
 RAW = "bundle.tiff"
 
@@ -25,12 +25,11 @@ def raw_frames(particles_dir: Path, instance_id: str, seq: int) -> Path:
     return particles_dir / particle_id(instance_id, seq) / RAW
 
 
-def drop_raw_before(particles_dir: Path, instance_id: str, seq: int) -> None:
-    """Remove the frames of all results older than `seq`."""
-    oldest = particle_id(instance_id, seq)
-    for path in particles_dir.glob(f"{instance_id[:8]}-*/{RAW}"):
-        if path.parent.name < oldest:
-            path.unlink()
+def drop_raw(particles_dir: Path, instance_id: str, seq: int) -> None:
+    """Remove the frames of a result, and what a daemon left that was killed while it wrote them."""
+    path = raw_frames(particles_dir, instance_id, seq)
+    for each in (path, unfinished(path)):
+        each.unlink(missing_ok=True)
 
 
 def keep_files(folder: Path, files: Mapping[str, Path]) -> None:

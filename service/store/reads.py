@@ -67,7 +67,9 @@ def particles(
     }
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
-        f"SELECT record FROM results WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?",  # noqa: S608 - keys of the table above
+        "SELECT record FROM results WHERE seq IN ("  # noqa: S608 - conditions are keys of the table above
+        f"SELECT seq FROM listed WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?"
+        ") ORDER BY seq DESC",
         (*given.values(), limit),
     ).fetchall()
     return [json.loads(record) for (record,) in rows]
@@ -78,19 +80,20 @@ def accounting(connection: sqlite3.Connection, session: int | None) -> Accountin
 
     Triggers are counted where they were recorded and outcomes where they are served: the balance is a check.
     """
+    condition, given = ("TRUE", ()) if session is None else ("session = ?", (session,))
     states = dict(
         connection.execute(
-            "SELECT state, count(*) FROM triggers WHERE session = coalesce(?, session) GROUP BY state",
-            (session,),
+            f"SELECT state, count(*) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
+            given,
         ).fetchall()
     )
     outcomes: dict[str, int] = {}
     reasons: dict[str, int] = {}
     qualities: dict[str, int] = {}
     for outcome, reason, quality, count in connection.execute(
-        "SELECT outcome, reason, quality, count(*) FROM results WHERE session = coalesce(?, session)"
+        f"SELECT outcome, reason, quality, count(*) FROM listed WHERE {condition}"  # noqa: S608 - as above
         " GROUP BY outcome, reason, quality",
-        (session,),
+        given,
     ):
         outcomes[outcome] = outcomes.get(outcome, 0) + count
         if outcome == "measured":

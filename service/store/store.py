@@ -18,7 +18,7 @@ from pipeline.frames import Trigger
 from service.errors import StoreError
 from service.ledger import Accounting
 from service.store import reads, writes
-from service.store.particle_files import drop_raw_before, raw_frames
+from service.store.particle_files import drop_raw, raw_frames
 from service.store.schema import connect_reader, connect_writer
 
 P = ParamSpec("P")
@@ -27,6 +27,10 @@ T = TypeVar("T")
 
 KEEP_RAW = 200
 """Raw frames take about 9 MB a result."""
+NOTE_EVERY = 100
+"""After so many results it is noted how far raw frames were removed."""
+READERS = 2
+"""Queries at a time: nothing that measures waits for those of a hundred clients."""
 
 
 def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
@@ -79,12 +83,13 @@ class Store:
         self._session: int | None = None
         self._committed = asyncio.Event()  # replaced at each commit
         self._released = False
+        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
         with connect_reader(self._path) as reader:
-            row = reader.execute("SELECT instance_id, last_seq FROM store").fetchone()
+            row = reader.execute("SELECT instance_id, last_seq, first_raw FROM store").fetchone()
         self._instance_id: str = row[0]
         self._last_seq: int = row[1]
+        self._first_raw: int = row[2]  # results before have no raw frames
         self._keep_raw = keep_raw
-        self._first_raw: int | None = None  # results before have no raw frames; None: not looked at yet
 
     def __enter__(self) -> Self:
         return self
@@ -96,6 +101,7 @@ class Store:
 
     def close(self) -> None:
         """Let the writer finish what it was given, then close the database."""
+        self._readers.shutdown(cancel_futures=True)
         self._writer.submit(self._connection.close)
         self._writer.shutdown()
         self._lock.close()
@@ -127,9 +133,9 @@ class Store:
         """The session goes on with another calibration."""
         await self._write(writes.note_calibration, session, calibration_id)
 
-    async def record_trigger(self, session: int, trigger: Trigger, bundle: str) -> None:
-        """Make it known, durably, that `trigger` happened; `bundle` is unique within the session."""
-        await self._write(writes.record_trigger, session, trigger, bundle)
+    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
+        """Make it known, durably, that they happened, each for a bundle of this name, unique within the session."""
+        await self._write(writes.record_triggers, session, triggers)
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
@@ -148,7 +154,7 @@ class Store:
     async def drop_old_raw(self, seq: int) -> None:
         """Remove the frames of a result that is not one of the newest `keep_raw` any more."""
         if seq <= self._last_seq - self._keep_raw:
-            await asyncio.to_thread(self.raw_path(seq).unlink, missing_ok=True)
+            await asyncio.to_thread(drop_raw, self.particles_dir, self._instance_id, seq)
 
     async def lose_open(self, reason: str, detail: str) -> int:
         """End as `lost` every trigger that an earlier session left open, all at once; how many they were."""
@@ -203,13 +209,12 @@ class Store:
         return await asyncio.shield(written)
 
     def _drop_old_raw(self) -> None:
-        first = max(1, self._last_seq - self._keep_raw + 1)
-        if self._first_raw is None:  # more may have been kept so far
-            drop_raw_before(self.particles_dir, self._instance_id, first)
-        else:
-            for seq in range(self._first_raw, first):
-                raw_frames(self.particles_dir, self._instance_id, seq).unlink(missing_ok=True)
-        self._first_raw = first
+        before, first = self._first_raw, self._last_seq - self._keep_raw + 1
+        for seq in range(before, first):
+            drop_raw(self.particles_dir, self._instance_id, seq)
+        self._first_raw = max(before, first)
+        if self._first_raw // NOTE_EVERY > before // NOTE_EVERY:
+            writes.note_first_raw(self._connection, self._first_raw)
 
     async def _read(
         self, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
@@ -221,4 +226,4 @@ class Store:
             except sqlite3.Error as err:
                 raise StoreError(f"{self._path}: {err}") from err
 
-        return await asyncio.to_thread(job)
+        return await asyncio.get_running_loop().run_in_executor(self._readers, job)

@@ -36,13 +36,27 @@ def note_calibration(connection: sqlite3.Connection, session: int, calibration_i
         )
 
 
-def record_trigger(connection: sqlite3.Connection, session: int, trigger: Trigger, bundle: str) -> None:
-    state = "background" if trigger.kind is BundleKind.BACKGROUND else "open"
+def note_first_raw(connection: sqlite3.Connection, seq: int) -> None:
     with transaction(connection):
-        connection.execute(
+        connection.execute("UPDATE store SET first_raw = ?", (seq,))
+
+
+def record_triggers(connection: sqlite3.Connection, session: int, triggers: Mapping[str, Trigger]) -> None:
+    with transaction(connection):
+        connection.executemany(
             "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state)"
             " VALUES (?, ?, ?, ?, ?, ?)",
-            (session, bundle, trigger.sequence, trigger.kind, rfc3339_ms(trigger.utc), state),
+            [
+                (
+                    session,
+                    bundle,
+                    trigger.sequence,
+                    trigger.kind,
+                    rfc3339_ms(trigger.utc),
+                    "background" if trigger.kind is BundleKind.BACKGROUND else "open",
+                )
+                for bundle, trigger in triggers.items()
+            ],
         )
 
 

@@ -89,7 +89,7 @@ async def test_accounting(client: httpx.AsyncClient, store: Store, session: int)
     await add(store, session, 1, measured())
     await add(store, session, 2, rejected("clipped"))
     latest = await store.begin_session({})
-    await store.record_trigger(latest, trigger(3), "open")
+    await store.record_triggers(latest, {"open": trigger(3)})
     assert (await client.get("/accounting")).json() == {
         "session": None,
         "triggers": 3,

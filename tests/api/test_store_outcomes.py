@@ -2,6 +2,7 @@
 
 import asyncio
 import sqlite3
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from pipeline.frames import BundleKind
 from service.api.schemas import Result
 from service.errors import StoreError
 from service.record import ALGORITHM_VERSION
-from service.store import Store, open_store, rfc3339_ms
+from service.store import ParticleFilter, Store, open_store, rfc3339_ms
+from service.store.store import NOTE_EVERY
 
 
 async def seqs(store: Store) -> list[int]:
@@ -25,7 +27,7 @@ async def test_concurrent_finishes_are_numbered_without_gaps(store: Store, sessi
 
 
 async def test_a_second_outcome_is_refused(store: Store, session: int, tmp_path: Path) -> None:
-    await store.record_trigger(session, trigger(1), "a")
+    await store.record_triggers(session, {"a": trigger(1)})
     first, second = await asyncio.gather(
         store.finish(session, "a", measured(volume_mm3=1.5)),
         store.finish(session, "a", rejected("empty"), particle_files(tmp_path / "out")),
@@ -82,7 +84,7 @@ async def test_only_the_newest_raw_frames_are_kept(state_dir: Path, tmp_path: Pa
         for sequence in range(6):
             await add_raw(store, old, sequence, tmp_path)
         assert seqs_with_raw(state_dir) == [3, 4, 5, 6]
-        await store.record_trigger(old, trigger(6), "open")
+        await store.record_triggers(old, {"open": trigger(6)})
     with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
         new = await store.begin_session({})
         assert seqs_with_raw(state_dir) == [5, 6]
@@ -95,6 +97,58 @@ async def test_only_the_newest_raw_frames_are_kept(state_dir: Path, tmp_path: Pa
         session = await store.begin_session({})
         await add_raw(store, session, 9, tmp_path)
         assert seqs_with_raw(state_dir) == []
+
+
+async def test_a_start_does_not_look_for_what_was_removed(state_dir: Path, tmp_path: Path) -> None:
+    n = NOTE_EVERY + 20
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
+        session = await store.begin_session({})
+        for sequence in range(n):
+            await add_raw(store, session, sequence, tmp_path)
+        newest = store.raw_path(n)
+        unfinished = newest.with_name("bundle.tiff.tmp")  # of a daemon that was killed
+        await asyncio.to_thread(unfinished.touch)
+        again = store.raw_path(1)
+        await asyncio.to_thread(again.touch)
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
+        session = await store.begin_session({})
+        assert seqs_with_raw(state_dir) == [1, n - 1, n]
+        for sequence in range(2):
+            await add_raw(store, session, sequence, tmp_path)
+        assert seqs_with_raw(state_dir) == [1, n + 1, n + 2]
+        assert not unfinished.exists()
+
+
+async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        await add(store, session, 1, measured(sieve_size_mm=12.0))
+        await add(store, session, 2, rejected("empty"))
+    database = sqlite3.connect(state_dir / "results.sqlite")
+    database.executescript(
+        """DROP TRIGGER list_result; DROP TRIGGER unlist_result; DROP TABLE listed;
+        ALTER TABLE store DROP COLUMN first_raw;
+        CREATE INDEX results_by_outcome ON results (session, outcome, reason, quality);
+        CREATE INDEX results_by_time ON results (captured_at);
+        PRAGMA user_version = 1"""
+    )
+    database.close()
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        await add(store, session, 3, measured(sieve_size_mm=30.0))
+        large = await store.particles(ParticleFilter(min_sieve_size_mm=10.0), None, 10)
+        assert [record["seq"] for record in large] == [3, 1]
+        counts = await store.accounting()
+        assert (counts.triggers, counts.measured, counts.by_reason) == (3, 2, {"empty": 1})
+
+
+async def test_readers_have_threads_of_their_own(store: Store, session: int) -> None:
+    answered = threading.Event()
+    others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
+    async with asyncio.timeout(10):
+        assert (await store.accounting()).triggers == 0
+    answered.set()
+    await asyncio.gather(*others)
 
 
 def test_the_folder_of_the_particles_is_durable_from_the_beginning(
@@ -117,7 +171,7 @@ async def test_what_a_crash_left_under_the_next_number_is_removed(
 
 
 async def test_a_cancelled_caller_loses_no_outcome_and_wakes_readers(store: Store, session: int) -> None:
-    await store.record_trigger(session, trigger(1), "a")
+    await store.record_triggers(session, {"a": trigger(1)})
     waiting = asyncio.create_task(store.wait_beyond(0))
     finishing = asyncio.create_task(store.finish(session, "a", measured()))
     await asyncio.sleep(0)
@@ -141,11 +195,11 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
         old = await store.begin_session({"calibration_id": "0123", "is_simulated": True})
         await add(store, old, 1, measured())
         for sequence in (2, 3):
-            await store.record_trigger(old, trigger(sequence), f"{sequence}")
+            await store.record_triggers(old, {f"{sequence}": trigger(sequence)})
         instance_id = store.instance_id
     with await asyncio.to_thread(open_store, state_dir) as store:
         new = await store.begin_session({})
-        await store.record_trigger(new, trigger(1), "1")  # has its life before it
+        await store.record_triggers(new, {"1": trigger(1)})  # has its life before it
         assert await store.lose_open("worker_crash", "the daemon was killed") == 2
         assert await store.lose_open("worker_crash", "") == 0
         assert store.instance_id == instance_id
@@ -165,8 +219,8 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
 
 
 async def test_accounting_adds_up_and_counts_backgrounds_apart(store: Store, session: int) -> None:
-    await store.record_trigger(session, trigger(1, BundleKind.BACKGROUND), "empty rig")
-    await store.record_trigger(session, trigger(2, BundleKind.BALL), "ball")
+    await store.record_triggers(session, {"empty rig": trigger(1, BundleKind.BACKGROUND)})
+    await store.record_triggers(session, {"ball": trigger(2, BundleKind.BALL)})
     await add(store, session, 3, measured())
     await add(store, session, 4, measured(quality="reduced"))
     await add(store, session, 5, rejected("clipped"))
@@ -188,12 +242,12 @@ async def test_accounting_adds_up_and_counts_backgrounds_apart(store: Store, ses
 async def test_misuse_is_refused_by_name(store: Store, session: int) -> None:
     with pytest.raises(StoreError, match="bundle x: no such trigger"):
         await store.finish(session, "x", measured())
-    await store.record_trigger(session, trigger(1, BundleKind.BACKGROUND), "b")
+    await store.record_triggers(session, {"b": trigger(1, BundleKind.BACKGROUND)})
     with pytest.raises(StoreError, match="background has no outcome"):
         await store.finish(session, "b", measured())
     with pytest.raises(StoreError, match="UNIQUE"):
-        await store.record_trigger(session, trigger(2), "b")
-    await store.record_trigger(session, trigger(3), "c")
+        await store.record_triggers(session, {"b": trigger(2)})
+    await store.record_triggers(session, {"c": trigger(3)})
     with pytest.raises(StoreError, match="CHECK"):
         await store.finish(session, "c", measured(outcome="guessed"))
     with pytest.raises(ValueError, match="JSON"):

@@ -108,7 +108,7 @@ async def add(
     files: Mapping[str, Path] | None = None,
 ) -> int:
     """One stone from the trigger to the outcome."""
-    await store.record_trigger(session, trigger(sequence), f"{sequence:08d}")
+    await store.record_triggers(session, {f"{sequence:08d}": trigger(sequence)})
     return await store.finish(session, f"{sequence:08d}", record, files)
 
 

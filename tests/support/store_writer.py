@@ -17,7 +17,7 @@ async def write(state_dir: Path) -> None:
         for n in count():
             mesh = state_dir / "mesh.ply"
             mesh.write_bytes(b"mesh %d" % n)
-            await store.record_trigger(session, trigger(0), f"open {n}")
+            await store.record_triggers(session, {f"open {n}": trigger(0)})
             seq = await add(store, session, n % 1000, measured(n=n), {"mesh.ply": mesh})
             sys.stdout.write(f"{seq} {n}\n")
             sys.stdout.flush()

@@ -125,6 +125,24 @@ def test_a_body_cut_by_the_border_is_told() -> None:
         assert silhouette.status is (ViewStatus.CLIPPED if is_cut else ViewStatus.OK), camera
 
 
+def test_noise_is_no_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a broken sensor; to follow the contours of one such view took a minute, and every stone its deadline."""
+    contours: list[int] = []
+    find = cv2.findContours
+
+    def counting(labels: NDArray[np.uint8], *how: int) -> tuple[tuple[NDArray[np.int32], ...], object]:
+        found, hierarchy = find(labels, *how)
+        contours.append(len(found))
+        return found, hierarchy
+
+    monkeypatch.setattr(cv2, "findContours", counting)
+    frame = rendered.sphere_bundle().frames[CameraId("c02")]
+    image = np.random.default_rng(1).integers(0, 256, frame.image.shape, np.uint8)
+    assert SEGMENTER(replace(frame, image=image), rendered.background()).status is ViewStatus.EMPTY
+    assert contours
+    assert max(contours) < 1000
+
+
 def test_a_camera_without_background_is_told() -> None:
     frame = rendered.sphere_bundle().frames[CameraId("c02")]
     assert SEGMENTER(frame, {}).status is ViewStatus.NO_BACKGROUND

@@ -242,6 +242,40 @@ async def test_failures_cost_their_own_bundle_alone(tmp_path: Path):
     assert bench.store.records[2]["background"] is None
 
 
+async def test_what_failed_leaves_nothing_in_memory(tmp_path: Path):
+    class Unfinished(ScriptedPool):
+        async def run(self, function: Callable[[Any], Any], job: Any) -> Any:
+            folder = job.out_path if isinstance(job, LearnJob) else job.out_dir
+            folder.mkdir()
+            (folder / "half").touch()
+            raise JobLostError("worker_crash", "No space left on device")
+
+    bundles = [turn("e", kind=BundleKind.BACKGROUND), turn("a")]
+    bench = Bench(tmp_path, bundles, Unfinished())
+    await bench.processing.run()
+    assert bench.outcomes == [("a", "worker_crash")]
+    assert list_names(tmp_path) == []
+
+
+async def test_a_full_disk_costs_a_calibration_its_ball_and_not_the_daemon(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    class FullDesk(Desk):
+        @property
+        def collector(self) -> DropCollector | None:
+            async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+                raise OSError(28, "No space left on device")
+
+            return DropCollector(kind=BundleKind.BALL, diameters_mm=(10.0,), add=add)
+
+    bundles = [turn(name, kind=BundleKind.BALL) for name in ("a", "b")]
+    bench = Bench(tmp_path, bundles, ScriptedPool(), FullDesk())
+    await bench.processing.run()
+    assert bench.outcomes == [("a", None), ("b", None)]
+    assert "ball not kept for the calibration: [Errno 28] No space left on device bundle=b" in caplog.text
+    assert list_names(tmp_path) == []
+
+
 async def test_only_known_files_reach_the_store(tmp_path: Path):
     bench = Bench(tmp_path, [turn("a")], ScriptedPool())
     await bench.processing.run()

@@ -1,4 +1,5 @@
 import asyncio
+import multiprocessing
 import os
 from pathlib import Path
 
@@ -97,6 +98,25 @@ def test_only_to_compress_it_waits_for_an_idle_core(
     assert_same_bundle(read_bundle(tmp_path / "1" / "bundle.tiff", CAMERAS), make_bundle(1))
 
 
+async def test_a_disk_that_refuses_is_told_and_costs_no_process(tmp_path: Path):
+    folder = Folder(tmp_path / "a file")
+    folder.path.touch()
+    files = [tmp_path / f"spool-{seq}.tiff" for seq in (1, 2)]
+    pids: set[int] = set()
+
+    async def on_done(path: Path) -> None:
+        pids.update(child.pid or 0 for child in multiprocessing.active_children())
+
+    archive = RawArchive(folder, CAMERAS, on_done, max_waiting=3)
+    for seq, path in enumerate(files, start=1):
+        await asyncio.to_thread(overwrite_bundle, path, make_bundle(seq), CAMERAS)
+        assert archive.take(path, seq)
+    archive.finish()
+    await archive.run()
+    assert archive.trouble == "frames of 2 stones were not kept so far: Not a directory"
+    assert len(pids) == 1
+
+
 def compression(path: Path) -> str:
     with tifffile.TiffFile(path) as tiff:
         return tifffile.COMPRESSION(tiff.pages.first.compression).name
@@ -113,4 +133,4 @@ def test_what_comes_too_fast_is_left_out_and_told(tmp_path: Path, caplog: pytest
     assert not archive.take(tmp_path / "10", 10)
     assert archive.trouble is not None
     assert archive.trouble.startswith("frames of 2 stones were not kept")
-    assert caplog.text.count("frames not kept: too many are waiting seq=9") == 1
+    assert caplog.text.count("frames not kept: they come faster than frames are written seq=9") == 1

@@ -1,4 +1,5 @@
 import asyncio
+import threading
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -84,6 +85,17 @@ async def test_lost_exposures_of_the_empty_rig_are_no_lost_stones(tmp_path: Path
     assert (spool.held, spool.overflows) == (1, 0)
     spool.offer(bundle_of(3))
     assert spool.overflows == 1
+
+
+async def test_no_stone_waits_for_what_others_have_done_in_threads(tmp_path: Path):
+    answered = threading.Event()
+    others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
+    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    async with writing(spool):
+        spool.offer(bundle_of(1))
+        assert await asyncio.wait_for(spool.take(), 10) is not None
+    answered.set()
+    await asyncio.gather(*others)
 
 
 async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path):
