@@ -66,10 +66,10 @@ def rig_from_document(document: Any) -> RigCalibration:
 
 def _created_at(value: Any) -> str:
     try:
-        if value != "" and datetime.fromisoformat(value).tzinfo is None:
-            raise ValueError
+        if value != "":
+            datetime.fromisoformat(value)
     except (TypeError, ValueError) as err:
-        raise RigError("created_at", f"must be a time with its offset from UTC, not {value!r}") from err
+        raise RigError("created_at", f"must be a time as of RFC 3339, not {value!r}") from err
     return str(value)
 
 

@@ -92,9 +92,8 @@ class Spool:
 
     async def write(self) -> None:
         """Write what is offered, one after the other, off the loop; returns after `finish`."""
-        with ThreadPoolExecutor(
-            1, thread_name_prefix="spool"
-        ) as thread:  # of its own: no stone waits for clients
+        # a thread of its own: no stone waits for what clients ask for
+        with ThreadPoolExecutor(1, thread_name_prefix="spool") as thread:
             while (item := await self._offered.get()) is not None:
                 self._ready.put_nowait(
                     await self._spooled(item, thread) if isinstance(item, FrameBundle) else item

@@ -127,7 +127,6 @@ CAMERA = ("cameras", 2)
         (edited("method", value="magic"), "method"),
         (edited("name", value=None), "name"),
         (edited("created_at", value="yesterday"), "created_at"),
-        (edited("created_at", value="2026-11-22T20:00:00"), "created_at"),
         (edited("created_at", value=17), "created_at"),
         (edited("ball_diameter_mm", value=-3), "ball_diameter_mm"),
         (edited("cameras", value=[]), "cameras"),
