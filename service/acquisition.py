@@ -266,8 +266,8 @@ class Acquisition:
             log.error("events lost, the loop was too slow: %s", inbox.refused)
 
     async def _hand_over(self, bundles: list[FrameBundle]) -> None:
-        told = [bundle.trigger for bundle in bundles if not bundle.trigger.is_announced]
-        recorded = iter(await self._recorded(list(map(self._dated, told))) if told else [])
+        unannounced = [bundle.trigger for bundle in bundles if not bundle.trigger.is_announced]
+        recorded = iter(await self._recorded([self._dated(trigger) for trigger in unannounced]))
         for bundle in bundles:
             if not bundle.trigger.is_announced:
                 bundle = replace(bundle, trigger=next(recorded))
@@ -288,7 +288,8 @@ class Acquisition:
     async def _recorded(self, triggers: Sequence[Trigger]) -> list[Trigger]:
         """Make triggers durable, at once: the gate may have counted thousands while it was away."""
         named = {str(trigger.name): trigger for trigger in map(self._named, triggers)}
-        await self._triggers.record_triggers(self._session, named)
+        if named:
+            await self._triggers.record_triggers(self._session, named)
         return list(named.values())
 
     def _named(self, trigger: Trigger) -> Trigger:

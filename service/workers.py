@@ -146,6 +146,7 @@ class WorkerPool:
                     log.warning("a worker keeps its compiler's memory: %s", err)
 
     async def _calm(self, calm_s: float) -> None:
+        """Return when there was no job for so long."""
         n_before = -1
         while n_before != self._n_jobs or self._idle.qsize() < self.size:
             n_before = self._n_jobs

@@ -148,6 +148,7 @@ def no_body(frame: Frame, status: ViewStatus, found_by: str = "background") -> S
 
 
 def _is_noise(labels: Grey) -> bool:
+    """Whether labels (h, w) turn too often for a body."""
     rows = labels[::NOISE_ROWS]
     return bool(np.count_nonzero(rows[:, 1:] != rows[:, :-1]) > NOISE_TURNS * len(rows))
 

@@ -133,7 +133,7 @@ async def _of_validation(request: Request, error: Exception) -> JSONResponse:
 
 
 def _place(location: Sequence[str | int]) -> Sequence[str | int]:
-    """Where it is wrong; of a parameter without the kind of value, of several, that it is not."""
+    """Where the value is; pydantic adds which of several types a parameter is not."""
     return location if location[0] == "body" else location[:2]
 
 

@@ -119,11 +119,8 @@ def command(
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
         segmentation=_plan(segmentation, segmenter, model),
     )
-    if (
-        out.is_dir()
-        and not (out / RESULTS).exists()
-        and (taken := [n for n in FOLDERS if (out / n).exists()])
-    ):
+    taken = [name for name in FOLDERS if (out / name).exists()]
+    if taken and not (out / RESULTS).exists():
         raise UsageError(f"{out} has {taken[0]}/ but no {RESULTS}: it is no folder of results")
     out.mkdir(parents=True, exist_ok=True)
     rig_file = RigFile(rig_path, calibration.calibration_id)

@@ -1,30 +1,24 @@
 import asyncio
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
 
 from drivers.errors import GateUnavailableError
-from drivers.factory import Devices, ReplayBackend, build_devices
+from drivers.factory import ReplayBackend, build_devices
 from drivers.faults import Fault, FaultPlan
 from drivers.gates.faulty import FaultyGate
-from drivers.interfaces import CameraLost, CameraVitals, EventSink, LightGate, TriggersLost
+from drivers.interfaces import CameraLost, LightGate
 from drivers.recording import RecordingWriter
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from pipeline.frames import Frame, FrameBundle, Trigger
 from service import keeper
-from service.acquisition import Acquisition
 from service.bundle_counters import BundlingCounters, CameraCounters
-from service.bundling_parameters import BundlingParameters
 from service.control import AcquisitionState, AcquisitionTarget, ConflictError
 from service.rig_cameras import RigCameras
 
-CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 N_BUNDLES = 6
-DELAY_NS = 259_400_000
-UTC = "2026-11-21T04:00:00Z"
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +44,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class Bench:
-    """An acquisition on a replayed recording, with everything it tells written down in order."""
+class Bench(AcquisitionBench):
+    """An acquisition on a replayed recording."""
 
     def __init__(
         self,
@@ -61,39 +55,10 @@ class Bench:
         gate_faults: FaultPlan | None = None,
         min_cameras: int = 2,
     ) -> None:
-        self.devices = build_devices(ReplayBackend(recording=recording, pace="stepped", faults=faults))
+        devices = build_devices(ReplayBackend(recording=recording, pace="stepped", faults=faults))
         if gate_faults is not None:  # here and not above: a swallowed trigger shall keep its permit
-            self.devices = replace(self.devices, gate=FaultyGate(self.devices.gate, gate_faults))
-        self.told: list[tuple[str, str]] = []
-        self.bundles: list[FrameBundle] = []
-        self.states: list[AcquisitionState] = []
-        self.changed = asyncio.Condition()
-        self.min_cameras = min_cameras
-        self.make_acquisition()
-
-    def make_acquisition(self) -> None:
-        self.acquisition = Acquisition(
-            self.devices,
-            session=1,
-            triggers=self,
-            bundling=BundlingParameters(),
-            min_cameras=self.min_cameras,
-            on_bundle=self.on_bundle,
-            on_progress=self.on_progress,
-        )
-
-    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
-        await asyncio.sleep(0)
-        for bundle, trigger in triggers.items():
-            assert trigger.name == bundle
-            self.told.append(("trigger", bundle))
-
-    def on_bundle(self, bundle: FrameBundle) -> None:
-        self.told.append(("bundle", bundle.name))
-        self.bundles.append(bundle)
-
-    def on_progress(self) -> None:
-        self.states.append(self.acquisition.state)
+            devices = replace(devices, gate=FaultyGate(devices.gate, gate_faults))
+        super().__init__(devices, min_cameras=min_cameras)
 
     async def step(self, n_bundles: int = 1) -> None:
         """Let so many more stones fall and wait for their bundles."""
@@ -102,26 +67,8 @@ class Bench:
         self.devices.belt.permit(n_bundles)
         await self.until(lambda: len(self.bundles) >= wanted)
 
-    async def until(self, condition) -> None:
-        async with asyncio.timeout(10):
-            while not condition():  # noqa: ASYNC110 - what is waited for happens in many places
-                await asyncio.sleep(0.005)
-
     def state_of(self, camera: str) -> str:
         return next(status.state for status in self.acquisition.cameras.statuses() if status.id == camera)
-
-
-@asynccontextmanager
-async def armed(bench: Bench) -> AsyncIterator[Acquisition]:
-    """Runs the acquisition, and stops it in order."""
-    acquisition = bench.acquisition
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(acquisition.run())
-        assert acquisition.request(AcquisitionTarget.ARMED) is AcquisitionState.ARMING
-        await acquisition.settled.wait()
-        yield acquisition
-        acquisition.stop()
-        await running
 
 
 async def test_every_trigger_is_recorded_before_its_bundle_until_the_recording_is_through(recording: Path):
@@ -186,128 +133,6 @@ async def test_it_is_at_work_as_long_as_a_device_may_keep_it(recording: Path):
         acquisition.stop()
         assert acquisition.is_at_work
     assert not acquisition.is_at_work
-
-
-class HandCamera:
-    """Delivers what a test hands it."""
-
-    def __init__(self, camera: CameraId) -> None:
-        self.id = camera
-        self.sink: EventSink | None = None
-
-    def open(self) -> None: ...
-
-    def arm(self, sink: EventSink) -> None:
-        self.sink = sink
-
-    def examine(self) -> CameraVitals:
-        return CameraVitals()
-
-    def disarm(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class HandGate(HandCamera):
-    warnings = ()
-
-    def test_pulse(self) -> None: ...
-
-
-class HandBench(Bench):
-    """What a test hands to the devices, at the time that it says it is."""
-
-    def __init__(self, *, is_ball: bool = False) -> None:
-        self.now_ns = 10**10
-        self.cameras = {camera: HandCamera(camera) for camera in CAMERAS}
-        self.gate = HandGate(CameraId("gate"))
-        self.devices = Devices(cameras=self.cameras, gate=self.gate, clock=lambda: self.now_ns)
-        self.told, self.bundles, self.states = [], [], []
-        self.n_records = 0
-        self.acquisition = Acquisition(
-            self.devices,
-            session=1,
-            triggers=self,
-            bundling=BundlingParameters(),
-            min_cameras=2,
-            is_ball=lambda: is_ball,
-            on_bundle=self.on_bundle,
-            on_progress=self.on_progress,
-        )
-
-    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
-        self.n_records += 1
-        await super().record_triggers(session, triggers)
-
-    def trigger(self, sequence: int, at_ns: int) -> None:
-        assert self.gate.sink is not None
-        self.gate.sink.deliver(Trigger(sequence=sequence, received_ns=at_ns, device_ns=at_ns, utc=UTC))
-
-    def expose(self, number: int) -> None:
-        image = np.full(
-            (4, 4), number, np.uint8
-        )  # an equal one would be refused as that of a camera that hangs
-        for camera, device in self.cameras.items():
-            assert device.sink is not None
-            device.sink.deliver(
-                Frame(
-                    camera=camera,
-                    image=image,
-                    frame_id=number,
-                    device_ns=self.now_ns,
-                    received_ns=self.now_ns,
-                )
-            )
-
-
-@pytest.mark.parametrize("is_ball", [False, True])
-async def test_a_line_that_is_read_late_is_of_the_stone_that_is_there_already(is_ball: bool):
-    bench = HandBench(is_ball=is_ball)
-    async with armed(bench) as acquisition:
-        for number in (1, 2, 3):
-            fell_ns = bench.now_ns
-            if number != 2:
-                bench.trigger(number, fell_ns)
-                await bench.until(lambda n=number: len(bench.told) == 2 * n - 1)
-            bench.now_ns += DELAY_NS
-            bench.expose(number)
-            bench.now_ns += DELAY_NS  # whoever waits for the line waits no longer
-            await bench.until(lambda n=number: len(bench.bundles) == n)
-            if number == 2:
-                bench.trigger(2, fell_ns)
-                await bench.until(lambda: acquisition.counters.triggers_ignored == 1)
-    names = ["00000001", "00000002-orphan", "00000003"]
-    assert [name for kind, name in bench.told if kind == "trigger"] == names
-    assert [bundle.name for bundle in bench.bundles] == names
-    assert [len(bundle.frames) for bundle in bench.bundles] == [3, 3, 3]
-    assert {bundle.trigger.kind for bundle in bench.bundles} == {
-        BundleKind.BALL if is_ball else BundleKind.PARTICLE
-    }
-
-
-async def test_what_held_a_rig_that_is_disarmed_holds_it_no_longer():
-    bench = HandBench()
-    async with armed(bench) as acquisition:
-        for device in list(bench.cameras.values())[:2]:
-            assert device.sink is not None
-            device.sink.deliver(CameraLost(camera=device.id, received_ns=bench.now_ns, reason="gone"))
-        await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
-        assert acquisition.trouble is not None
-        acquisition.request(AcquisitionTarget.DISARMED)
-        await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
-        assert acquisition.trouble is None
-
-
-async def test_what_only_the_counter_saw_is_recorded_at_once():
-    bench = HandBench()
-    async with armed(bench):
-        assert bench.gate.sink is not None
-        bench.gate.sink.deliver(TriggersLost(received_ns=bench.now_ns, count=500, reason="gap"))
-        await asyncio.sleep(0.1)
-        bench.now_ns += 10 * DELAY_NS
-        await bench.until(lambda: len(bench.bundles) == 500)
-    assert bench.n_records == 1
-    assert len({name for kind, name in bench.told if kind == "trigger"}) == 500
 
 
 def test_the_counters_of_all_sessions_add_up(recording: Path):

@@ -1,153 +1,19 @@
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.processing import Bench, Desk, ScriptedPool, turn
 
 from drivers.errors import RecordingError
-from pipeline.frames import BundleKind, CameraId, Trigger
+from pipeline.frames import BundleKind
 from service.background_versions import BESIDE, WAITED_FOR
 from service.drop_files import ObservedDrop
-from service.drop_job import ObserveJob
-from service.processing import DropCollector, Processing, ProcessingContext
-from service.spool import Loss, SpooledBundle
-from service.worker_job import LearnJob, MeasureJob, RigFile
+from service.processing import DropCollector
+from service.spool import Loss
+from service.worker_job import LearnJob, RigFile
 from service.workers import JobLostError
-
-RIG = RigFile(Path("rig.json"), "rig")
-
-
-class QueueSpool:
-    """A spool that was filled beforehand."""
-
-    def __init__(self, bundles: list[SpooledBundle]) -> None:
-        self.bundles = list(bundles)
-        self.on_take: Callable[[str], None] = lambda name: None
-        self.released: list[SpooledBundle] = []
-
-    async def take(self) -> SpooledBundle | None:
-        await asyncio.sleep(0)
-        if not self.bundles:
-            return None
-        self.on_take(self.bundles[0].name)
-        return self.bundles.pop(0)
-
-    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
-        self.released.append(bundle)
-
-
-class ScriptedPool:
-    """Answers at once, or when the test says so."""
-
-    size = share = 1
-
-    def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
-        self.failures = failures or {}
-        self.unseen: dict[str, Exception] = {}
-        self.jobs: list[MeasureJob | LearnJob] = []
-        self.gates: dict[str, asyncio.Event] = {}
-        self.is_gated = is_gated
-        self.has_job = asyncio.Event()
-
-    async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob | ObserveJob) -> Any:
-        name = job.bundle_path.stem
-        if isinstance(job, ObserveJob):
-            return self._observe(name, job)
-        self.jobs.append(job)
-        self.has_job.set()
-        if self.is_gated:
-            await self.gates.setdefault(name, asyncio.Event()).wait()
-        if name in self.failures:
-            raise self.failures[name]
-        if isinstance(job, LearnJob):
-            job.out_path.mkdir()
-            return {}
-        job.out_dir.mkdir()
-        (job.out_dir / "mesh.ply").write_text(name)
-        (job.out_dir / "mesh.ply.tmp").touch()
-        return {
-            "bundle": name,
-            "outcome": "measured",
-            "background": job.background_path,
-            "calibration_id": job.rig.calibration_id,
-        }
-
-    def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
-        job.out_path.touch()  # a process that dies may leave half a file
-        if name in self.unseen:
-            raise self.unseen[name]
-        return ObservedDrop(bundle=f"{name} {job.rig.calibration_id}")
-
-
-class ListStore:
-    def __init__(self) -> None:
-        self.records: list[Mapping[str, Any]] = []
-
-    async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
-    ) -> int:
-        assert record["bundle"] == bundle
-        self.records.append({**record, "files": dict(files or {})})
-        return len(self.records)
-
-
-@dataclass
-class Desk:
-    """A calibration that a test replaces, and a list in the place of who collects."""
-
-    rig: RigFile = RIG
-    kind: BundleKind | None = None
-    collected: list[tuple[ObservedDrop, str, bool]] = field(default_factory=list)
-
-    @property
-    def collector(self) -> DropCollector | None:
-        if self.kind is None:
-            return None
-
-        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
-            self.collected.append((drop, record["bundle"], outlines is not None))
-
-        return DropCollector(kind=self.kind, diameters_mm=(10.0,), add=add)
-
-
-class Bench:
-    def __init__(
-        self, folder: Path, bundles: list[SpooledBundle], pool: ScriptedPool, desk: Desk | None = None
-    ) -> None:
-        self.spool = QueueSpool(bundles)
-        self.pool = pool
-        self.store = ListStore()
-        self.progress = 0
-        self.folder = folder
-        context = ProcessingContext(
-            session=1,
-            camera_ids=(CameraId("c01"),),
-            is_simulated=True,
-            save_silhouettes=False,
-            folder=folder,
-        )
-        self.processing = Processing(
-            context,
-            spool=self.spool,
-            pool=pool,
-            results=self.store,
-            calibration=desk or Desk(),
-            on_progress=self.on_progress,
-        )
-
-    def on_progress(self) -> None:
-        self.progress += 1
-
-    @property
-    def outcomes(self) -> list[tuple[str, str | None]]:
-        return [(record["bundle"], record.get("reason")) for record in self.store.records]
-
-
-def turn(name: str, *, kind: BundleKind = BundleKind.PARTICLE, loss: Loss | None = None) -> SpooledBundle:
-    trigger = Trigger(sequence=1, received_ns=0, device_ns=0, utc="2026-11-21T04:00:00Z", kind=kind)
-    return SpooledBundle(trigger=trigger, name=name, content=loss or Path(f"{name}.tiff"))
 
 
 async def test_results_are_committed_in_trigger_order_whoever_is_ready_first(tmp_path: Path):
