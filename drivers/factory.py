@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.cameras.aravis import AravisCamera
-from drivers.cameras.faulty import FaultyCamera
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.cameras.host_trigger import ActionKeys, ActionTrigger, SoftwareTrigger
-from drivers.cameras.replay import ReplayCamera
-from drivers.faults import FaultPlan
-from drivers.gates.faulty import FaultyGate
+from drivers.faulty.camera import FaultyCamera
+from drivers.faulty.faults import FaultPlan
+from drivers.faulty.gate import FaultyGate
+from drivers.files.recording import open_recording
 from drivers.gates.firing import FiringGate
 from drivers.gates.gpio import GpioGate, GpioGateSettings
 from drivers.gates.modem_line import ModemLineGate, ModemLineSettings
-from drivers.gates.replay import ReplayGate
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.interfaces import Camera, LightGate
-from drivers.recording import open_recording
-from drivers.replay_belt import Pace, ReplayBelt
+from drivers.replay.belt import Pace, ReplayBelt
+from drivers.replay.camera import ReplayCamera
+from drivers.replay.gate import ReplayGate
 from pipeline.frames import CameraId
 
 GateDevice = SerialGateSettings | ModemLineSettings | GpioGateSettings

@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 
 from pipeline.carving import CarvingParameters, carve
-from pipeline.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.each import Each
 from pipeline.errors import MeshError, RejectedError, RejectReason
 from pipeline.estimate import BodyEstimate, estimate_body
@@ -17,11 +16,12 @@ from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
-from pipeline.view_quality import Quality, ViewsParameters, judge_views, quality_of
+from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
+from pipeline.views.quality import Quality, ViewsParameters, judge_views, quality_of
 
 BodyKind = Literal["estimate", "hull"]
 

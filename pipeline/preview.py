@@ -6,7 +6,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.bounds import bounds
+from pipeline.geometry.bounds import bounds
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]

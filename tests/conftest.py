@@ -17,6 +17,8 @@ from service.compiled_code import keep_apart
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 keep_apart()  # before numba is; with the daemons that the tests start
 
+pytest_plugins = ["support.stores"]
+
 hypothesis.settings.register_profile(
     "gate", deadline=None, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )

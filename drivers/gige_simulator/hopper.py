@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from drivers.errors import RecordingError
-from drivers.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
+from drivers.files.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
 from pipeline.frames import BundleKind, CameraId, Image, Trigger
 
 AHEAD_BYTES = 512 << 20

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from drivers.files.recording import Recording
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
 from drivers.gige_simulator.control import RigControl, counters_of
@@ -24,7 +25,6 @@ from drivers.gige_simulator.hopper import Fall, Hopper, read_fall
 from drivers.gige_simulator.json_socket import JsonSocket
 from drivers.gige_simulator.sources import SIGHT_MS, Images, Scene
 from drivers.gige_simulator.uplink import Uplink
-from drivers.recording import Recording
 from pipeline.frames import BundleKind, CameraId
 
 TRIGGER_LINE = "Line1"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.calibration.coverage import ball_center_mm
 from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 
 MAX_ITERATIONS = 10
 CONVERGED_MM = 1e-6

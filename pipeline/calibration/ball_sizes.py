@@ -13,7 +13,7 @@ from pipeline.calibration.coverage import ball_center_mm
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.problem import Problem
 from pipeline.errors import CalibrationError
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 
 MAX_SCATTER = 0.03
 """Of the apparent sizes of one ball in a rough rig; balls that differ by less cannot be told apart."""

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.nearest_point import nearest_point
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings, misfit, rays_of
-from pipeline.rig import CameraCalibration
+from pipeline.rig.cameras import CameraCalibration
 
 Array = NDArray[np.float64]
 

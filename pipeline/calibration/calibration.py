@@ -26,7 +26,7 @@ from pipeline.calibration.uncertainty import (
 )
 from pipeline.errors import CalibrationError, RigError
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.limits import CalibrationLimits
 from pipeline.calibration.problem import Problem
 from pipeline.calibration.report import CalibrationReport
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 
 
 def diagnose_before(

@@ -10,7 +10,7 @@ from pipeline.calibration.coverage import coverage
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.limits import CalibrationLimits
 from pipeline.calibration.problem import Problem
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 
 
 def too_few(usable: Sequence[BallDrop], drops: Sequence[BallDrop], limits: CalibrationLimits) -> Problem:

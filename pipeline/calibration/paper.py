@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
-from pipeline.rig_document import decomposed
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.rig.document import decomposed
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pipeline.calibration.problem import Problem
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration, rig_to_document
+from pipeline.rig.cameras import RigCalibration, rig_to_document
 
 Scale = Literal["ball_diameter", "not_observable"]
 

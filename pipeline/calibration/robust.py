@@ -23,7 +23,7 @@ from pipeline.calibration.problem import Problem
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings, sightings_of, view_offsets_px
 from pipeline.errors import CalibrationError
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.problem import Problem
-from pipeline.calibration.tangency import (
+from pipeline.errors import CalibrationError
+from pipeline.frames import CameraId
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.views.epipolar_tangency import (
     ALARM_PX,
     MIN_PAIRS,
     OutlineHulls,
@@ -26,9 +29,6 @@ from pipeline.calibration.tangency import (
     tangency_scores_px,
     tangents_of,
 )
-from pipeline.errors import CalibrationError
-from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
 
 Array = NDArray[np.float64]
 

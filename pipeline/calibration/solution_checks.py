@@ -15,8 +15,8 @@ from pipeline.calibration.report import CalibrationReport, Estimate
 from pipeline.calibration.robust import adjust
 from pipeline.calibration.uncertainty import common_factors, covariance
 from pipeline.errors import RigError
-from pipeline.rig import RigCalibration, rig_to_document
-from pipeline.rig_document import rig_from_document
+from pipeline.rig.cameras import RigCalibration, rig_to_document
+from pipeline.rig.document import rig_from_document
 
 UNKNOWN_DISTANCE_MM = 30.0
 """Tolerance of the cameras' places when only the balls shall tell their distance."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pipeline.calibration.drops import BallDrop, BallView
 from pipeline.calibration.ellipse import harmonics, polar
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration
+from pipeline.rig.cameras import CameraCalibration
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
 from pipeline.carving.views import View, usable_views
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, UNKNOWN, Silhouette
 
 Array = NDArray[np.float64]

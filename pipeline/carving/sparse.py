@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bounds import bounds
 from pipeline.carving.hull import CarvingParameters, VisualHull
 from pipeline.carving.octree import LEAF, Octree, centres_of, octree_of
 from pipeline.carving.samples import count, count_within, fill, lower, place, undecided
 from pipeline.carving.views import HALVES, Pinholes, View, pinholes_of, usable_views
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import nominal_rig
+from pipeline.geometry.bounds import bounds
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import nominal_rig
+from pipeline.segmentation.ball_silhouettes import ball_silhouettes
 from pipeline.segmentation.silhouette import Silhouette
-from pipeline.warm_ball import ball_silhouettes
 
 Array = NDArray[np.float32]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, compiled_within
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
 
 Array = NDArray[np.float32]

@@ -22,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bounds import bounds
 from pipeline.carving import usable_views
 from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
 from pipeline.estimate.surface import InnerSurface, inner_surface
 from pipeline.frames import CameraId
+from pipeline.geometry.bounds import bounds
 from pipeline.meshing import ParticleMesh
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
 
 Array = NDArray[np.float64]

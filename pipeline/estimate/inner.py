@@ -12,10 +12,10 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.bounds import bounds
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import Tangents
-from pipeline.growing_hull import (
+from pipeline.geometry.bounds import bounds
+from pipeline.geometry.growing_hull import (
     NO_FACET,
     Facets,
     Growth,
@@ -25,7 +25,7 @@ from pipeline.growing_hull import (
     put_above,
     start,
 )
-from pipeline.quickhull import restart_by_qhull
+from pipeline.geometry.quickhull import restart_by_qhull
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

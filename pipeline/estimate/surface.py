@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_arrays import arrays_of
 from pipeline.carving import View
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.inner import inner_body
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
 from pipeline.estimate.tangents import tangents_of
-from pipeline.growing_hull import Facets
+from pipeline.geometry.growing_hull import Facets
+from pipeline.rig.camera_arrays import arrays_of
 
 Array = NDArray[np.float64]
 

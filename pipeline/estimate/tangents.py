@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera_arrays import arrays_of
 from pipeline.carving import View
 from pipeline.compiled import compiled
-from pipeline.outline_hull import goes_on, stacked
-from pipeline.tangent_planes import left_by
+from pipeline.rig.camera_arrays import arrays_of
+from pipeline.views.outline_hull import goes_on, stacked
+from pipeline.views.tangent_planes import left_by
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

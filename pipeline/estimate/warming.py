@@ -1,10 +1,10 @@
 """Compile what the estimate needs, by estimating a ball made up for it: seconds that the first stone has not."""
 
 from pipeline.estimate.body import BodyEstimate, estimate_body
-from pipeline.icosphere import icosphere
+from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
-from pipeline.rig_design import nominal_rig
-from pipeline.warm_ball import RADIUS_MM, ball_silhouettes
+from pipeline.rig.design import nominal_rig
+from pipeline.segmentation.ball_silhouettes import RADIUS_MM, ball_silhouettes
 
 
 def warm_up() -> BodyEstimate:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.compiled import compiled
+from pipeline.geometry.quickhull import hull_facets
 from pipeline.measuring.directions import half_sphere
-from pipeline.quickhull import hull_facets
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
-from pipeline.icosphere import icosahedron, subdivided
+from pipeline.geometry.icosphere import icosahedron, subdivided
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.icosphere import icosphere
+from pipeline.geometry.icosphere import icosphere
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.shape import ShapeMeasurement, measure_shape
 

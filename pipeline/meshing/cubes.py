@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.bounds import bounds
 from pipeline.carving import LEAF
 from pipeline.compiled import compiled, compiled_within, whole
+from pipeline.geometry.bounds import bounds
 from pipeline.meshing.cases import CORNERS, EDGES, cube_cases
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from pipeline.rig import RigCalibration
+from pipeline.rig.cameras import RigCalibration
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.renderer import PlacedBody
 

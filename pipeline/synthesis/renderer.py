@@ -13,7 +13,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Image
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis import outline, shading
 from pipeline.synthesis.background import Background, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body

@@ -12,7 +12,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from pipeline.rig import CameraCalibration
+from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.optics import FloatImage

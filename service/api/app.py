@@ -3,7 +3,14 @@
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.responses import HTMLResponse, RedirectResponse
 
-from service.api import (
+from service.api.auth import require
+from service.api.body_limit import BodyLimit
+from service.api.context import ApiContext
+from service.api.control import Control
+from service.api.docs import docs_page
+from service.api.openapi import describe
+from service.api.problems import install_handlers
+from service.api.routes import (
     accounting,
     acquisition,
     calibrations,
@@ -14,15 +21,8 @@ from service.api import (
     results,
     verifications,
 )
-from service.api.auth import require
-from service.api.body_limit import BodyLimit
-from service.api.context import ApiContext
-from service.api.docs import docs_page
-from service.api.openapi import describe
-from service.api.problems import install_handlers
 from service.api.settings import ApiSettings, Scope
 from service.api.version import API_VERSION, BASE
-from service.control import Control
 from service.store import Store
 
 

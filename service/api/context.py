@@ -6,8 +6,8 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from service.api.control import Control
 from service.api.settings import ApiSettings
-from service.control import Control
 from service.store import Store
 
 

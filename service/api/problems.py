@@ -11,8 +11,8 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
-from service.calibration_states import CalibrationConflictError
-from service.control import ConflictError
+from service.api.control import ConflictError
+from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
 
 log = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.config import JsonDict
 
-from service.control import AcquisitionState, AcquisitionTarget, CheckStatus, Ne107
+from service.api.control import AcquisitionState, AcquisitionTarget, CheckStatus, Ne107
 
 TIME: JsonDict = {"format": "date-time"}
 

@@ -13,13 +13,13 @@ from rich.progress import Progress
 from rich.table import Table
 
 from pipeline.errors import MeshError
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.evaluation.scene import rig_error
+from pipeline.evaluation.trials import METHODS, STANDARDS
+from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, body_from_mesh
 from pipeline.synthesis.irregular import IRREGULAR_FORMS
-from pipeline.synthesis.scene import rig_error
 from pipeline.synthesis.stones import STONE_FORMS
-from pipeline.synthesis.trials import METHODS, STANDARDS
-from service.accuracy_bench import (
+from service.benchmarks.accuracy import (
     CALIBRATIONS,
     RIGS,
     BenchPlan,
@@ -29,11 +29,11 @@ from service.accuracy_bench import (
     run_accuracy_bench,
     summarize,
 )
-from service.commands.performance_tables import scaling_tables, stage_table
+from service.benchmarks.performance import run_performance_bench
+from service.benchmarks.scaling import run_scaling_bench
+from service.benchmarks.tables import scaling_tables, stage_table
 from service.commands.shape import read_mesh
 from service.errors import UsageError
-from service.performance_bench import run_performance_bench
-from service.scaling_bench import run_scaling_bench
 
 STONES, IRREGULAR = "stones", "irregular-bodies"
 PUBLISHED_MM = {

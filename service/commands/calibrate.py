@@ -20,7 +20,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from drivers.errors import RecordingError
-from drivers.recording import (
+from drivers.files.recording import (
     BundleHeader,
     Recording,
     open_recording,
@@ -28,7 +28,7 @@ from drivers.recording import (
     read_bundle,
     require_rig_of,
 )
-from drivers.rig_file import read_rig, write_rig
+from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import (
     BallDrop,
     CalibrationError,
@@ -40,12 +40,12 @@ from pipeline.calibration import (
 )
 from pipeline.calibration.ball_sizes import with_diameters
 from pipeline.calibration.coverage import Coverage, coverage
-from pipeline.calibration.tangency import Outlines, outlines_of
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.segmentation import BackgroundModel, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
-from service.calibration_plan import BALL_DIAMETERS_MM
+from pipeline.views.epipolar_tangency import Outlines, outlines_of
+from service.calibration.plan import BALL_DIAMETERS_MM
 from service.commands.calibrate_stones import calibrate_from_stones
 from service.errors import UsageError
 

@@ -10,10 +10,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.rig_file import write_rig
+from drivers.files.rig_file import write_rig
 from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
-from pipeline.calibration.tangency import ALARM_PX, Outlines
-from pipeline.rig import RigCalibration, rig_to_document
+from pipeline.rig.cameras import RigCalibration, rig_to_document
+from pipeline.views.epipolar_tangency import ALARM_PX, Outlines
 from service.errors import UsageError
 
 

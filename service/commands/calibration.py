@@ -9,9 +9,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.calibration_states import OPEN, CalibrationAction, CalibrationState
-from service.rest_client import DaemonError, ask
-from service.verifications import VerificationState
+from service.calibration.states import OPEN, CalibrationAction, CalibrationState
+from service.calibration.verifications import VerificationState
+from service.commands.daemon_client import DaemonError, ask
 
 FOLLOW_S = 1.0
 DEFAULT_URL = "http://127.0.0.1:8080"

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from service.configuration.settings import load_settings, problems, shortcomings
 from service.errors import SettingsError
-from service.settings import load_settings, problems, shortcomings
 
 
 def command(

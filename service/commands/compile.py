@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from service.segmentation_settings import plan_segmenter
-from service.settings import Settings, load_settings
-from service.worker_job import WorkerContext, prepare
-from service.workers import WorkerPool
+from service.configuration.segmentation_settings import plan_segmenter
+from service.configuration.settings import Settings, load_settings
+from service.processing.measure_job import WorkerContext, prepare
+from service.processing.worker_pool import WorkerPool
 
 
 def command(

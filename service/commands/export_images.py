@@ -8,12 +8,12 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from drivers.bundle_file import DAMAGED
 from drivers.errors import RecordingError
-from drivers.files import new_folder
-from drivers.png_file import write_png
-from drivers.recording import open_recording, playback_order, read_bundle
-from drivers.rig_file import write_rig
+from drivers.files.bundle_file import DAMAGED
+from drivers.files.durable import new_folder
+from drivers.files.png_file import write_png
+from drivers.files.recording import open_recording, playback_order, read_bundle
+from drivers.files.rig_file import write_rig
 from pipeline.frames import BundleKind
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from pipeline.measuring.volume_correction import fit_volume_model
+from service.configuration.volume_models import write_volume_model
 from service.errors import VolumeModelError
-from service.volume_models import write_volume_model
 
 MAX_VOLUME_MM3 = 1e6
 """Of a cube of 100 mm: more than the cameras see."""

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.progress import track
 
 from drivers.errors import RecordingError
-from drivers.png_file import read_png
-from drivers.recording import RecordingWriter
-from drivers.rig_file import read_rig
+from drivers.files.png_file import read_png
+from drivers.files.recording import RecordingWriter
+from drivers.files.rig_file import read_rig
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.errors import UsageError
 

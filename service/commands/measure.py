@@ -21,21 +21,27 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from drivers.png_file import write_png
-from drivers.recording import Recording, open_recording, playback_order, require_rig_of, unreadable_triggers
-from drivers.rig_file import read_rig
-from drivers.silhouette_file import read_silhouettes
+from drivers.files.png_file import write_png
+from drivers.files.recording import (
+    Recording,
+    open_recording,
+    playback_order,
+    require_rig_of,
+    unreadable_triggers,
+)
+from drivers.files.rig_file import read_rig
+from drivers.files.silhouette_file import read_silhouettes
 from pipeline.frames import BundleKind
 from pipeline.gradation import gradation
 from pipeline.particle import BodyParameters, PipelineParameters
+from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
+from service.configuration.settings import load_settings
 from service.errors import ServiceError, UsageError
-from service.processing import FixedCalibration, Processing, ProcessingContext
-from service.segmentation_settings import SegmentationSettings, plan_segmenter
-from service.segmenters import SegmenterPlan
-from service.settings import load_settings
-from service.spool import Loss, SpooledBundle
-from service.worker_job import MESH, SILHOUETTES, RigFile, WorkerContext, prepare
-from service.workers import WorkerPool
+from service.processing.measure_job import MESH, SILHOUETTES, RigFile, WorkerContext, prepare
+from service.processing.processing import FixedCalibration, Processing, ProcessingContext
+from service.processing.segmenters import SegmenterPlan
+from service.processing.spool import Loss, SpooledBundle
+from service.processing.worker_pool import WorkerPool
 
 DEADLINE_S = 600.0
 """Nobody waits for a stone here; only a worker that hangs is ended."""

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.models import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
+from service.models.networks import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
 
 command = typer.Typer(
     help="The networks that segment images: list them, fetch published ones, train our own."
@@ -63,7 +63,7 @@ def train(
 ) -> None:
     """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
     # imported here: it brings the renderer, which no other command of models needs
-    from service.training import TrainingPlan, train_network
+    from service.models.training import TrainingPlan, train_network
 
     plan = TrainingPlan(seed=seed, n_views=views, n_steps=steps)
     description = train_network(plan, out, lambda line: typer.echo(line, err=True))

@@ -16,15 +16,15 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from drivers.factory import build_devices
-from drivers.files import require_unused
-from drivers.rig_file import read_rig
+from drivers.files.durable import require_unused
+from drivers.files.rig_file import read_rig
 from pipeline.frames import Trigger
-from service.acquisition import INBOX_TRIGGERS, Acquisition
-from service.control import AcquisitionState, AcquisitionTarget
+from service.acquisition.session import INBOX_TRIGGERS, Acquisition
+from service.api.control import AcquisitionState, AcquisitionTarget
+from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
-from service.recording_live import EndedBy, LiveRecording, recording_source
-from service.recordings import require_room
-from service.settings import Settings, load_settings, problems
+from service.recording.live_recording import EndedBy, LiveRecording, recording_source
+from service.recording.recordings import require_room
 
 TURN_S = 0.1
 """How often it is looked whether something has ended."""

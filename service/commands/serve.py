@@ -10,10 +10,10 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from service.acquisition.device_keeper import CONTROL_THREAD
+from service.daemon.systemd import configure_logging, service_manager
 from service.errors import SettingsError
-from service.keeper import CONTROL_THREAD
-from service.systemd import configure_logging, service_manager
-from service.workers import import_for_workers
+from service.processing.worker_pool import import_for_workers
 
 log = logging.getLogger(__name__)
 
@@ -22,10 +22,10 @@ def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
     """Measure the stones of a rig, keep the results and serve them, until SIGTERM."""
-    import_for_workers("service.worker_origin")
+    import_for_workers("service.processing.worker_imports")
     # imported here: meanwhile
-    from service.daemon import run
-    from service.settings import load_settings, problems
+    from service.configuration.settings import load_settings, problems
+    from service.daemon.build import run
 
     settings = load_settings(config)
     if wrong := "; ".join(problems(settings)):

@@ -15,10 +15,10 @@ from typing import Annotated
 
 import typer
 
+from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
-from drivers.recording import open_recording
 from service.errors import UsageError
-from service.record import ALGORITHM_VERSION
+from service.processing.result_record import ALGORITHM_VERSION
 
 POLL_S = 0.1
 SWITCH_INTERVAL_S = 0.0005

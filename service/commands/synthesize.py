@@ -10,13 +10,13 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from drivers.recording import RecordingWriter
-from drivers.rig_file import read_rig, write_rig
+from drivers.files.recording import RecordingWriter
+from drivers.files.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, speed_mm_s
 from pipeline.frames import BundleKind
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
 from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
 from pipeline.synthesis.optics import ExposureParameters

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from drivers.files import sync, unfinished
+from drivers.files.durable import sync, unfinished
 
 RAW = "bundle.tiff"
 

@@ -5,7 +5,7 @@ import sqlite3
 from dataclasses import dataclass
 from typing import Any
 
-from service.ledger import Accounting
+from service.store.accounting import Accounting
 
 Record = dict[str, Any]
 """A result as stored: the fields of the pipeline's record, `seq`, `id`, `recorded_at`, and any other key."""

@@ -13,11 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-from drivers.files import sync
+from drivers.files.durable import sync
 from pipeline.frames import Trigger
 from service.errors import StoreError
-from service.ledger import Accounting
 from service.store import reads, writes
+from service.store.accounting import Accounting
 from service.store.particle_files import drop_raw, raw_frames
 from service.store.schema import connect_reader, connect_writer
 

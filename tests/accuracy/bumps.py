@@ -31,9 +31,9 @@ from pipeline.calibration.self_calibration import MIN_STONES, recalibrate
 from pipeline.carving import CarvingParameters, carve
 from pipeline.frames import CameraId
 from pipeline.meshing import mesh_hull
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import as_built, nominal_rig
-from service.rig_watch import RigWatch
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import as_built, nominal_rig
+from service.health.rig_watch import RigWatch
 
 TURNS_DEG = (0.1, 0.5)
 N_BUMPS = 10

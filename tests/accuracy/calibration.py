@@ -32,14 +32,14 @@ from pipeline.calibration.bundle_adjustment import N_CAMERA, Solution
 from pipeline.calibration.held_out import located_offsets_px
 from pipeline.calibration.paper import ball_points_mm, residuals_px
 from pipeline.calibration.sphere_image import sightings_of
+from pipeline.evaluation.scene import BALL, build_scene, drop_ball, rig_error
 from pipeline.frames import CameraId, FrameBundle
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import nominal_rig
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import ball
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.renderer import PlacedBody
-from pipeline.synthesis.scene import BALL, build_scene, drop_ball, rig_error
 
 N_DROPS = 20
 N_HELD_OUT = 2

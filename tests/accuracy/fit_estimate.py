@@ -29,7 +29,7 @@ from pipeline.carving import usable_views
 from pipeline.estimate import estimate_body
 from pipeline.estimate.smoothness import OFFSET, PER_BULGE_SHARE, PER_LOCAL_SHARE, bulge_share
 from pipeline.estimate.surface import InnerSurface, inner_surface
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.shading import embree_scene

@@ -3,7 +3,7 @@
 import numpy as np
 from accuracy.bumps import bumps, false_alarms
 
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig.design import as_built, nominal_rig
 
 NOISE_PX = 0.08
 

@@ -11,6 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from support import rendered
 
+from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
+from pipeline.evaluation.silhouette_errors import TrueEdge, silhouette_errors, true_edge, true_status
 from pipeline.frames import FrameBundle
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Segmenter, ViewStatus
@@ -20,11 +22,9 @@ from pipeline.segmentation.neural import NetworkSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.background import APERTURE_RADIUS_MM, build_wall, render_backgrounds, wall_directions
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
-from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
 from pipeline.synthesis.renderer import SimulatedRig
-from pipeline.synthesis.silhouette_errors import TrueEdge, silhouette_errors, true_edge, true_status
 from pipeline.synthesis.stones import stone
-from service.models import load_model
+from service.models.networks import load_model
 
 SEED = 41_000
 """Of no training, tuning or bench."""

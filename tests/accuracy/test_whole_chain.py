@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from pipeline.evaluation.trials import STANDARDS, Method, Trial
 from pipeline.synthesis.irregular import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
-from pipeline.synthesis.trials import STANDARDS, Method, Trial
-from service.accuracy_bench import BenchPlan, BenchResult, run_accuracy_bench
+from service.benchmarks.accuracy import BenchPlan, BenchResult, run_accuracy_bench
 from service.commands.benchmark import WIDTH, accuracy_table
 
 PLAN = BenchPlan(

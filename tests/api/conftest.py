@@ -1,5 +1,5 @@
 import asyncio
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import httpx
@@ -10,24 +10,8 @@ from support.rest import FakeControl, client_of
 
 from service.api.app import create_app
 from service.api.settings import ApiSettings
-from service.recordings import RecordingsSettings, open_recordings
-from service.store import Store, open_store
-
-
-@pytest.fixture
-def state_dir(tmp_path: Path) -> Path:
-    return tmp_path / "state"
-
-
-@pytest.fixture
-def store(state_dir: Path) -> Iterator[Store]:
-    with open_store(state_dir) as store:
-        yield store
-
-
-@pytest.fixture
-async def session(store: Store) -> int:
-    return await store.begin_session({"calibration_id": "0123", "is_simulated": True})
+from service.recording.recordings import RecordingsSettings, open_recordings
+from service.store import Store
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pytest
 from support.calibration_desk import CONFIGURED, a_drop, open_desk, other_rig
 from support.rest import FakeControl, client_of
 
-from pipeline.rig_document import rig_from_document
+from pipeline.rig.document import rig_from_document
 from service.api.app import create_app
+from service.api.control import AcquisitionState
 from service.api.settings import ApiKey, ApiSettings, Scope
-from service.control import AcquisitionState
+from service.calibration.verifications import VerificationState
 from service.store import Store
-from service.verifications import VerificationState
 
 BALL = {"ball_diameters_mm": [10.0], "by": "an engineer", "note": "after the new lens"}
 CONFLICT = "urn:stonefall:problem:calibration-conflict"

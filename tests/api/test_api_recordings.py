@@ -10,7 +10,7 @@ from support.rest import FakeControl, client_of
 
 from service.api.app import create_app
 from service.api.settings import ApiKey, ApiSettings
-from service.recordings import RecordingsSettings, open_recordings
+from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
 
 

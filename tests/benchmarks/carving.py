@@ -40,8 +40,8 @@ from support.carving_peers import ALL, CARVE, CARVE_FINE, INTEGRATE, MESH, PEERS
 from pipeline.carving import CarvingParameters, VisualHull, carve
 from pipeline.measuring.solid import Solid, solid_of
 from pipeline.meshing import ParticleMesh, mesh_hull
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import nominal_rig
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import nominal_rig
 from pipeline.segmentation import BackgroundModel, SilhouetteSet, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter

@@ -35,20 +35,20 @@ from support.segmentation_tables import (
 )
 
 from pipeline.errors import ModelError
-from pipeline.segmentation import Segmenter, ViewStatus
-from pipeline.segmentation.choice import ChoosingSegmenter
-from pipeline.segmentation.network import Network
-from pipeline.segmentation.neural import NetworkSegmenter
-from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
-from pipeline.synthesis.hard_cases import HardCase, HardView, hard_view
-from pipeline.synthesis.silhouette_errors import (
+from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
+from pipeline.evaluation.silhouette_errors import (
     TrueEdge,
     silhouette_errors,
     true_edge,
     true_status,
 )
-from pipeline.synthesis.silhouette_picture import silhouette_picture
-from service.models import load_model
+from pipeline.evaluation.silhouette_picture import silhouette_picture
+from pipeline.segmentation import Segmenter, ViewStatus
+from pipeline.segmentation.choice import ChoosingSegmenter
+from pipeline.segmentation.network import Network
+from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
+from service.models.networks import load_model
 
 SEED = 40_000
 """Far from the seeds of training and tuning."""

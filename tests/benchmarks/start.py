@@ -29,8 +29,8 @@ from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
 from pipeline.segmentation.choice import Wanted
-from service.performance_bench import worker_context
-from service.worker_job import initialize
+from service.benchmarks.performance import worker_context
+from service.processing.measure_job import initialize
 
 COLD_S, WARM_S = 20.0, 5.0
 """At most."""

@@ -35,7 +35,7 @@ from support.lock_probe import LONG_S, waits_ms
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.usage import cpu_s, own_mb, percentiles, rss_mb
 
-from drivers.recording import Recording, open_recording, read_bundle
+from drivers.files.recording import Recording, open_recording, read_bundle
 from pipeline.synthesis.bundles import (
     TRIGGER_DELAY_NS,
 )

@@ -17,7 +17,7 @@ from support.sinks import Collector
 
 from drivers.errors import CameraUnavailableError, GateUnavailableError
 from drivers.factory import Devices, ReplayBackend, build_devices
-from drivers.faults import FaultPlan
+from drivers.faulty.faults import FaultPlan
 from drivers.gates.firing import FiringGate
 from drivers.interfaces import Camera, CameraVitals, LightGate
 from pipeline.frames import BundleKind, CameraId, Frame, Trigger

@@ -13,15 +13,12 @@ import pytest
 from support.daemon_process import PATIENCE_S, DaemonProcess, is_running
 from support.small_recording import write_small_recording
 
-from drivers.recording import open_recording, playback_order
-from drivers.rig_file import read_rig
+from drivers.files.recording import open_recording, playback_order
+from drivers.files.rig_file import read_rig
 from pipeline.carving import CarvingParameters
 from pipeline.frames import BundleKind
 from pipeline.particle import PipelineParameters
-from service.ledger import Accounting
-from service.store import open_store, reads
-from service.store.schema import connect_reader
-from service.worker_job import (
+from service.processing.measure_job import (
     LearnJob,
     MeasureJob,
     RigFile,
@@ -30,6 +27,9 @@ from service.worker_job import (
     learn_background,
     measure,
 )
+from service.store import open_store, reads
+from service.store.accounting import Accounting
+from service.store.schema import connect_reader
 
 N_STONES = 6
 

@@ -8,9 +8,9 @@ from support.daemon_process import DaemonProcess
 from support.outlines import bumped
 from support.small_recording import thumbnail_rig, write_small_recording
 
-from drivers.rig_file import write_rig
+from drivers.files.rig_file import write_rig
 from pipeline.frames import CameraId
-from service.rig_watch import MIN_STONES
+from service.health.rig_watch import MIN_STONES
 
 
 def test_a_bumped_camera_is_left_out_and_named_and_so_is_a_dark_one(tmp_path: Path) -> None:

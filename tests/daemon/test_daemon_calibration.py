@@ -9,7 +9,7 @@ from support.calibration_cli import run
 from support.daemon_process import DaemonProcess
 from support.small_recording import write_ball_recording
 
-from drivers.rig_file import read_rig
+from drivers.files.rig_file import read_rig
 
 N_BALLS = 8
 LOOP = 'pace = "fast"\nloop = true'

@@ -8,10 +8,10 @@ from support.daemon_process import DaemonProcess
 from support.small_recording import write_small_recording
 from typer.testing import CliRunner
 
-from drivers.recording import open_recording
+from drivers.files.recording import open_recording
 from pipeline.frames import BundleKind
 from service.cli import build_app
-from service.record import MEASURED_FIELDS
+from service.processing.result_record import MEASURED_FIELDS
 
 COMPARED = (
     "bundle", "sequence", "kind", "outcome", "reason", "quality", "views", "dropped_views",

@@ -13,11 +13,11 @@ from support.recordings import make_bundle, write_recording
 
 from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.interfaces import EventSink
-from service import daemon
-from service.rig_settings import ReplayRigSettings
-from service.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
+from service.configuration.rig_settings import ReplayRigSettings
+from service.configuration.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
+from service.daemon import build as daemon
+from service.daemon.systemd import ServiceManager
 from service.store import open_store
-from service.systemd import ServiceManager
 
 
 @pytest.fixture

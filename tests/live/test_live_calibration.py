@@ -6,7 +6,7 @@ from support.calibration_cli import run
 from support.live_rig import live_rig
 from support.small_recording import write_ball_recording
 
-from drivers.rig_file import read_rig
+from drivers.files.rig_file import read_rig
 
 N_BALLS = 8
 

@@ -19,9 +19,9 @@ from support.daemon_process import DaemonProcess
 from support.live_rig import LiveRig, eventually, live_rig, live_section, simulated_rig
 from support.small_recording import write_odd_recording, write_small_recording
 
-from drivers.recording import Recording, open_recording, playback_order, read_bundle
+from drivers.files.recording import Recording, open_recording, playback_order, read_bundle
 from pipeline.frames import BundleKind
-from service.record import MEASURED_FIELDS
+from service.processing.result_record import MEASURED_FIELDS
 
 COMPARED = (
     "kind", "outcome", "reason", "detail", "quality", "views", "dropped_views", *MEASURED_FIELDS,

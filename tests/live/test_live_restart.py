@@ -11,8 +11,8 @@ from support.small_recording import write_small_recording
 
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import GigeCameraSettings
-from service.ledger import Accounting
 from service.store import reads
+from service.store.accounting import Accounting
 from service.store.schema import connect_reader
 
 ARMED_AGAIN_S = 10.0

@@ -9,7 +9,7 @@ from support.daemon_process import STONEFALL
 from support.live_rig import eventually, live_section, simulated_rig
 from support.small_recording import write_small_recording
 
-from drivers.recording import open_recording, playback_order, read_bundle
+from drivers.files.recording import open_recording, playback_order, read_bundle
 from pipeline.frames import BundleKind
 
 N_STONES = 4

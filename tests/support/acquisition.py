@@ -6,9 +6,9 @@ from contextlib import asynccontextmanager
 
 from drivers.factory import Devices
 from pipeline.frames import CameraId, FrameBundle, Trigger
-from service.acquisition import Acquisition
-from service.bundling_parameters import BundlingParameters
-from service.control import AcquisitionState, AcquisitionTarget
+from service.acquisition.session import Acquisition
+from service.api.control import AcquisitionState, AcquisitionTarget
+from service.bundling.parameters import BundlingParameters
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 DELAY_NS = 259_400_000

@@ -6,9 +6,9 @@ import numpy as np
 
 from drivers.interfaces import DeviceEvent
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.bundle_counters import CameraCounters
-from service.bundling import BundleAssembler
-from service.bundling_parameters import BundlingParameters
+from service.bundling.assembler import BundleAssembler
+from service.bundling.counters import CameraCounters
+from service.bundling.parameters import BundlingParameters
 
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 4))
 A, B, C = CAMERAS

@@ -7,19 +7,19 @@ from pathlib import Path
 
 from support.recordings import small_rig
 
-from drivers.files import write_json
-from drivers.rig_file import write_rig
+from drivers.files.durable import write_json
+from drivers.files.rig_file import write_rig
 from pipeline.calibration import Problem
-from pipeline.rig import RigCalibration
-from service.calibration_plan import CalibrationPlan
-from service.calibration_start import find_calibrations
-from service.calibration_states import CalibrationAction, CalibrationState
-from service.calibrations import Calibrations
-from service.control import AcquisitionState
-from service.drop_files import ObservedDrop, SeenCircle
-from service.drop_job import Solution, SolveJob
-from service.verification_limits import VerificationParameters
-from service.verifications import open_verifications
+from pipeline.rig.cameras import RigCalibration
+from service.api.control import AcquisitionState
+from service.calibration.drop_files import ObservedDrop, SeenCircle
+from service.calibration.drop_jobs import Solution, SolveJob
+from service.calibration.plan import CalibrationPlan
+from service.calibration.sessions import Calibrations
+from service.calibration.startup import find_calibrations
+from service.calibration.states import CalibrationAction, CalibrationState
+from service.calibration.verification_limits import VerificationParameters
+from service.calibration.verifications import open_verifications
 
 CONFIGURED = small_rig()
 ARMED = AcquisitionState.ARMED

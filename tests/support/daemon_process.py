@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-from service.workers import WORKER_NAME
+from service.processing.worker_pool import WORKER_NAME
 
 STONEFALL = Path(sys.executable).with_name("stonefall")
 

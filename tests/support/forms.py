@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.meshing import ParticleMesh, mesh_hull
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.segmentation.delineation import delineate
 from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, SilhouetteSet, ViewStatus

@@ -10,10 +10,10 @@ from typing import Any
 
 from support.daemon_process import DaemonProcess
 
+from drivers.files.recording import open_recording
 from drivers.gige_simulator.camera import SimulatedCamera
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from drivers.gige_simulator.sources import SIGHT_MS
-from drivers.recording import open_recording
 from pipeline.frames import CameraId
 
 SPACING_S = 0.27

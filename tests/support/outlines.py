@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.tangency import epipolar_tangents, image_shifts_px, tangency_scores_px
-from pipeline.consistency import ConsistencyParameters, displaced_views
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.views.consistency import ConsistencyParameters, displaced_views
+from pipeline.views.epipolar_tangency import epipolar_tangents, image_shifts_px, tangency_scores_px
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.frames import BundleKind, CameraId, Trigger
-from service.drop_files import ObservedDrop
-from service.drop_job import ObserveJob
-from service.processing import DropCollector, Processing, ProcessingContext
-from service.spool import Loss, SpooledBundle
-from service.worker_job import LearnJob, MeasureJob, RigFile
+from service.calibration.drop_files import ObservedDrop
+from service.calibration.drop_jobs import ObserveJob
+from service.processing.measure_job import LearnJob, MeasureJob, RigFile
+from service.processing.processing import DropCollector, Processing, ProcessingContext
+from service.processing.spool import Loss, SpooledBundle
 
 RIG = RigFile(Path("rig.json"), "rig")
 

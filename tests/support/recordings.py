@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.recording import RecordingWriter
+from drivers.files.recording import RecordingWriter
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import nominal_rig
-from service.recording_live import RecordingSource
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import nominal_rig
+from service.recording.live_recording import RecordingSource
 
 SIZE_PX = (64, 48)
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 5))

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from drivers.bundle_file import Compression
-from drivers.recording import RecordingWriter
+from drivers.files.bundle_file import Compression
+from drivers.files.recording import RecordingWriter
+from pipeline.evaluation.scene import Scene, build_scene
 from pipeline.frames import FrameBundle
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel
 from pipeline.synthesis.bodies import Body, sphere
 from pipeline.synthesis.bundles import render_bundle, stream
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig
-from pipeline.synthesis.scene import Scene, build_scene
 
 SEED = 20
 

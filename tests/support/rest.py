@@ -10,11 +10,10 @@ import numpy as np
 import trimesh
 from fastapi import FastAPI
 
-from drivers.recording import write_bundle
-from drivers.silhouette_file import write_silhouettes
+from drivers.files.recording import write_bundle
+from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.calibrations import Calibrations
-from service.control import (
+from service.api.control import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
@@ -25,7 +24,8 @@ from service.control import (
     Ne107,
     next_state,
 )
-from service.recordings import Recordings
+from service.calibration.sessions import Calibrations
+from service.recording.recordings import Recordings
 from service.store import Store
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from pipeline.evaluation.hard_cases import HardCase
+from pipeline.evaluation.silhouette_errors import SilhouetteErrors
 from pipeline.segmentation import Silhouette, ViewStatus
-from pipeline.synthesis.hard_cases import HardCase
-from pipeline.synthesis.silhouette_errors import SilhouetteErrors
 
 PLAIN, BACKGROUND, NETWORK, AUTO, U2NETP, MASK = (
     "plain", "background", "network", "auto", "u2netp", "u2netp mask",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from pipeline.frames import CameraId
-from pipeline.rig import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.segmentation.silhouette import (
     FINE_PX,
     INSIDE,

@@ -11,8 +11,8 @@ import numpy as np
 from support.rendered import recording_of
 
 from pipeline.frames import BundleKind, CameraId, FrameBundle
-from pipeline.rig import CameraCalibration, RigCalibration
-from pipeline.rig_design import as_built, nominal_rig
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across, tumble

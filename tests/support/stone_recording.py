@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import track
 from support import rendered
 
-from drivers.recording import Recording, read_bundle
+from drivers.files.recording import Recording, read_bundle
 from pipeline.frames import FrameBundle
 from pipeline.synthesis.bundles import FIRST_NS, LAST_FRAME_ID, render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.frames import CameraId
-from pipeline.rig import RigCalibration
-from pipeline.rig_design import nominal_rig
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import nominal_rig
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.optics import ExposureParameters
 from pipeline.synthesis.renderer import PlacedBody

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from service.errors import WorkerFailure
-from service.worker_process import WarmUp
+from service.processing.worker_process import WarmUp
 
 TRACEBACK = """Traceback (most recent call last):
   File "/opt/stonefall/service/worker_job.py", line 1, in measure

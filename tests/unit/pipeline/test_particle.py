@@ -15,7 +15,7 @@ from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.bundles import stream, without_views
 from pipeline.synthesis.stones import stone
-from pipeline.view_quality import Quality, ViewsParameters
+from pipeline.views.quality import Quality, ViewsParameters
 
 RIG = rendered.rig()
 PARAMETERS = PipelineParameters()

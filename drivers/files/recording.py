@@ -1,0 +1,292 @@
+"""The recording: a folder of bundles, the only format on disk for spool, archive and replay.
+
+`recording.json` says what was recorded and by which cameras, `rig.json` (optional) how they were
+calibrated, `bundles/<name>.tiff` holds one bundle each.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.errors import RecordingError
+from drivers.files.bundle_file import Compression, read_bundle, read_header, require_cameras_of, write_bundle
+from drivers.files.bundle_header import BundleHeader
+from drivers.files.durable import new_folder, read_json, write_json
+from drivers.files.rig_file import read_rig, write_rig
+from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
+from pipeline.rig.cameras import RigCalibration
+
+__all__ = [
+    "BundleHeader",
+    "Recording",
+    "RecordingWriter",
+    "open_recording",
+    "playback_order",
+    "read_bundle",
+    "read_header",
+    "require_rig_of",
+    "unreadable_triggers",
+    "write_bundle",
+]
+
+FORMAT = "stonefall-recording/1"
+UNKNOWN_UTC = "1970-01-01T00:00:00.000Z"
+UNREADABLE_SPACING_NS = 250_000_000
+MAX_SPEED_MM_S = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """A recording on disk, without its pixels."""
+
+    path: Path
+    camera_ids: tuple[CameraId, ...]
+    image_size_px: tuple[int, int]  # W, H
+    rig_name: str
+    is_simulated: bool
+    speed_at_gate_mm_s: float  # of the stones, as the gate's beam closed
+    rig: RigCalibration | None
+    document: Mapping[str, Any]
+    """Content of recording.json."""
+    headers: tuple[BundleHeader, ...]
+    """In order of sequence."""
+    unreadable: tuple[RecordingError, ...]
+    """Bundles that cannot be used, and why."""
+
+
+def open_recording(path: Path) -> Recording:
+    """Read what a recording says of itself; reads every header and no pixels.
+
+    Raises
+    ------
+    RecordingError
+        recording.json or rig.json is missing, damaged or of another version, the rig is one of other
+        cameras, or no bundle can be used.
+    """
+    document_path = path / "recording.json"
+    if not document_path.is_file():
+        raise RecordingError(path, "is not a recording: it has no recording.json")
+    document = read_json(document_path)
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else None
+        raise RecordingError(document_path, f'format: must be "{FORMAT}", not {found!r}')
+    camera_ids = _camera_ids(document_path, document)
+    size_px = _image_size(document_path, document)
+    is_simulated = document.get("is_simulated")
+    if not isinstance(is_simulated, bool):
+        raise RecordingError(document_path, f"is_simulated: must be true or false, not {is_simulated!r}")
+    rig_path = path / "rig.json"
+    rig = read_rig(rig_path) if rig_path.exists() else None
+    if rig is not None:
+        _require_rig_of(rig_path, rig, camera_ids, size_px)
+    headers, unreadable = _read_headers(path / "bundles", camera_ids, size_px)
+    return Recording(
+        path=path,
+        camera_ids=camera_ids,
+        image_size_px=size_px,
+        rig_name=str(document.get("rig_name", "")),
+        is_simulated=is_simulated,
+        speed_at_gate_mm_s=_speed_at_gate_mm_s(document_path, document),
+        rig=rig,
+        document=document,
+        headers=headers,
+        unreadable=unreadable,
+    )
+
+
+def playback_order(recording: Recording) -> list[BundleHeader]:
+    """Bundles by sequence; backgrounds first when otherwise a stone would come before any of them."""
+    headers = list(recording.headers)
+    if headers and headers[0].kind is not BundleKind.BACKGROUND:
+        headers.sort(key=lambda header: header.kind is not BundleKind.BACKGROUND)
+    return headers
+
+
+def unreadable_triggers(recording: Recording) -> list[tuple[Trigger, RecordingError]]:
+    """A trigger for each bundle that cannot be used, with the reason: nobody may overlook that a stone fell.
+
+    They come after all others; when they were taken is not known, and their time says so.
+    """
+    last = recording.headers[-1].trigger
+    return [
+        (
+            Trigger(
+                sequence=last.sequence + number,
+                received_ns=last.received_ns + number * UNREADABLE_SPACING_NS,
+                device_ns=0,
+                utc=UNKNOWN_UTC,
+                name=error.path.stem,
+            ),
+            error,
+        )
+        for number, error in enumerate(recording.unreadable, start=1)
+    ]
+
+
+class RecordingWriter:
+    """Writes a recording under a hidden name; the folder takes its own when the block ends without error.
+
+    Files that belong beside the bundles (`truth.jsonl`) go into `folder` meanwhile.
+
+    Raises
+    ------
+    RecordingError
+        `path` exists and is not an empty folder.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        camera_ids: Sequence[CameraId],
+        image_size_px: tuple[int, int],
+        rig: RigCalibration | None,
+        is_simulated: bool,
+        made_by: Mapping[str, Any],
+        rig_name: str = "",
+        camera_settings: Mapping[str, Any] | None = None,
+        gate_settings: Mapping[str, Any] | None = None,
+        compression: Compression = "zstd",
+    ) -> None:
+        self.folder = path  # until the block is entered
+        self._creation = new_folder(path)
+        self._camera_ids = tuple(camera_ids)
+        self._image_size_px = image_size_px
+        self._rig = rig
+        self._compression: Compression = compression
+        self._names: set[str] = set()
+        self._document = {
+            "format": FORMAT,
+            "created_at": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            "cameras": list(camera_ids),
+            "image_size_px": list(image_size_px),
+            "rig_name": rig_name or (rig.name if rig else ""),
+            "is_simulated": is_simulated,
+            "camera_settings": dict(camera_settings or {}),
+            "gate_settings": dict(gate_settings or {}),
+            "made_by": dict(made_by),
+        }
+        if rig is not None:
+            _require_rig_of(path / "rig.json", rig, self._camera_ids, image_size_px)
+
+    def __enter__(self) -> Self:
+        self.folder = self._creation.__enter__()
+        (self.folder / "bundles").mkdir()
+        write_json(self.folder / "recording.json", self._document)
+        if self._rig is not None:
+            write_rig(self.folder / "rig.json", self._rig)
+        return self
+
+    def add(self, bundle: FrameBundle) -> None:
+        """Write one bundle.
+
+        Raises
+        ------
+        RecordingError
+            Its name is no file name or taken, its images are of another size, or `write_bundle` refuses it.
+        """
+        path = self.folder / "bundles" / f"{bundle.name}.tiff"
+        if bundle.name != path.stem or path.parent.name != "bundles" or bundle.name.startswith("."):
+            raise RecordingError(path, f"{bundle.name!r} cannot be the name of a file")
+        if bundle.name in self._names:
+            raise RecordingError(path, f"the recording already has a bundle {bundle.name}")
+        for frame in bundle.frames.values():
+            if (size_px := frame.image.shape[::-1]) != self._image_size_px:
+                raise RecordingError(path, f"camera {frame.camera}: {_sizes(size_px, self._image_size_px)}")
+        write_bundle(path, bundle, self._camera_ids, compression=self._compression)
+        self._names.add(bundle.name)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._creation.__exit__(kind, error, traceback)
+
+
+def _read_headers(
+    folder: Path, camera_ids: tuple[CameraId, ...], size_px: tuple[int, int]
+) -> tuple[tuple[BundleHeader, ...], tuple[RecordingError, ...]]:
+    paths = sorted(folder.glob("*.tiff"))
+    if not paths:
+        raise RecordingError(folder, "holds no bundle")
+    headers: list[BundleHeader] = []
+    unreadable: list[RecordingError] = []
+    for path in paths:
+        try:
+            header = read_header(path)
+            require_cameras_of(header, camera_ids)
+            if header.image_size_px != size_px:
+                raise RecordingError(path, _sizes(header.image_size_px, size_px))
+            if header.name != path.stem:
+                raise RecordingError(path, f"holds bundle {header.name!r}: the file was renamed or copied")
+        except RecordingError as err:
+            unreadable.append(err)
+        else:
+            headers.append(header)
+    if not headers:
+        raise RecordingError(folder, f"none of its {len(paths)} bundles can be used; {unreadable[0]}")
+    headers.sort(key=lambda header: (header.sequence, header.name))
+    return tuple(headers), tuple(unreadable)
+
+
+def require_rig_of(recording: Recording, rig: RigCalibration, path: Path) -> None:
+    """Refuse a rig, read from `path`, that is not the one of the recording.
+
+    Raises
+    ------
+    RecordingError
+        Naming `path` and the cameras it lacks, or the camera with images of another size.
+    """
+    _require_rig_of(path, rig, recording.camera_ids, recording.image_size_px)
+
+
+def _require_rig_of(
+    path: Path, rig: RigCalibration, camera_ids: Sequence[CameraId], size_px: tuple[int, int]
+) -> None:
+    if missing := sorted(set(camera_ids) - set(rig.camera_ids)):
+        raise RecordingError(path, f"is the rig of other cameras: it has no {', '.join(missing)}")
+    for camera in rig.cameras:
+        if camera.id in camera_ids and camera.image_size_px != size_px:
+            raise RecordingError(path, f"camera {camera.id}: {_sizes(camera.image_size_px, size_px)}")
+
+
+def _sizes(found_px: Sequence[int], expected_px: Sequence[int]) -> str:
+    found, expected = ("x".join(map(str, size_px)) for size_px in (found_px, expected_px))
+    return f"images of {found} in a recording of {expected} px"
+
+
+def _camera_ids(path: Path, document: Mapping[str, Any]) -> tuple[CameraId, ...]:
+    ids = document.get("cameras")
+    if not isinstance(ids, list) or not ids or not all(isinstance(item, str) for item in ids):
+        raise RecordingError(path, f"cameras: must be a list of camera ids, not {ids!r}")
+    for camera in ids:
+        if not CAMERA_ID.fullmatch(camera):
+            raise RecordingError(path, f"cameras: {camera!r} is no camera id (letters, digits, '-' and '_')")
+    if len(set(ids)) < len(ids):
+        raise RecordingError(path, "cameras: an id occurs twice")
+    return tuple(CameraId(item) for item in ids)
+
+
+def _image_size(path: Path, document: Mapping[str, Any]) -> tuple[int, int]:
+    size_px = document.get("image_size_px")
+    match size_px:
+        case [int(width_px), int(height_px)] if width_px > 0 and height_px > 0:
+            return width_px, height_px
+    raise RecordingError(path, f"image_size_px: must be [W, H] in pixels, not {size_px!r}")
+
+
+def _speed_at_gate_mm_s(path: Path, document: Mapping[str, Any]) -> float:
+    """A recording that says nothing is one of stones that were let go at the beam."""
+    match document.get("gate_settings", {}):
+        case {"speed_at_gate_mm_s": int(speed) | float(speed)} if 0 <= speed <= MAX_SPEED_MM_S:
+            return float(speed)
+        case {"speed_at_gate_mm_s": other}:
+            raise RecordingError(
+                path, f"gate_settings.speed_at_gate_mm_s: must be in 0..{MAX_SPEED_MM_S:g}, not {other!r}"
+            )
+        case Mapping():
+            return 0.0
+        case other:
+            raise RecordingError(path, f"gate_settings: must be an object, not {other!r}")

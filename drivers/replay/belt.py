@@ -1,0 +1,291 @@
+"""What the belt, the wire and the strobe are to a real rig: plays a recording to a gate and its cameras.
+
+One thread delivers every event at its time on the belt's own clock: a trigger to the gate, 259 ms
+later the frames to the cameras, the next trigger maybe in between. Within a bundle times differ as
+recorded; from trigger to trigger too, unless the bundles were put into another order.
+
+The clock runs with the host's monotonic clock (times `speed`) and never passes an event that is not
+yet delivered: a belt that falls behind slows time instead of losing frames.
+"""
+
+import heapq
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import count
+from pathlib import Path
+from statistics import median_low
+from typing import Literal, NamedTuple
+
+from drivers.errors import RecordingError
+from drivers.files.bundle_file import DAMAGED
+from drivers.files.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
+from drivers.interfaces import DeviceEvent, EventSink, FrameLost, PlaybackEnded
+from drivers.outlet import Outlet
+from pipeline.frames import CameraId, Frame, Trigger
+
+Pace = Literal["recorded", "stepped", "fast"]
+"""`recorded`: in real time, times `speed`. `stepped`, `fast`: without waiting, a bundle a permit."""
+
+SPACING_NS = 250_000_000
+"""From a trigger to the next where the recording does not tell."""
+MAX_SPACING_NS = 60_000_000_000
+"""Longer pauses are shortened: between two recordings put together lie days."""
+FRAME_DELAY_NS = 259_400_000
+"""From a trigger to its frames where the recording does not tell."""
+
+
+UNREADABLE = "unreadable"
+"""How the reason of every frame of an unreadable bundle begins."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Playable:
+    """A bundle in memory, its times as recorded."""
+
+    trigger: Trigger
+    frames: tuple[Frame, ...]
+    lost: Mapping[CameraId, str] = field(default_factory=dict)
+
+
+class _Due(NamedTuple):
+    at_ns: int
+    order: int  # of equal times
+    outlet: Outlet
+    event: DeviceEvent
+
+
+class ReplayBelt:
+    """Plays while the gate is plugged in; keeps its place when it is unplugged.
+
+    A damaged page is delivered as `FrameLost`; of a bundle that cannot be read at all every frame is. At the
+    end, and again whenever the gate is plugged in after that, the gate gets `PlaybackEnded`.
+    """
+
+    def __init__(
+        self, recording: Recording, *, pace: Pace = "recorded", speed: float = 1.0, loop: bool = False
+    ) -> None:
+        if speed <= 0:
+            raise ValueError(f"speed must be positive, not {speed:g}")
+        self.recording = recording
+        self.gate = Outlet()
+        self.cameras = {camera: Outlet() for camera in recording.camera_ids}
+        self._pace = pace
+        self._speed = speed if pace == "recorded" else 1.0
+        self._headers = playback_order(recording)
+        self._unreadable = unreadable_triggers(recording)
+        self._loop = loop
+        self._position = 0  # in all rounds
+        self._sound: set[Path] = set()
+        self._delay_ns = _frame_delay_ns(self._headers)
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._is_stopping = False
+        self._has_told_end = False
+        self._permits = 0
+        self._next: _Playable | None = None
+        self._last: tuple[int, int] | None = None  # last trigger's time: recorded, played
+        self._due: list[_Due] = []
+        self._order = count()
+        now_ns = time.monotonic_ns()
+        self._clock: tuple[int, int, int | None] = (now_ns, now_ns, None)  # played, real, held at
+
+    def clock(self) -> int:
+        """Time on the belt, in ns: what `received_ns` of every event is read from."""
+        played_ns, real_ns, held_ns = self._clock
+        now_ns = played_ns + round((time.monotonic_ns() - real_ns) * self._speed)
+        return now_ns if held_ns is None else min(now_ns, held_ns)
+
+    def permit(self, n_bundles: int = 1) -> None:
+        """Let so many more bundles pass (stepped and fast pace)."""
+        with self._changed:
+            self._permits += n_bundles
+            self._changed.notify_all()
+
+    def step(self) -> None:
+        """Let the next bundle pass."""
+        self.permit(1)
+
+    def start(self, sink: EventSink) -> None:
+        """Plug the gate in and run."""
+        self.gate.plug(sink)
+        with self._changed:
+            self._has_told_end = False
+            if self._thread is None:
+                self._is_stopping = False
+                self._thread = threading.Thread(target=self._run, name="replay belt", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def pause(self) -> None:
+        """Unplug the gate: the frames of its last trigger still come, no further trigger."""
+        self.gate.unplug()
+        with self._changed:
+            self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Pause and end the thread; the frames still due are gone."""
+        self.pause()
+        with self._changed:
+            thread, self._thread = self._thread, None
+            self._is_stopping = True
+            self._changed.notify_all()
+        if thread is not None:
+            thread.join()
+            self._due.clear()
+            self._hold(None)
+
+    # --- the thread ---
+
+    def _run(self) -> None:
+        while True:
+            if self._next is None:
+                self._next = self._load_next()
+            with self._changed:
+                if self._is_stopping:
+                    return
+                due = self._wait_for_due()
+            if due is not None:
+                due.outlet.deliver(due.event)
+
+    def _wait_for_due(self) -> _Due | None:
+        """What is to be delivered now; nothing when something changed and the question is a new one."""
+        start_ns = self._next_start_ns()
+        times_ns = [
+            at_ns for at_ns in (start_ns, self._due[0].at_ns if self._due else None) if at_ns is not None
+        ]
+        if not times_ns:
+            return self._idle()
+        at_ns = min(times_ns)
+        self._hold(at_ns)
+        if self._pace != "recorded":
+            self._clock = (at_ns, time.monotonic_ns(), at_ns)
+        elif (wait_ns := at_ns - self.clock()) > 0:
+            self._changed.wait(wait_ns / self._speed / 1e9)
+            return None
+        if start_ns == at_ns and self._next is not None:
+            self._schedule(self._next, start_ns)
+            self._next = None
+            self._permits -= 1
+            return None
+        return heapq.heappop(self._due)
+
+    def _next_start_ns(self) -> int | None:
+        """When the next trigger is due; nothing without a bundle, a gate or a permit."""
+        is_permitted = self._pace == "recorded" or self._permits > 0
+        if self._next is None or not self.gate.is_plugged or not is_permitted:
+            return None
+        if self._last is None:
+            return self.clock()
+        recorded_ns, played_ns = self._last
+        spacing_ns = self._next.trigger.received_ns - recorded_ns
+        if spacing_ns <= 0:
+            spacing_ns = SPACING_NS
+        return max(played_ns + min(spacing_ns, MAX_SPACING_NS), self.clock())
+
+    def _idle(self) -> _Due | None:
+        self._hold(None)
+        if self._next is None and self.gate.is_plugged and not self._has_told_end:
+            self._has_told_end = True
+            now_ns = self.clock()
+            return _Due(now_ns, 0, self.gate, PlaybackEnded(received_ns=now_ns))
+        self._changed.wait()
+        return None
+
+    def _hold(self, at_ns: int | None) -> None:
+        played_ns, real_ns, _ = self._clock
+        self._clock = (played_ns, real_ns, at_ns)
+
+    def _schedule(self, bundle: _Playable, start_ns: int) -> None:
+        """Put the bundle's events on the belt, shifted as one."""
+        trigger = bundle.trigger
+        self._last = (trigger.received_ns, start_ns)
+        shift_ns = start_ns - trigger.received_ns
+
+        def put(outlet: Outlet, event: DeviceEvent) -> None:
+            heapq.heappush(self._due, _Due(event.received_ns, next(self._order), outlet, event))
+
+        put(
+            self.gate, replace(trigger, received_ns=start_ns, device_ns=_shifted(trigger.device_ns, shift_ns))
+        )
+        for frame in bundle.frames:
+            put(
+                self.cameras[frame.camera],
+                replace(
+                    frame,
+                    received_ns=frame.received_ns + shift_ns,
+                    device_ns=_shifted(frame.device_ns, shift_ns),
+                ),
+            )
+        for camera, reason in bundle.lost.items():
+            lost = FrameLost(camera=camera, received_ns=start_ns + self._delay_ns, reason=reason)
+            put(self.cameras[camera], lost)
+
+    def _load_next(self) -> _Playable | None:
+        """Read the next bundle, numbered on from the last round; nothing at the end.
+
+        The unreadable ones end the first round, and are in no other.
+        """
+        n_first = len(self._headers) + len(self._unreadable)
+        if self._position < n_first:
+            played_round, index = 0, self._position
+        else:
+            played_round, index = divmod(self._position - n_first, len(self._headers))
+            played_round += 1
+        if played_round > 0 and not self._loop:
+            return None
+        self._position += 1
+        if index >= len(self._headers):
+            trigger, error = self._unreadable[index - len(self._headers)]
+            return self._without_frames(trigger, error)
+        return self._renumbered(self._read(self._headers[index]), self._headers[index], played_round)
+
+    def _read(self, header: BundleHeader) -> _Playable:
+        try:
+            # a file that was sound is not checked in every round: that takes a pass over all pixels
+            is_unknown = header.path not in self._sound
+            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=is_unknown)
+        except RecordingError as err:
+            return self._without_frames(header.trigger, err)
+        if DAMAGED not in bundle.missing.values():
+            self._sound.add(header.path)
+        return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
+
+    def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:
+        lost = dict.fromkeys(self.recording.camera_ids, f"{UNREADABLE}: {error.problem}")
+        return _Playable(trigger=trigger, frames=(), lost=lost)
+
+    def _renumbered(self, bundle: _Playable, header: BundleHeader, played_round: int) -> _Playable:
+        name = header.name
+        if played_round == 0:
+            return replace(bundle, trigger=replace(bundle.trigger, name=name))
+        n_sequences = max(header.sequence for header in self._headers) + 1
+        trigger = replace(
+            bundle.trigger,
+            name=f"{name}-r{played_round + 1}",
+            sequence=bundle.trigger.sequence + played_round * n_sequences,
+        )
+        frames = tuple(
+            replace(frame, frame_id=frame.frame_id + played_round * self._n_frame_ids(frame.camera))
+            for frame in bundle.frames
+        )
+        return replace(bundle, trigger=trigger, frames=frames)
+
+    def _n_frame_ids(self, camera: CameraId) -> int:
+        ids = [header.frames[camera].frame_id for header in self._headers if camera in header.frames]
+        return max(ids) - min(ids) + 1
+
+
+def _shifted(device_ns: int, shift_ns: int) -> int:
+    return device_ns + shift_ns if device_ns else 0  # 0: the device has no clock
+
+
+def _frame_delay_ns(headers: list[BundleHeader]) -> int:
+    """When a frame comes after its trigger, typically."""
+    delays_ns = [
+        entry.received_ns - header.trigger.received_ns
+        for header in headers
+        for entry in header.frames.values()
+    ]
+    return median_low(delays_ns) if delays_ns else FRAME_DELAY_NS

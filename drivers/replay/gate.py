@@ -1,0 +1,36 @@
+"""The light gate of a recorded rig; arming it starts the belt, closing it ends the belt's thread."""
+
+from drivers.errors import GateUnavailableError
+from drivers.interfaces import EventSink
+from drivers.replay.belt import ReplayBelt
+
+
+class ReplayGate:
+    """Delivers the recorded triggers, and `PlaybackEnded` after the last."""
+
+    def __init__(self, belt: ReplayBelt) -> None:
+        self._belt = belt
+        self._is_open = False
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return ()
+
+    def open(self) -> None:
+        self._is_open = True
+
+    def arm(self, sink: EventSink) -> None:
+        if not self._is_open:
+            raise GateUnavailableError("gate", "is not open")
+        self._belt.start(sink)
+
+    def test_pulse(self) -> None:
+        """Never: a recording cannot expose; raises `GateUnavailableError`."""
+        raise GateUnavailableError("gate", "a recording has no rig to expose")
+
+    def disarm(self) -> None:
+        self._belt.pause()
+
+    def close(self) -> None:
+        self._belt.stop()
+        self._is_open = False

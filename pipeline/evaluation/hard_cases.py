@@ -1,0 +1,286 @@
+"""Views that are hard to segment, with the truth beside them: one camera of a rig with deviations.
+
+All is random from the seed: rig, camera, housing, stone, pose and how bad the trouble is, within the ranges
+below. The background is what the camera saw of the empty rig before the trouble began.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.frames import CameraId, Frame
+from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.rig.design import as_built, nominal_rig
+from pipeline.segmentation.background import BackgroundModel, learn_background
+from pipeline.synthesis.background import APERTURE_RADIUS_MM, build_wall, render_backgrounds, wall_directions
+from pipeline.synthesis.disturbance import (
+    UNDISTURBED,
+    Disturbance,
+    cast_shadow,
+    dimmed_sector,
+    dust,
+    flicker,
+)
+from pipeline.synthesis.optics import FloatImage, expose
+from pipeline.synthesis.placement import drop_across, tumble
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminated, view_of
+from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
+
+Array = NDArray[np.float64]
+
+DARK_GREY = (12.0, 60.0)  # of the stone across an aperture; the aperture itself is at about 16
+BRIGHT_GREY = (130.0, 230.0)
+WET_GREY, WET_GLOSS = (40.0, 110.0), (0.5, 1.0)
+DUST_STRENGTH = (0.15, 0.8)
+DIMMED_STRENGTH = (0.3, 0.9)
+FLICKER_FACTOR = (0.4, 1.2)
+SHADOW_STRENGTH = (0.15, 0.6)
+LONG_EXPOSURE_US = (40.0, 100.0)  # the longest: 5 px
+STRONG_NOISE = (2.0, 4.0)
+N_BODIES = (2, 3)
+N_FRAGMENTS = (2, 6)
+FRAGMENT_MM = (1.0, 4.0)
+VISIBLE_SHARE = 1e-3
+"""Coverage below this is rounding."""
+SPREAD_MM = (18.0, 18.0, 14.0)
+"""Where further bodies are, about the centre."""
+N_EMPTY = 3
+
+
+class HardCase(StrEnum):
+    """What is hard about a view."""
+
+    CLEAN = "clean"
+    APERTURE = "aperture"
+    """A dark stone whose edge runs across a camera's dark aperture in the far wall."""
+    BRIGHT = "bright"
+    WET = "wet"
+    DUST = "dust"
+    DIMMED = "dimmed"
+    """A panel of the dome gives less light; it is in sight, or behind the camera."""
+    FLICKER = "flicker"
+    SHADOW = "shadow"
+    MOTION = "motion"
+    NOISE = "noise"
+    SEVERAL = "several"
+    FRAGMENTS = "fragments"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HardView:
+    """A frame, what was known of the empty view, and the truth."""
+
+    case: HardCase
+    frame: Frame
+    background: BackgroundModel  # of this camera; empty if none is known
+    coverage: FloatImage  # (H, W) share of the pixel covered by bodies
+    contrast: FloatImage
+    """(H, W) |body - behind| in grey levels, without noise; 0 far from any body. Where it is small, no edge is seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Scene:
+    """One camera before a housing, and what falls past it."""
+
+    rig: RigCalibration
+    simulated: SimulatedRig  # of that camera alone
+    bodies: list[PlacedBody]
+    disturbance: Disturbance = field(default=UNDISTURBED)
+
+    @property
+    def camera(self) -> CameraCalibration:
+        return self.simulated.rig.cameras[0]
+
+
+def hard_view(
+    case: HardCase, seed: int, *, with_background: bool = True, size_mm: float | None = None
+) -> HardView:
+    """The view number `seed` of a case; `size_mm` is the stone's greatest diameter, else random."""
+    rng = np.random.default_rng([seed, list(HardCase).index(case)])
+    rig = as_built(nominal_rig(), int(rng.integers(2**31)))
+    camera = rig.cameras[int(rng.integers(len(rig.cameras)))]
+    form = str(rng.choice(list(STONE_FORMS)))
+    drawn_mm = random_size_mm(rng)
+    body = stone(form, drawn_mm if size_mm is None else size_mm, rng)
+    alone = rig.subset([camera.id])
+    placed = tumble(body, alone, rng)
+    simulated = _simulate(rig, camera, _aperture_behind(placed, rig, camera, rng, case), rng)
+    scene = SPOIL[case](_Scene(rig=rig, simulated=simulated, bodies=[placed]), rng)
+
+    background: BackgroundModel = {}
+    for _ in range(N_EMPTY if with_background else 0):
+        empty = expose(simulated.backgrounds[camera.id].radiance, simulated.parameters, rng)
+        background = learn_background(background, {camera.id: _frame(camera.id, empty)})
+    view = view_of(
+        [illuminated(each, rng) for each in scene.bodies], camera, scene.simulated, scene.disturbance
+    )
+    flash = 1 + simulated.parameters.flash_sd * float(np.clip(rng.normal(), -3, 3))
+    image = expose(view.radiance(flash), view.parameters, rng)
+    coverage, contrast = truth_of_view(view)
+    return HardView(
+        case=case,
+        frame=_frame(camera.id, image),
+        background=background,
+        coverage=coverage,
+        contrast=contrast,
+    )
+
+
+def truth_of_view(view: View) -> tuple[FloatImage, FloatImage]:
+    """Share (H, W) covered by any body, and the contrast (H, W) of the nearest body to what lies behind it."""
+    free = np.ones_like(view.wall)
+    contrast = np.zeros_like(view.wall)
+    behind = view.wall.copy()
+    for layer in view.layers:
+        place = layer.rows, layer.columns
+        near = layer.coverage > VISIBLE_SHARE
+        contrast[place] = np.where(near, np.abs(layer.radiance - behind[place]), contrast[place])
+        behind[place] += layer.coverage * (layer.radiance - behind[place])
+        free[place] *= 1 - layer.coverage
+    return 1 - free, np.asarray(contrast * view.disturbance.transmission, dtype=np.float32)
+
+
+def _simulate(
+    rig: RigCalibration,
+    camera: CameraCalibration,
+    aperture_direction: Array | None,
+    rng: np.random.Generator,
+) -> SimulatedRig:
+    """The camera before a random housing of the whole rig, with one more aperture if asked for."""
+    wall = build_wall(rig, rng)
+    if aperture_direction is not None:
+        wall = replace(
+            wall,
+            disc_directions=np.concatenate([wall.disc_directions, aperture_direction[None]]),
+            disc_radii_mm=np.append(wall.disc_radii_mm, APERTURE_RADIUS_MM),
+            disc_reflectances=np.append(wall.disc_reflectances, 0.08),
+        )
+    alone = rig.subset([camera.id])
+    return SimulatedRig(rig=alone, backgrounds=render_backgrounds(alone, wall, rng))
+
+
+def _aperture_behind(
+    placed: PlacedBody,
+    rig: RigCalibration,
+    camera: CameraCalibration,
+    rng: np.random.Generator,
+    case: HardCase,
+) -> Array | None:
+    """Where on the wall an aperture lies behind the edge of the body."""
+    if case is not HardCase.APERTURE:
+        return None
+    vertices_mm = placed.body.mesh.vertices @ placed.R.T + placed.offset_mm
+    pixels_uv, _ = camera.project(vertices_mm)
+    # the outermost vertex some way around
+    angle = rng.uniform(0, 2 * np.pi)
+    edge_uv = pixels_uv[np.argmax(pixels_uv @ [np.cos(angle), np.sin(angle)])]
+    radius_mm = float(np.linalg.norm([other.center_mm for other in rig.cameras], axis=1).mean())
+    return wall_directions(camera, edge_uv[None], radius_mm)[0]
+
+
+def _frame(camera: CameraId, image: NDArray[np.uint8]) -> Frame:
+    return Frame(camera=camera, image=image, frame_id=1, device_ns=0, received_ns=0)
+
+
+def _looking(scene: _Scene, grey: float, contrast: float | None = None, gloss: float = 0.0) -> _Scene:
+    """The first body looks differently."""
+    first, *others = scene.bodies
+    kept = first.body.contrast if contrast is None else contrast
+    body = replace(first.body, grey=grey, contrast=kept, gloss=gloss)
+    return replace(scene, bodies=[replace(first, body=body), *others])
+
+
+def _across_aperture(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _looking(scene, rng.uniform(*DARK_GREY))
+
+
+def _bright(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _looking(scene, rng.uniform(*BRIGHT_GREY), contrast=rng.uniform(0.05, 0.25))
+
+
+def _wet(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _looking(scene, rng.uniform(*WET_GREY), gloss=rng.uniform(*WET_GLOSS))
+
+
+def _dusty(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(scene, disturbance=dust(rng.uniform(*DUST_STRENGTH), rng, scene.camera.image_size_px))
+
+
+def _dimmed(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    axis = scene.camera.center_mm / np.linalg.norm(scene.camera.center_mm)
+    side = 1 if rng.random() < 0.3 else -1  # -1: in sight
+    direction = side * axis + rng.normal(0, 0.45, size=3)
+    strength = rng.uniform(*DIMMED_STRENGTH)
+    return replace(scene, disturbance=dimmed_sector(scene.rig, scene.camera, strength, direction))
+
+
+def _flickering(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(scene, disturbance=flicker(rng.uniform(*FLICKER_FACTOR)))
+
+
+def _shadowed(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(
+        scene,
+        disturbance=cast_shadow(rng.uniform(*SHADOW_STRENGTH), rng, scene.camera.image_size_px),
+    )
+
+
+def _moving(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(scene, disturbance=Disturbance(exposure_us=rng.uniform(*LONG_EXPOSURE_US)))
+
+
+def _noisy(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(scene, disturbance=Disturbance(read_noise=rng.uniform(*STRONG_NOISE)))
+
+
+def _several(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    n_more = int(rng.integers(N_BODIES[0] - 1, N_BODIES[1]))
+    return _joined(scene, [float(rng.uniform(5, 15)) for _ in range(n_more)], rng)
+
+
+def _fragmented(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    n_more = int(rng.integers(N_FRAGMENTS[0], N_FRAGMENTS[1] + 1))
+    return _joined(scene, [float(rng.uniform(*FRAGMENT_MM)) for _ in range(n_more)], rng)
+
+
+def _joined(scene: _Scene, sizes_mm: list[float], rng: np.random.Generator) -> _Scene:
+    """Further stones of these sizes, not inside the first one."""
+    bodies = list(scene.bodies)
+    for size_mm in sizes_mm:
+        body = stone(str(rng.choice(list(STONE_FORMS))), size_mm, rng)
+        candidates = [drop_across(body, scene.simulated.rig, rng, SPREAD_MM) for _ in range(6)]
+        bodies.append(max(candidates, key=lambda each: _clearance_mm(each, bodies)))
+    return replace(scene, bodies=bodies)
+
+
+def _clearance_mm(candidate: PlacedBody, others: list[PlacedBody]) -> float:
+    """Distance between the spheres around the bodies; negative where they overlap."""
+    return min(
+        float(np.linalg.norm(candidate.offset_mm - other.offset_mm))
+        - candidate.body.radius_mm
+        - other.body.radius_mm
+        for other in others
+    )
+
+
+def _unspoilt(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return scene
+
+
+SPOIL: dict[HardCase, Callable[[_Scene, np.random.Generator], _Scene]] = {
+    HardCase.CLEAN: _unspoilt,
+    HardCase.APERTURE: _across_aperture,
+    HardCase.BRIGHT: _bright,
+    HardCase.WET: _wet,
+    HardCase.DUST: _dusty,
+    HardCase.DIMMED: _dimmed,
+    HardCase.FLICKER: _flickering,
+    HardCase.SHADOW: _shadowed,
+    HardCase.MOTION: _moving,
+    HardCase.NOISE: _noisy,
+    HardCase.SEVERAL: _several,
+    HardCase.FRAGMENTS: _fragmented,
+}

@@ -1,0 +1,176 @@
+"""One known body in one random pose, photographed once and measured in every way that is to be compared."""
+
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pipeline.carving import CarvingParameters, carve
+from pipeline.errors import MeshError
+from pipeline.evaluation.comparison import Surface, SurfaceDistances, surface_distances
+from pipeline.evaluation.exact_hull import exact_hull_mesh, star_center_mm
+from pipeline.evaluation.scene import BODY, Scene, rig_error
+from pipeline.frames import FrameBundle
+from pipeline.measuring import ShapeMeasurement, measure_shape
+from pipeline.measuring.solid import solid_of
+from pipeline.meshing import ParticleMesh, mesh_hull
+from pipeline.particle import PipelineParameters, measure_bundle
+from pipeline.rig.cameras import RigCalibration
+from pipeline.segmentation import SilhouetteSet, segment_all
+from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
+from pipeline.synthesis.bundles import stream
+from pipeline.synthesis.irregular import irregular
+from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.stones import STONE_FORMS, stone
+
+Array = NDArray[np.float64]
+
+Method = Literal["paper's field", "hull", "estimate", "exact hull"]
+METHODS: tuple[Method, ...] = ("paper's field", "hull", "estimate")
+"""What is measured: the paper's carving, ours, the body that the whole chain returns by default.
+
+The exact hull is not measured but computed from the body: the floor of the other hulls.
+"""
+STANDARDS: Mapping[str, Callable[[], Body]] = {"sphere": sphere, "cylinder": cylinder, "cube": cube}
+SIZES_MM = (10.0, 36.0)
+"""Greatest diameters of random bodies."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeErrors:
+    """Measured less true."""
+
+    mesh_volume_percent: float  # of the mesh
+    volume_percent: float  # of the reported volume, which is corrected where the chain corrects it
+    area_percent: float
+    max_feret_mm: float
+    min_feret_mm: float
+    sieve_size_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """How well one body in one pose was measured with one rig by one method."""
+
+    body: str
+    number: int
+    rig: str
+    method: Method
+    failure: str | None  # why there is no body; then there is nothing below
+    distances: SurfaceDistances | None = None
+    errors: ShapeErrors | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measured:
+    """A surface in the true rig's frame."""
+
+    mesh: trimesh.Trimesh
+    volume_mm3: float  # as reported
+
+
+def random_body(name: str, number: int, seed: int) -> Body:
+    """The n-th body of a name: standards are always the same, all others of random form and size."""
+    rng = _stream(seed, name, number, 0)
+    if name in STANDARDS:
+        return STANDARDS[name]()
+    size_mm = float(rng.uniform(*SIZES_MM))
+    return stone(name, size_mm, rng) if name in STONE_FORMS else irregular(name, size_mm, rng)
+
+
+def try_body(
+    body: Body,
+    number: int,
+    scene: Scene,
+    rigs: Mapping[str, tuple[RigCalibration, Sequence[Method]]],
+    on_measured: Callable[[Trial, Measured, trimesh.Trimesh], None] = lambda trial, measured, truth: None,
+) -> list[Trial]:
+    """Photograph a body in its n-th random pose; measure it with every rig by each of its methods.
+
+    A rig's frame is brought to the true rig's by the one rigid motion between the two, not body by body.
+    Where the body allows it, the exact hull in the same pose, seen by the true rig, comes first.
+    `on_measured` is given each trial that gave a body, with the measured and the true surface.
+    """
+    rng = _stream(scene.seed, body.name, number, 1)
+    placed = tumble(body, scene.true_rig, rng)
+    bundle = scene.photograph(placed, rng, body.name)
+    silhouettes = segment_all(bundle.frames, scene.background, BackgroundSegmenter())
+    truth = Surface(placed.world_mesh)
+    shape = measure_shape(truth.mesh.vertices, truth.mesh.faces)
+
+    def judged(rig: str, method: Method, measured: Measured | str) -> Trial:
+        trial = Trial(body=body.name, number=number, rig=rig, method=method, failure=None)
+        if isinstance(measured, str):
+            return replace(trial, failure=measured)
+        try:
+            errors = _errors(measured, shape)
+        except MeshError as err:
+            return replace(trial, failure=str(err))
+        distances = surface_distances(measured.mesh, truth, _stream(scene.seed, body.name, number, 2))
+        trial = replace(trial, distances=distances, errors=errors)
+        on_measured(trial, measured, truth.mesh)
+        return trial
+
+    trials = []
+    if (center_mm := star_center_mm(truth.mesh)) is not None:
+        floor = exact_hull_mesh(truth.mesh, center_mm, scene.true_rig)
+        trials.append(judged("true", "exact hull", _as_it_is(floor)))
+    for name, (rig, methods) in rigs.items():
+        motion = rig_error(rig, scene.true_rig)
+        for method in methods:
+            measured = _measure(bundle, silhouettes, rig, method)
+            if isinstance(measured, Measured):
+                vertices_mm = measured.mesh.vertices @ motion.R.T + motion.t_mm
+                mesh = trimesh.Trimesh(vertices_mm, measured.mesh.faces, process=False)
+                measured = replace(measured, mesh=mesh)
+            trials.append(judged(name, method, measured))
+    return trials
+
+
+def _measure(
+    bundle: FrameBundle, silhouettes: SilhouetteSet, rig: RigCalibration, method: Method
+) -> Measured | str:
+    """What a method makes of the silhouettes, or why nothing."""
+    if method == "estimate":
+        # the whole chain but for the segmentation, which is done
+        result = measure_bundle(
+            bundle, rig, {}, lambda frame, _: silhouettes[frame.camera], PipelineParameters()
+        )
+        if result.mesh is None or result.measurement is None:
+            return str(result.rejection)
+        return Measured(mesh=_trimesh(result.mesh), volume_mm3=result.measurement.volume_mm3)
+    parameters = CarvingParameters(field="view_count" if method == "paper's field" else "sub_voxel")
+    hull = mesh_hull(carve(silhouettes, rig, parameters))
+    if hull is None:
+        return "the silhouettes have no common body"
+    return _as_it_is(_trimesh(hull))
+
+
+def _as_it_is(mesh: trimesh.Trimesh) -> Measured:
+    return Measured(mesh=mesh, volume_mm3=solid_of(mesh.vertices, mesh.faces).volume_mm3)
+
+
+def _errors(measured: Measured, true: ShapeMeasurement) -> ShapeErrors:
+    shape = measure_shape(measured.mesh.vertices, measured.mesh.faces)
+    return ShapeErrors(
+        mesh_volume_percent=100 * (shape.volume_mm3 / true.volume_mm3 - 1),
+        volume_percent=100 * (measured.volume_mm3 / true.volume_mm3 - 1),
+        area_percent=100 * (shape.surface_area_mm2 / true.surface_area_mm2 - 1),
+        max_feret_mm=shape.max_feret_mm - true.max_feret_mm,
+        min_feret_mm=shape.min_feret_mm - true.min_feret_mm,
+        sieve_size_mm=shape.sieve_size_mm - true.sieve_size_mm,
+    )
+
+
+def _trimesh(mesh: ParticleMesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False)
+
+
+def _stream(seed: int, name: str, number: int, purpose: int) -> np.random.Generator:
+    """The same whatever other bodies are tried."""
+    return stream(seed, BODY, zlib.crc32(name.encode()), number, purpose)

@@ -1,0 +1,46 @@
+"""Several calibrated cameras as arrays: what is asked of all views at once is asked of these."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.rig.cameras import CameraCalibration
+from pipeline.rig.lens import undistorted
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class CameraArrays(NamedTuple):
+    """Of V cameras."""
+
+    K: Array  # (V, 3, 3) px
+    distortion: Array  # (V, 5)
+    R: Array  # (V, 3, 3)
+    t_mm: Array  # (V, 3)
+
+    @property
+    def centers_mm(self) -> Array:
+        """Optical centres (V, 3) in the world frame."""
+        return -(self.t_mm[:, None] @ self.R)[:, 0]
+
+    @property
+    def focals_px(self) -> Array:
+        """Mean focal lengths (V,)."""
+        return (self.K[:, 0, 0] + self.K[:, 1, 1]) / 2
+
+    def flat_rays(self, pixels_uv: Array, owners: Indices) -> Array:
+        """Where viewing rays (N, 2) meet the plane at depth 1 of their own camera, by its index (N,)."""
+        return undistorted(pixels_uv, owners, self.K, self.distortion)
+
+
+def arrays_of(cameras: Sequence[CameraCalibration]) -> CameraArrays:
+    """The cameras in their order."""
+    each = [(camera.K, camera.distortion, camera.R, camera.t_mm) for camera in cameras]
+    # several times as fast as np.array, which looks at every element
+    K, distortion, R, t_mm = (np.concatenate(arrays) for arrays in zip(*each, strict=True))
+    return CameraArrays(
+        K.reshape(-1, 3, 3), distortion.reshape(-1, 5), R.reshape(-1, 3, 3), t_mm.reshape(-1, 3)
+    )

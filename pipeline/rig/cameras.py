@@ -1,0 +1,146 @@
+"""The calibrated cameras: projection, rays, and the rig as a document (read by `pipeline.rig.document`).
+
+World frame: origin at the rig's centre, right-handed, z up, mm. Camera frame as in OpenCV:
+`x_cam = R @ x_world + t`. Pixels (u, v) = (column, row), centres on integers.
+Projection follows eqs. (1)-(3) of the paper, `w x = K [R|t] X`, preceded by the radial and
+tangential distortion (k1, k2, p1, p2, k3) of OpenCV.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.frames import CameraId
+from pipeline.rig.lens import distort, undistorted
+
+FORMAT = "stonefall-rig/1"
+Method = Literal["nominal", "paper", "bundle", "imported"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCalibration:
+    """Pinhole with distortion; arrays are read-only float64."""
+
+    id: CameraId
+    image_size_px: tuple[int, int]  # W, H
+    K: Array  # (3, 3) px
+    distortion: Array  # (5,) k1 k2 p1 p2 k3
+    R: Array  # (3, 3)
+    t_mm: Array  # (3,)
+    serial: str | None = None
+    rms_px: float | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.K, self.distortion, self.R, self.t_mm):
+            array.setflags(write=False)
+
+    @property
+    def projection(self) -> Array:
+        """(3, 4) matrix K [R|t], without distortion."""
+        return self.K @ np.column_stack([self.R, self.t_mm])
+
+    @property
+    def center_mm(self) -> Array:
+        """Optical centre in the world frame (3,)."""
+        return -self.R.T @ self.t_mm
+
+    @property
+    def focal_px(self) -> float:
+        """Mean focal length."""
+        return float((self.K[0, 0] + self.K[1, 1]) / 2)
+
+    def project(self, points_world_mm: ArrayLike) -> tuple[Array, Array]:
+        """Pixels (N, 2) of world points (N, 3), and their depths (N,) in mm along the optical axis."""
+        points_camera_mm = np.asarray(points_world_mm, dtype=np.float64) @ self.R.T + self.t_mm
+        depths_mm = points_camera_mm[:, 2]
+        normalized = points_camera_mm[:, :2] / depths_mm[:, None]
+        distorted = distort(normalized, self.distortion)
+        return distorted @ self.K[:2, :2].T + self.K[:2, 2], depths_mm
+
+    def flat_rays(self, pixels_uv: ArrayLike) -> Array:
+        """Where the viewing rays through pixels (N, 2) meet the plane at depth 1 of the camera's own frame, (N, 2)."""
+        pixels = np.asarray(pixels_uv, dtype=np.float64).reshape(-1, 2)
+        owners = np.zeros(len(pixels), np.int64)
+        return undistorted(pixels, owners, np.array([self.K]), np.array([self.distortion]))
+
+    def rays(self, pixels_uv: ArrayLike) -> Array:
+        """Unit directions (N, 3) in the world frame of the viewing rays through pixels (N, 2)."""
+        flat = self.flat_rays(pixels_uv)
+        rays = np.column_stack([flat, np.ones(len(flat))])
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True) @ self.R)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigCalibration:
+    """All cameras of a rig in page order."""
+
+    name: str
+    method: Method
+    created_at: str
+    cameras: tuple[CameraCalibration, ...]
+    ball_diameter_mm: float | None = None
+
+    @property
+    def camera_ids(self) -> tuple[CameraId, ...]:
+        return tuple(camera.id for camera in self.cameras)
+
+    @property
+    def calibration_id(self) -> str:
+        """The document's checksum: equal rigs have equal ids, every result carries it."""
+        return str(rig_to_document(self)["checksum"])
+
+    def subset(self, camera_ids: Iterable[CameraId]) -> "RigCalibration":
+        """The same rig with only these cameras, in page order."""
+        wanted = set(camera_ids)
+        kept = tuple(camera for camera in self.cameras if camera.id in wanted)
+        return RigCalibration(
+            name=self.name,
+            method=self.method,
+            created_at=self.created_at,
+            cameras=kept,
+            ball_diameter_mm=self.ball_diameter_mm,
+        )
+
+
+# --- the rig document (format "stonefall-rig/1") ---
+
+
+def rig_to_document(rig: RigCalibration) -> dict[str, Any]:
+    """The rig as JSON-ready values, with its checksum."""
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "name": rig.name,
+        "created_at": rig.created_at,
+        "method": rig.method,
+        "ball_diameter_mm": rig.ball_diameter_mm,
+        "cameras": [
+            {
+                "id": camera.id,
+                "serial": camera.serial,
+                "image_size_px": list(camera.image_size_px),
+                "K": camera.K.tolist(),
+                "distortion": camera.distortion.tolist(),
+                "R": camera.R.tolist(),
+                "t_mm": camera.t_mm.tolist(),
+                "projection": camera.projection.tolist(),
+                "rms_px": camera.rms_px,
+            }
+            for camera in rig.cameras
+        ],
+    }
+    document["checksum"] = checksum_of(document)
+    return document
+
+
+def checksum_of(document: Mapping[str, Any]) -> str:
+    """Sha256 (hex) of the canonical JSON (sorted keys, no spaces, UTF-8) without the member `checksum`."""
+    bare = {key: value for key, value in document.items() if key != "checksum"}
+    canonical = json.dumps(bare, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,0 +1,103 @@
+"""What becomes of a stone that some cameras did not see well: how good its result is, or why there is none."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from pipeline.errors import RejectedError, RejectReason
+from pipeline.frames import CameraId
+from pipeline.rig.cameras import RigCalibration
+from pipeline.segmentation import SilhouetteSet, ViewStatus
+
+LAYER_TOLERANCE_DEG = 10.0
+"""Cameras whose elevations differ by less belong to one layer."""
+
+
+class Quality(StrEnum):
+    """How many views a result rests on."""
+
+    GOOD = "good"
+    REDUCED = "reduced"
+    DEGRADED = "degraded"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewsParameters:
+    """What becomes of a stone that some cameras did not see well."""
+
+    good: int = 14  # at least so many views make a good result
+    reduced: int = 12
+    min: int = 8  # fewer are not measured
+    max_unusable: int = 2  # views showing several bodies, or a cut one, before the whole bundle is rejected
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.min <= self.reduced <= self.good:
+            raise ValueError("views need 2 <= min <= reduced <= good")
+        if self.max_unusable < 0:
+            raise ValueError("max_unusable must not be negative")
+
+
+def judge_views(
+    silhouettes: SilhouetteSet,
+    dropped: dict[CameraId, str],
+    rig: RigCalibration,
+    parameters: ViewsParameters,
+) -> None:
+    """Add the unusable views to `dropped`.
+
+    Raises
+    ------
+    RejectedError
+        For what most views show, or because too few are usable.
+    """
+    for camera, silhouette in silhouettes.items():
+        if not silhouette.is_usable:
+            dropped[camera] = str(silhouette.status)
+    shown = [silhouette.status for silhouette in silhouettes.values()]
+    n_of = {status: shown.count(status) for status in ViewStatus}
+    if n_of[ViewStatus.EMPTY] > len(shown) / 2:
+        raise RejectedError(RejectReason.EMPTY, f"{n_of[ViewStatus.EMPTY]} of {len(shown)} views are empty")
+    if n_of[ViewStatus.NO_BACKGROUND] > len(shown) / 2:
+        raise RejectedError(RejectReason.NO_BACKGROUND, "the empty rig was not exposed yet")
+    if n_of[ViewStatus.MULTIPLE] > parameters.max_unusable:
+        raise RejectedError(
+            RejectReason.MULTIPLE, f"{n_of[ViewStatus.MULTIPLE]} views show more than one body"
+        )
+    if n_of[ViewStatus.CLIPPED] > parameters.max_unusable:
+        raise RejectedError(
+            RejectReason.CLIPPED, f"the body leaves the image in {n_of[ViewStatus.CLIPPED]} views"
+        )
+    usable = [camera for camera, silhouette in silhouettes.items() if silhouette.is_usable]
+    quality_of(rig.subset(usable), rig, parameters)
+
+
+def quality_of(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
+    """Quality by the number of views; below `reduced` every layer of cameras needs two.
+
+    Raises
+    ------
+    RejectedError
+        There are too few of them.
+    """
+    n_views = len(used.cameras)
+    if n_views >= parameters.reduced:
+        return Quality.GOOD if n_views >= parameters.good else Quality.REDUCED
+    if n_views < parameters.min:
+        raise RejectedError(
+            RejectReason.INSUFFICIENT_VIEWS, f"{n_views} usable views, {parameters.min} are needed"
+        )
+    elevations, all_elevations = _elevations_deg(used), _elevations_deg(rig)
+    for elevation in all_elevations:
+        in_layer = int(np.sum(np.abs(elevations - elevation) < LAYER_TOLERANCE_DEG))
+        if in_layer < min(2, int(np.sum(np.abs(all_elevations - elevation) < LAYER_TOLERANCE_DEG))):
+            raise RejectedError(
+                RejectReason.INSUFFICIENT_VIEWS,
+                f"{in_layer} usable views in the layer at {elevation:.0f} degrees",
+            )
+    return Quality.DEGRADED
+
+
+def _elevations_deg(rig: RigCalibration) -> np.ndarray:
+    centers_mm = np.array([camera.center_mm for camera in rig.cameras]).reshape(-1, 3)
+    return np.asarray(np.rad2deg(np.arcsin(centers_mm[:, 2] / np.linalg.norm(centers_mm, axis=1))))

@@ -1,0 +1,157 @@
+"""Calibrate the rig from balls while the daemon runs, choose which calibration is used, and roll back."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Response
+from fastapi.responses import FileResponse
+
+from service.api.auth import require
+from service.api.context import ApiContext, Context
+from service.api.problems import Problem, documented, found
+from service.api.routes.calibration_schemas import (
+    CalibrationDocument,
+    CalibrationRequest,
+    Calibrations,
+    CalibrationSummary,
+    Signature,
+)
+from service.api.settings import Scope
+from service.api.version import BASE
+from service.calibration.details import CalibrationDetails
+from service.calibration.files import CalibrationRecord
+from service.calibration.plan import CalibrationPlan
+from service.calibration.states import CalibrationAction
+
+router = APIRouter(prefix="/calibrations", tags=["calibrations"])
+
+CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id` of a calibration")]
+
+
+@router.get(
+    "", response_model=Calibrations, dependencies=[Depends(require(Scope.READ))], responses=documented()
+)
+async def calibrations(context: Context) -> dict[str, Any]:
+    """All calibrations, newest first, and which one is in use."""
+    known = context.control.calibrations
+    return {
+        "active": asdict(known.activated),
+        "items": [_summary(context, record) for record in known.all()],
+        "activations": [asdict(each) for each in known.activations],
+    }
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=CalibrationSummary,
+    dependencies=[Depends(require(Scope.OPERATE))],
+    responses=documented(409),
+)
+async def start_calibration(
+    context: Context, wanted: CalibrationRequest, response: Response
+) -> dict[str, Any]:
+    """Begin to collect drops; 409 while somebody else does, or when none would be seen.
+
+    On live cameras all that falls is a `ball` until the session ends (but with `stones`): it is measured, but is no
+    stone. It ends by `accept`, `reject` or `cancel`, or when nothing was seen for ten minutes.
+    """
+    plan = _valid_plan(wanted)
+    control = context.control
+    record = await control.calibrations.start(plan, control.acquisition().state)
+    response.headers["Location"] = f"{BASE}/calibrations/{record.id}"
+    return _summary(context, record)
+
+
+@router.get(
+    "/{calibration}",
+    response_model=CalibrationDocument,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=documented(404),
+)
+async def calibration(context: Context, calibration: CalibrationName) -> dict[str, Any]:
+    """How far a session is: its drops, what they cover, what the calibration in use makes of them; the report."""
+    details = await context.control.calibrations.find(calibration)
+    return _document(context, found(details, "calibration", calibration))
+
+
+@router.get(
+    "/{calibration}/rig.json",
+    response_class=FileResponse,
+    dependencies=[Depends(require(Scope.READ))],
+    responses={200: {"content": {"application/json": {}}}, **documented(404)},
+)
+async def calibration_rig(context: Context, calibration: CalibrationName) -> FileResponse:
+    """Its rig file, with the checksum; 404 before it is solved."""
+    path = context.control.calibrations.rig_path(calibration)
+    if path is None:
+        raise Problem(404, "unknown-calibration", f"there is no calibration {calibration} with a rig")
+    return FileResponse(path, media_type="application/json")
+
+
+def _offer(action: CalibrationAction, scope: Scope, text: str, status: int = 200) -> None:
+    """Add the route of an action; `text` is its description."""
+
+    @router.post(
+        f"/{{calibration}}/{action}",
+        name=f"{action}_calibration",
+        description=text,
+        status_code=status,
+        response_model=CalibrationSummary,
+        dependencies=[Depends(require(scope))],
+        responses=documented(404, 409),
+    )
+    async def act(
+        context: Context, calibration: CalibrationName, signature: Signature | None = None
+    ) -> dict[str, Any]:
+        by = None if signature is None else signature.by
+        record = await context.control.calibrations.act(calibration, action, by)
+        return _summary(context, found(record, "calibration", calibration))
+
+
+_offer(
+    CalibrationAction.SOLVE,
+    Scope.OPERATE,
+    "Solve it from the drops so far, in its own process; ask for it again until it is `solved`, or `collecting` again.",
+    202,
+)
+_offer(
+    CalibrationAction.ACCEPT,
+    Scope.CONFIGURE,
+    "Make a solution a version; 409 when its report forbids its use. It is used when it is activated.",
+)
+_offer(CalibrationAction.REJECT, Scope.OPERATE, "End a session without using its solution; the record stays.")
+_offer(CalibrationAction.CANCEL, Scope.OPERATE, "End a session whatever it has come to; the record stays.")
+_offer(
+    CalibrationAction.ACTIVATE,
+    Scope.CONFIGURE,
+    "Measure with it from the next stone on; with an older one this is the roll back. Nothing is interrupted.",
+)
+
+
+def _valid_plan(wanted: CalibrationRequest) -> CalibrationPlan:
+    members = wanted.model_dump()
+    try:
+        return CalibrationPlan(**members | {"ball_diameters_mm": tuple(wanted.ball_diameters_mm)})
+    except ValueError as err:
+        errors = [{"field": "body", "message": str(err)}]
+        raise Problem(422, "invalid-request", str(err), errors=errors) from err
+
+
+def _summary(context: ApiContext, record: CalibrationRecord) -> dict[str, Any]:
+    return {**asdict(record), "is_active": record.id == context.control.calibrations.active.id}
+
+
+def _document(context: ApiContext, details: CalibrationDetails) -> dict[str, Any]:
+    return {
+        **_summary(context, details.record),
+        "drops": [{**asdict(drop), "views": list(drop.views)} for drop in details.drops],
+        "coverage": {**asdict(details.coverage), "is_sufficient": details.coverage.is_sufficient},
+        "residuals_before_px": details.residuals_px,
+        "report": None if details.report is None else _without_rig(details.report),
+    }
+
+
+def _without_rig(report: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in report.items() if name != "rig"}

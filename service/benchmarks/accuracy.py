@@ -1,0 +1,219 @@
+"""How accurate the whole chain is: a synthetic rig is calibrated from balls, then measures known bodies.
+
+What is rendered and measured follows from the seed alone; processes share the work and change no number.
+"""
+
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import trimesh
+from threadpoolctl import threadpool_limits
+
+from pipeline.calibration import BallDrop, CalibrationReport, calibrate
+from pipeline.errors import CalibrationError
+from pipeline.evaluation.comparison import Surface
+from pipeline.evaluation.distance_picture import distance_picture
+from pipeline.evaluation.scene import Scene, build_scene, drop_ball
+from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_body, try_body
+from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.design import as_built, nominal_rig
+from pipeline.synthesis.bodies import Body
+
+RigName = Literal["true", "paper", "ours"]
+RIGS: tuple[RigName, ...] = ("true", "paper", "ours")
+CALIBRATIONS: Mapping[RigName, tuple[Literal["paper", "bundle"], int]] = {
+    "paper": ("paper", 8),
+    "ours": ("bundle", 20),
+}
+"""Method and number of drops; the paper used eight."""
+BALL_MM = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchPlan:
+    """What is tried."""
+
+    poses: Mapping[str, int]  # by body; also how many bodies, where these are random
+    own_bodies: Mapping[str, Body] = field(default_factory=dict)  # from mesh files, by their names in `poses`
+    seed: int = 1
+    methods: Mapping[RigName, tuple[Method, ...]] = field(
+        default_factory=lambda: dict.fromkeys(RIGS, METHODS)
+    )
+    pictures: Path | None = None  # folder for pictures of each body's first pose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchResult:
+    """What came of it; a rig whose calibration failed is in `refused` with the reason, and in no trial."""
+
+    trials: tuple[Trial, ...]
+    reports: Mapping[RigName, CalibrationReport]
+    refused: Mapping[RigName, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """Averages over the trials of one body with one rig by one method; mm and percent, failures left out."""
+
+    body: str
+    rig: str
+    method: Method
+    n: int
+    failures: Mapping[str, int]  # how often there was no body, by reason
+    mean_mm: float
+    max_mm: float  # mean of the greatest distances
+    signed_mm: float
+    back_mean_mm: float
+    back_max_mm: float
+    mesh_volume_percent: float
+    volume_percent: float
+    volume_rms_percent: float  # of the reported volume
+    area_percent: float
+    max_feret_mm: float
+    min_feret_mm: float
+    sieve_size_mm: float
+
+
+def run_accuracy_bench(
+    plan: BenchPlan, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> BenchResult:
+    """Calibrate the plan's rigs and try its bodies; `on_progress` is told what is done and of how much."""
+    calibrations = {rig: CALIBRATIONS[rig] for rig in plan.methods if rig in CALIBRATIONS}
+    n_drops = max((count for _, count in calibrations.values()), default=0)
+    total = n_drops + len(calibrations) + sum(plan.poses.values())
+    done = 0
+
+    def finished(futures: Iterable[Future[Any]]) -> None:
+        nonlocal done
+        for future in as_completed(futures):
+            future.result()
+            done += 1
+            on_progress(done, total)
+
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=context, initializer=_use_one_thread) as pool:
+        try:
+            dropped = [pool.submit(_drop, plan.seed, number) for number in range(n_drops)]
+            finished(dropped)
+            drops = [future.result() for future in dropped]
+            solved = {
+                rig: pool.submit(_calibrate, drops[:count], method)
+                for rig, (method, count) in calibrations.items()
+            }
+            finished(solved.values())
+            outcomes = {rig: future.result() for rig, future in solved.items()}
+            reports = {
+                rig: report for rig, report in outcomes.items() if isinstance(report, CalibrationReport)
+            }
+            rigs: dict[RigName, RigCalibration] = {}
+            if "true" in plan.methods:
+                rigs["true"] = as_built(nominal_rig(), plan.seed)
+            rigs |= {rig: report.rig for rig, report in reports.items()}
+            tried = [
+                pool.submit(_try, plan, name, number, rigs)
+                for name, n_poses in plan.poses.items()
+                for number in range(n_poses)
+            ]
+            finished(tried)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return BenchResult(
+        trials=tuple(trial for future in tried for trial in future.result()),
+        reports=reports,
+        refused={rig: reason for rig, reason in outcomes.items() if isinstance(reason, str)},
+    )
+
+
+def summarize(trials: Sequence[Trial], body: str | None = None) -> list[Summary]:
+    """One summary for each body, rig and method, in the order of the trials; under one name if `body` is given."""
+    groups: dict[tuple[str, str, Method], list[Trial]] = {}
+    for trial in trials:
+        groups.setdefault((body or trial.body, trial.rig, trial.method), []).append(trial)
+    return [_summary(*key, group) for key, group in groups.items()]
+
+
+def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> Summary:
+    distances = [trial.distances for trial in trials if trial.distances is not None]
+    errors = [trial.errors for trial in trials if trial.errors is not None]
+
+    def average(values: Iterable[float]) -> float:
+        found = list(values)
+        return fmean(found) if found else float("nan")
+
+    return Summary(
+        body=body,
+        rig=rig,
+        method=method,
+        n=len(trials),
+        failures=Counter(trial.failure for trial in trials if trial.failure is not None),
+        mean_mm=average(d.mean_mm for d in distances),
+        max_mm=average(d.max_mm for d in distances),
+        signed_mm=average(d.signed_mm for d in distances),
+        back_mean_mm=average(d.back_mean_mm for d in distances),
+        back_max_mm=average(d.back_max_mm for d in distances),
+        mesh_volume_percent=average(e.mesh_volume_percent for e in errors),
+        volume_percent=average(e.volume_percent for e in errors),
+        volume_rms_percent=float(np.sqrt(average(e.volume_percent**2 for e in errors))),
+        area_percent=average(e.area_percent for e in errors),
+        max_feret_mm=average(e.max_feret_mm for e in errors),
+        min_feret_mm=average(e.min_feret_mm for e in errors),
+        sieve_size_mm=average(e.sieve_size_mm for e in errors),
+    )
+
+
+# --- in the worker processes ---
+
+
+def _use_one_thread() -> None:
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+
+
+@cache
+def _scene(seed: int) -> Scene:
+    """Rendered once a process; equal in all of them."""
+    return build_scene(seed)
+
+
+def _drop(seed: int, number: int) -> BallDrop:
+    return drop_ball(_scene(seed), number, BALL_MM)
+
+
+def _calibrate(drops: Sequence[BallDrop], method: Literal["paper", "bundle"]) -> CalibrationReport | str:
+    try:
+        design = nominal_rig()
+        return calibrate(drops, design, method=method, created_at=design.created_at, name=f"bench-{method}")
+    except CalibrationError as err:
+        return str(err)
+
+
+def _try(plan: BenchPlan, name: str, number: int, rigs: Mapping[RigName, RigCalibration]) -> list[Trial]:
+    body = plan.own_bodies.get(name) or random_body(name, number, plan.seed)
+
+    def picture(trial: Trial, measured: Measured, truth: trimesh.Trimesh) -> None:
+        if plan.pictures is None or number > 0 or trial.distances is None:
+            return
+        distances_mm = Surface(truth).signed_distances_mm(np.asarray(measured.mesh.vertices))
+        title = (
+            f"{name}: {trial.method}, rig: {trial.rig};"
+            f" mean {trial.distances.mean_mm:.3f} mm, max {trial.distances.max_mm:.3f} mm"
+        )
+        file = f"{name}-{trial.rig}-{trial.method}.png".replace(" ", "-").replace("'", "")
+        image_rgb = distance_picture(measured.mesh, distances_mm, title)
+        cv2.imwrite(str(plan.pictures / file), image_rgb[..., ::-1])
+
+    measured_with: dict[str, tuple[RigCalibration, Sequence[Method]]] = {
+        name: (rig, plan.methods[name]) for name, rig in rigs.items()
+    }
+    return try_body(body, number, _scene(plan.seed), measured_with, picture)

@@ -1,0 +1,236 @@
+"""What one stone costs on this machine, stage by stage and from the bundle's file to the durable result.
+
+In a worker process of its own, one thread. Stages count processor time, of the quickest of `N_RUNS`: other work on the
+machine does not take of it, but makes the same work take up to twice as long, so the processor's own speed is told as
+well. The whole way, `worker_job.measure` and the store, is run once, and told by the clock too.
+"""
+
+import asyncio
+import multiprocessing
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from drivers.files.recording import write_bundle
+from drivers.files.rig_file import write_rig
+from pipeline.carving import carve
+from pipeline.evaluation.scene import BODY, Scene, build_scene
+from pipeline.frames import FrameBundle
+from pipeline.measuring.solid import solid_of
+from pipeline.meshing import mesh_hull
+from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.segmentation import segment_all
+from pipeline.synthesis.bundles import stream
+from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.stones import stone
+from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
+from service.errors import UsageError
+from service.processing.background_files import write_background
+from service.processing.measure_job import (
+    MESH,
+    SILHOUETTES,
+    MeasureJob,
+    RigFile,
+    WorkerContext,
+    initialize,
+    measure,
+    this_worker,
+)
+from service.store import open_store
+
+SIZES_MM = (5.0, 15.0, 25.0, 40.0)
+"""Greatest diameters; the last ones fill the image."""
+FORM = "angular"
+N_RUNS = 3
+"""Of each stone, as long as it lies in the caches: the goals were found in the same way."""
+PRODUCT = 512
+"""Edge of the matrices, in single precision, whose product says how fast the processor is just now."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoneTimes:
+    """Of one stone, in ms."""
+
+    stages_ms: Mapping[str, float]  # processor time, frames to all measures
+    hull_ms: float  # the same in sum, with the hull as the body
+    mesh_ms: float  # silhouettes to the hull's mesh with its integrals
+    way_ms: float  # bundle file to durable result, by the clock
+    way_cpu_ms: float
+    gflops: float  # of the processor meanwhile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizeTimes:
+    """Of stones of one size, in ms; medians, and 95 of 100 are below `..._p95_ms`."""
+
+    size_mm: float
+    n: int
+    stages_ms: Mapping[str, float]
+    cpu_ms: float  # frames to all measures
+    cpu_p95_ms: float
+    hull_ms: float
+    mesh_ms: float
+    way_ms: float
+    way_p95_ms: float
+    way_cpu_ms: float
+    gflops: float
+
+
+def run_performance_bench(
+    repeat: int, seed: int, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> list[SizeTimes]:
+    """Time `repeat` stones of each of `SIZES_MM` in one worker, after one that warms it up."""
+    jobs = [(row, number) for row in range(len(SIZES_MM)) for number in range(repeat)]
+    timed: dict[int, list[StoneTimes]] = {row: [] for row in range(len(SIZES_MM))}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPoolExecutor(
+            1,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=initialize,
+            initargs=(worker_context(),),
+        ) as pool,
+    ):
+        pool.submit(_time_one, Path(folder), seed, 0, repeat).result()
+        for done, (row, number) in enumerate(jobs):
+            on_progress(done, len(jobs))
+            timed[row].append(pool.submit(_time_one, Path(folder), seed, row, number).result())
+    return [_summary(SIZES_MM[row], stones) for row, stones in timed.items()]
+
+
+def worker_context() -> WorkerContext:
+    """What the daemon's workers share when nothing is configured."""
+    return WorkerContext(
+        parameters=PipelineParameters(),
+        is_simulated=True,
+        segmentation=plan_segmenter(SegmentationSettings()),
+    )
+
+
+def _summary(size_mm: float, stones: list[StoneTimes]) -> SizeTimes:
+    totals_ms = [sum(each.stages_ms.values()) for each in stones]
+    return SizeTimes(
+        size_mm=size_mm,
+        n=len(stones),
+        stages_ms={stage: median(each.stages_ms[stage] for each in stones) for stage in stones[0].stages_ms},
+        cpu_ms=median(totals_ms),
+        cpu_p95_ms=float(np.quantile(totals_ms, 0.95)),
+        hull_ms=median(each.hull_ms for each in stones),
+        mesh_ms=median(each.mesh_ms for each in stones),
+        way_ms=median(each.way_ms for each in stones),
+        way_p95_ms=float(np.quantile([each.way_ms for each in stones], 0.95)),
+        way_cpu_ms=median(each.way_cpu_ms for each in stones),
+        gflops=median(each.gflops for each in stones),
+    )
+
+
+# --- in the worker process ---
+
+
+@cache
+def _scene(folder: Path, seed: int) -> Scene:
+    """The rig, with its files in the folder."""
+    scene = build_scene(seed)
+    write_rig(folder / "rig.json", scene.true_rig)
+    write_background(folder / "background", scene.background)
+    return scene
+
+
+def _time_one(folder: Path, seed: int, row: int, number: int) -> StoneTimes:
+    """The n-th stone of a size."""
+    scene = _scene(folder, seed)
+    rng = stream(seed, BODY, row, number)
+    bundle = scene.photograph(tumble(stone(FORM, SIZES_MM[row], rng), scene.true_rig, rng), rng, FORM)
+    rejection = measured(bundle, scene, "estimate")[1].rejection
+    if rejection is not None:
+        raise UsageError(f"a stone of {SIZES_MM[row]:g} mm cannot be timed: {rejection}; try another --seed")
+    estimates_ms, hulls_ms, meshes_ms, speeds = [], [], [], []
+    for _ in range(
+        N_RUNS
+    ):  # no result is held: a worker keeps none, and the next one would begin in fresh memory
+        speeds.append(processor_gflops())
+        estimates_ms.append(measured(bundle, scene, "estimate")[0])
+        hulls_ms.append(sum(measured(bundle, scene, "hull")[0].values()))
+        meshes_ms.append(mesh_ms(bundle, scene))
+    way_ms, way_cpu_ms = _whole_way(folder, f"{row}-{number}", bundle, scene)
+    return StoneTimes(
+        stages_ms=min(estimates_ms, key=lambda stages_ms: sum(stages_ms.values())),
+        hull_ms=min(hulls_ms),
+        mesh_ms=min(meshes_ms),
+        way_ms=way_ms,
+        way_cpu_ms=way_cpu_ms,
+        gflops=max(speeds),
+    )
+
+
+def processor_gflops() -> float:
+    """What one thread just now makes of a product of matrices, the best of a few."""
+    matrix = np.ones((PRODUCT, PRODUCT), np.float32)
+    times_s = []
+    for _ in range(N_RUNS):
+        start_s = time.process_time()
+        matrix @ matrix
+        times_s.append(time.process_time() - start_s)
+    return 2e-9 * PRODUCT**3 / min(times_s)
+
+
+def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[str, float], ParticleResult]:
+    """Processor time of each stage in this worker, ms, and what came of it."""
+    worker = this_worker()
+    stages_ms: dict[str, float] = {}
+    last_s = time.process_time()
+
+    def on_stage(stage: str) -> None:
+        nonlocal last_s
+        now_s = time.process_time()
+        stages_ms[stage] = 1000 * (now_s - last_s)
+        last_s = now_s
+
+    parameters = replace(worker.context.parameters, body=BodyParameters(body))
+    result = measure_bundle(bundle, scene.true_rig, scene.background, worker.segmenter, parameters, on_stage)
+    return stages_ms, result
+
+
+def mesh_ms(bundle: FrameBundle, scene: Scene) -> float:
+    """Processor time from silhouettes whose distances are still unknown to the hull's mesh and its integrals."""
+    silhouettes = segment_all(bundle.frames, scene.background, this_worker().segmenter)
+    start_s = time.process_time()
+    hull = mesh_hull(carve(silhouettes, scene.true_rig, this_worker().context.parameters.carving))
+    if hull is not None:
+        solid_of(hull.vertices_mm, hull.faces)
+    return 1000 * (time.process_time() - start_s)
+
+
+def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tuple[float, float]:
+    """From the bundle's file to the durable result, in ms by the clock and of the processor."""
+    job = MeasureJob(
+        bundle_path=folder / f"{name}.tiff",
+        camera_ids=scene.true_rig.camera_ids,
+        rig=RigFile(folder / "rig.json", scene.true_rig.calibration_id),
+        background_path=folder / "background",
+        out_dir=folder / name,
+        save_silhouettes=True,
+    )
+    write_bundle(job.bundle_path, bundle, job.camera_ids, compression="none")
+    times_ms = asyncio.run(_measured_and_stored(folder / "state", job, bundle))
+    job.bundle_path.unlink()
+    return times_ms
+
+
+async def _measured_and_stored(state: Path, job: MeasureJob, bundle: FrameBundle) -> tuple[float, float]:
+    with open_store(state) as store:
+        session = await store.begin_session({})
+        await store.record_triggers(session, {bundle.name: bundle.trigger})
+        start_s, start_cpu_s = time.perf_counter(), time.process_time()
+        record = measure(job)
+        await store.finish(
+            session, bundle.name, record, {name: job.out_dir / name for name in (MESH, SILHOUETTES)}
+        )
+        return 1000 * (time.perf_counter() - start_s), 1000 * (time.process_time() - start_cpu_s)

@@ -1,0 +1,180 @@
+"""Calibrations on disk: a folder each, and which one is in use. Everything blocks; every write is durable.
+
+::
+
+    calibrations/activations.json       which was activated when; the last one is in use
+    calibrations/0001/session.json      what it is and where it stands, see `CalibrationRecord`
+    calibrations/0001/rig.json          the rig with its checksum, as soon as there is one
+    calibrations/0001/report.json       what the solution found
+    calibrations/0001/drops/            what was seen of each, see `service.calibration.drop_files`
+
+A file is replaced as a whole or not at all, and the choice of the calibration in use is one file: a process that
+is killed at any moment leaves the old choice or the new one. Files that another one names are written before it.
+"""
+
+import logging
+import re
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from drivers.errors import RecordingError
+from drivers.files.durable import new_folder, read_json, write_json
+from drivers.files.rig_file import read_rig, write_rig
+from pipeline.frames import CameraId
+from pipeline.rig.cameras import RigCalibration
+from service.calibration.states import CalibrationState
+from service.processing.measure_job import RigFile
+
+log = logging.getLogger(__name__)
+
+CALIBRATION_NAME = re.compile(r"[0-9]{4,9}")
+"""What a calibration is called: they are counted."""
+RIG, REPORT, SESSION, DROPS, ACTIVATIONS = (
+    "rig.json",
+    "report.json",
+    "session.json",
+    "drops",
+    "activations.json",
+)
+
+Origin = Literal["configured", "session"]
+Document = TypeVar("Document")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationRecord:
+    """What a calibration is and where it stands."""
+
+    id: str
+    origin: Origin
+    state: CalibrationState
+    method: str  # of the configured rig file; of a session, what was asked for
+    ball_diameters_mm: tuple[float, ...] = ()
+    created_at: str  # RFC 3339, as is `changed_at`
+    changed_at: str
+    by: str | None = None  # who began it
+    decided_by: str | None = None  # who accepted, rejected or cancelled it
+    note: str | None = None
+    initial_calibration_id: str | None = None  # in use when it was begun; solutions start from it
+    calibration_id: str | None = None  # of its rig; None while there is none
+    detail: str | None = None  # why it was cancelled, could not be solved, or must not be accepted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Activation:
+    """One choice of the calibration in use."""
+
+    id: str
+    calibration_id: str
+    at: str  # RFC 3339
+    by: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Activations:
+    """All choices, oldest first."""
+
+    configured_calibration_id: str | None = None  # of the configured rig file when it was read last
+    items: tuple[Activation, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationFiles:
+    """The folder of all calibrations, which is made."""
+
+    folder: Path
+    _records: TypeAdapter[CalibrationRecord] = field(default_factory=lambda: TypeAdapter(CalibrationRecord))
+    _activations: TypeAdapter[Activations] = field(default_factory=lambda: TypeAdapter(Activations))
+
+    def clean(self) -> None:
+        """Make the folder, and remove what a killed predecessor left half done."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for unfinished in self.folder.glob(".*.unfinished"):
+            shutil.rmtree(unfinished, ignore_errors=True)
+
+    def records(self) -> list[CalibrationRecord]:
+        """All of them, oldest first; a damaged one is logged and left out."""
+        found = []
+        for path in sorted(self.folder.iterdir()):
+            if not CALIBRATION_NAME.fullmatch(path.name):
+                continue
+            try:
+                found.append(read_document(path / SESSION, self._records))
+            except RecordingError as err:
+                log.error("calibration %s is not used: %s", path.name, err)
+        return found
+
+    def drops(self, name: str) -> Path:
+        """The folder of its drops, see `service.calibration.drop_files`."""
+        return self.folder / name / DROPS
+
+    def next_name(self) -> str:
+        """A name that no calibration has or had."""
+        taken = [int(path.name) for path in self.folder.iterdir() if CALIBRATION_NAME.fullmatch(path.name)]
+        return f"{max(taken, default=0) + 1:04d}"
+
+    def create(self, record: CalibrationRecord, rig: RigCalibration | None = None) -> None:
+        with new_folder(self.folder / record.id) as folder:
+            (folder / DROPS).mkdir()
+            if rig is not None:
+                write_rig(folder / RIG, rig)
+            write_json(folder / SESSION, self._records.dump_python(record, mode="json"))
+
+    def write(self, record: CalibrationRecord) -> None:
+        write_json(self.folder / record.id / SESSION, self._records.dump_python(record, mode="json"))
+
+    def activations(self) -> Activations:
+        """Empty before the first start; raises `RecordingError` when the file is damaged."""
+        path = self.folder / ACTIVATIONS
+        return read_document(path, self._activations) if path.exists() else Activations()
+
+    def write_activations(self, activations: Activations) -> None:
+        write_json(self.folder / ACTIVATIONS, self._activations.dump_python(activations, mode="json"))
+
+    def rig(self, record: CalibrationRecord) -> RigCalibration:
+        """Its rig; raises `RecordingError` when that is missing, damaged or another one than recorded."""
+        path = self.folder / record.id / RIG
+        rig = read_rig(path)
+        if rig.calibration_id != record.calibration_id:
+            raise RecordingError(
+                path, f"is not the rig of calibration {record.id}: another one was put there"
+            )
+        return rig
+
+    def write_rig(self, record: CalibrationRecord, rig: RigCalibration) -> None:
+        write_rig(self.folder / record.id / RIG, rig)
+
+    def rig_file(self, record: CalibrationRecord) -> RigFile:
+        """Where workers find the rig of an accepted calibration."""
+        if record.calibration_id is None:
+            raise ValueError(f"calibration {record.id} has no rig")
+        return RigFile(self.folder / record.id / RIG, record.calibration_id)
+
+    def report(self, record: CalibrationRecord) -> dict[str, Any] | None:
+        """What the solution found, None for a configured rig."""
+        path = self.folder / record.id / REPORT
+        return dict(read_json(path)) if path.exists() else None
+
+
+def image_sizes_px(rig: RigCalibration) -> dict[CameraId, tuple[int, int]]:
+    """Width and height of each camera's images: calibrations of the same cameras have the same."""
+    return {camera.id: camera.image_size_px for camera in rig.cameras}
+
+
+def read_document(path: Path, adapter: TypeAdapter[Document]) -> Document:
+    """A JSON file as what it should be.
+
+    Raises
+    ------
+    RecordingError
+        Naming the file, and the field that is wrong.
+    """
+    try:
+        return adapter.validate_python(read_json(path))
+    except ValidationError as err:
+        error = err.errors()[0]
+        raise RecordingError(path, f"{'.'.join(map(str, error['loc']))}: {error['msg']}") from err

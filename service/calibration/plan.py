@@ -1,0 +1,40 @@
+"""What somebody wants to calibrate with."""
+
+from dataclasses import dataclass
+
+from service.calibration.drop_jobs import Method
+
+BALL_DIAMETERS_MM = (1.0, 45.0)
+"""What is seen, and fully in view."""
+SIZES_APART = 1.2
+"""Balls whose diameters differ by less cannot be told apart before the rig is calibrated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationPlan:
+    """What to calibrate with: one ball, two balls that differ, or the stones that fall anyway."""
+
+    ball_diameters_mm: tuple[float, ...] = ()
+    method: Method = "bundle"
+    note: str | None = None
+    by: str | None = None
+
+    def __post_init__(self) -> None:
+        n_needed = (0,) if self.method == "stones" else (1, 2)
+        if len(self.ball_diameters_mm) not in n_needed:
+            raise ValueError(
+                f"ball_diameters_mm: method {self.method} needs {' or '.join(map(str, n_needed))},"
+                f" not {len(self.ball_diameters_mm)}"
+            )
+        low_mm, high_mm = BALL_DIAMETERS_MM
+        if not all(low_mm <= each <= high_mm for each in self.ball_diameters_mm):
+            raise ValueError(
+                f"ball_diameters_mm must be in {low_mm:g}..{high_mm:g}, not {list(self.ball_diameters_mm)}"
+            )
+        if len(self.ball_diameters_mm) == 2:
+            small_mm, large_mm = sorted(self.ball_diameters_mm)
+            if large_mm < SIZES_APART * small_mm:
+                raise ValueError(
+                    f"ball_diameters_mm: {small_mm:g} and {large_mm:g} cannot be told apart before the rig is"
+                    f" calibrated, take balls that differ by a factor of {SIZES_APART:g}"
+                )

@@ -1,0 +1,296 @@
+"""Calibrations while measuring: a session collects drops, is solved, reviewed and accepted; versions are activated.
+
+Whatever was accepted once can be activated at any time, which is also how one rolls back. A session survives a
+restart of the daemon, with its drops. One that nobody needs any more is cancelled after a while, because until
+then what falls in a live rig counts as a ball and not as a stone.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RecordingError
+from pipeline.frames import BundleKind
+from pipeline.rig.cameras import RigCalibration
+from service.api.control import AcquisitionState
+from service.calibration.details import CalibrationDetails, calibration_details
+from service.calibration.drop_files import ObservedDrop, keep_drop
+from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
+from service.calibration.plan import CalibrationPlan
+from service.calibration.solving import Solver, attempt, solve_apart
+from service.calibration.startup import CalibrationsFound
+from service.calibration.states import (
+    OPEN,
+    CalibrationAction,
+    CalibrationConflictError,
+    CalibrationState,
+    next_state,
+)
+from service.calibration.verifications import Verification, VerificationPlan, Verifications
+from service.errors import StoreError
+from service.health.assessment import CalibrationFacts
+from service.processing.processing import DropCollector
+from service.store import utc_now
+
+log = logging.getLogger(__name__)
+
+IDLE_S = 600.0
+"""A session that sees no drop and hears of nobody for so long is cancelled."""
+IDLE_CHECK_S = 5.0
+UNABLE = (AcquisitionState.HELD, AcquisitionState.DISARMING, AcquisitionState.STOPPING)
+"""No drop would be seen. In a disarmed rig one may prepare a session and arm then."""
+
+
+class Calibrations:
+    """Called on the loop; `run` is its task."""
+
+    def __init__(
+        self, found: CalibrationsFound, verifications: Verifications, solver: Solver = solve_apart
+    ) -> None:
+        self._files = found.files
+        self._records = found.records
+        self._activations = found.activations
+        self._solver = solver
+        self._to_solve: asyncio.Queue[str] = asyncio.Queue()
+        self._writing = asyncio.Lock()
+        self._touched_s = time.monotonic()
+        self.verifications = verifications
+        self.active = found.active
+        self.calibration = found.rig
+        """Of the active one."""
+        self.rig = found.files.rig_file(found.active)
+        """What the next bundle is measured with."""
+        self._trouble = found.trouble
+        self.on_activated: Callable[[RigCalibration], Awaitable[None]] = _nobody
+        """Awaited before the first bundle is measured with another calibration."""
+
+    # --- what is ---
+
+    @property
+    def session(self) -> CalibrationRecord | None:
+        """The one that collects drops."""
+        return next((record for record in self._records.values() if record.state in OPEN), None)
+
+    @property
+    def collector(self) -> DropCollector | None:
+        """Who wants the next drop."""
+        session = self.session
+        if session is None:
+            return self.verifications.collector
+
+        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+            await self._add(session.id, drop, outlines)
+
+        kind = BundleKind.PARTICLE if session.method == "stones" else BundleKind.BALL
+        return DropCollector(kind=kind, diameters_mm=session.ball_diameters_mm, add=add)
+
+    @property
+    def wants_balls(self) -> bool:
+        """Whether what falls now is a ball."""
+        return self.collector is not None and self.collector.kind is BundleKind.BALL
+
+    @property
+    def activations(self) -> list[Activation]:
+        """All choices of the calibration in use, newest first."""
+        return list(reversed(self._activations.items))
+
+    @property
+    def activated(self) -> Activation:
+        """When the calibration in use was activated, and by whom."""
+        return next(item for item in self.activations if item.id == self.active.id)
+
+    def facts(self) -> CalibrationFacts:
+        """What health has to know."""
+        at_work = None
+        if self.wants_balls and (session := self.session) is not None:
+            at_work = f"calibration {session.id} is {session.state}: what falls is a ball"
+        elif (verification := self.verifications.current) is not None:
+            at_work = f"verification {verification.id} waits for balls: what falls is a ball"
+        return CalibrationFacts(
+            calibration_id=self.rig.calibration_id,
+            method=self.calibration.method,
+            used_since=self.activated.at,
+            at_work=at_work,
+            trouble=self._trouble or self.verifications.trouble(self.rig.calibration_id, datetime.now(UTC)),
+        )
+
+    def all(self) -> list[CalibrationRecord]:
+        """Newest first."""
+        return [self._records[name] for name in sorted(self._records, key=int, reverse=True)]
+
+    async def find(self, name: str) -> CalibrationDetails | None:
+        """None when there is none of that name."""
+        record = self._records.get(name)
+        if record is None:
+            return None
+        try:
+            return await asyncio.to_thread(calibration_details, self._files, record, self.calibration)
+        except RecordingError as err:
+            raise StoreError(str(err)) from err
+
+    def rig_path(self, name: str) -> Path | None:
+        """Its rig file, None while there is none."""
+        record = self._records.get(name)
+        return None if record is None or record.calibration_id is None else self._files.rig_file(record).path
+
+    # --- what is asked for; all of it raises `CalibrationConflictError` ---
+
+    async def start(self, plan: CalibrationPlan, acquisition: AcquisitionState) -> CalibrationRecord:
+        """Begin to collect drops."""
+        async with self._writing:
+            self._require_free(acquisition)
+            now = utc_now()
+            record = CalibrationRecord(
+                id=await asyncio.to_thread(self._files.next_name),
+                origin="session",
+                state=CalibrationState.COLLECTING,
+                method=plan.method,
+                ball_diameters_mm=plan.ball_diameters_mm,
+                created_at=now,
+                changed_at=now,
+                by=plan.by,
+                note=plan.note,
+                initial_calibration_id=self.rig.calibration_id,
+            )
+            await asyncio.to_thread(self._files.create, record)
+            self._records[record.id] = record
+            self._touched_s = time.monotonic()
+        log.info("calibration begins calibration=%s by=%s", record.id, plan.by)
+        return record
+
+    async def verify(self, plan: VerificationPlan, acquisition: AcquisitionState) -> Verification:
+        """Begin to measure balls with the calibration in use."""
+        async with self._writing:
+            self._require_free(acquisition)
+            return await self.verifications.start(plan, self.rig.calibration_id)
+
+    async def act(
+        self, name: str, action: CalibrationAction, by: str | None = None
+    ) -> CalibrationRecord | None:
+        """Do what is asked for, durably; None when there is no calibration of that name."""
+        async with self._writing:
+            record = self._records.get(name)
+            if record is None:
+                return None
+            state = next_state(name, record.state, action)
+            self._touched_s = time.monotonic()
+            if action is CalibrationAction.ACTIVATE:
+                await self._activate(record, by)
+            elif state is not record.state:
+                if action is CalibrationAction.ACCEPT and record.detail:
+                    detail = f"calibration {name} must not be used: {record.detail}"
+                    raise CalibrationConflictError(detail, state=record.state)
+                if action is CalibrationAction.SOLVE:
+                    record = await self._become(record, state, calibration_id=None, detail=None)
+                else:
+                    record = await self._become(record, state, decided_by=by)
+                if action is CalibrationAction.SOLVE:
+                    self._to_solve.put_nowait(name)
+                log.info("calibration %s calibration=%s by=%s", state, name, by)
+            return record
+
+    # --- its task ---
+
+    async def run(self) -> None:
+        """Solve what is asked for, and cancel what nobody needs any more."""
+        while True:
+            try:
+                async with asyncio.timeout(IDLE_CHECK_S):
+                    name = await self._to_solve.get()
+            except TimeoutError:
+                try:
+                    await self._cancel_idle()
+                    await self.verifications.cancel_idle()
+                except OSError as err:
+                    log.error("what is idle cannot be cancelled: %s", err)
+            else:
+                await self._solve(name)
+
+    async def _solve(self, name: str) -> None:
+        record = self._records[name]
+        if record.state is not CalibrationState.SOLVING:  # cancelled before its turn came
+            return
+        calibration_id, detail = await attempt(
+            self._files, record, self.rig, self.calibration.name, self._solver
+        )
+        state = CalibrationState.COLLECTING if calibration_id is None else CalibrationState.SOLVED
+        async with self._writing:
+            record = self._records[name]
+            if record.state is not CalibrationState.SOLVING:  # cancelled meanwhile
+                return
+            await self._become(record, state, calibration_id=calibration_id, detail=detail)
+            self._touched_s = time.monotonic()
+        log.info("calibration %s calibration=%s %s", state, name, detail or "")
+
+    async def _cancel_idle(self) -> None:
+        async with self._writing:
+            session = self.session
+            if session is not None and time.monotonic() - self._touched_s > IDLE_S:
+                detail = f"nothing fell for {IDLE_S / 60:.0f} minutes"
+                await self._become(session, CalibrationState.CANCELLED, detail=detail)
+                log.warning("calibration cancelled: %s calibration=%s", detail, session.id)
+
+    # --- how ---
+
+    def _require_free(self, acquisition: AcquisitionState) -> None:
+        """Refuse when no drop would be seen, or somebody waits for drops already."""
+        if acquisition in UNABLE:
+            raise CalibrationConflictError(f"acquisition is {acquisition}: no drop would be seen")
+        if (session := self.session) is not None:
+            detail = f"calibration {session.id} is {session.state}: end it first"
+            raise CalibrationConflictError(detail, state=session.state)
+        if (verification := self.verifications.current) is not None:
+            raise CalibrationConflictError(f"verification {verification.id} waits for balls: cancel it first")
+
+    async def _activate(self, record: CalibrationRecord, by: str | None) -> None:
+        if record.id == self._activations.items[-1].id == self.active.id:
+            return
+        if (session := self.session) is not None:
+            detail = (
+                f"calibration {session.id} is {session.state} and rests on {self.active.id}: end it first"
+            )
+            raise CalibrationConflictError(detail, state=session.state)
+        try:
+            rig = await asyncio.to_thread(self._files.rig, record)
+        except RecordingError as err:
+            log.error("calibration %s cannot be activated: %s", record.id, err)
+            detail = f"calibration {record.id}: its rig file is damaged"
+            raise CalibrationConflictError(detail, state=record.state) from err
+        if differing := image_sizes_px(rig).items() ^ image_sizes_px(self.calibration).items():
+            cameras = ", ".join(sorted({name for name, _ in differing}))
+            detail = f"calibration {record.id} was made with other cameras: {cameras}"
+            raise CalibrationConflictError(detail, state=record.state)
+        rig_file = self._files.rig_file(record)
+        chosen = Activation(id=record.id, calibration_id=rig_file.calibration_id, at=utc_now(), by=by)
+        activations = replace(self._activations, items=(*self._activations.items, chosen))
+        await asyncio.to_thread(self._files.write_activations, activations)
+        self._activations = activations
+        if (verification := self.verifications.current) is not None:
+            await self.verifications.cancel(verification.id, f"calibration {record.id} was activated")
+        await self.on_activated(rig)
+        self.active, self.calibration, self.rig, self._trouble = record, rig, rig_file, None
+        log.info("calibration in use calibration=%s id=%s by=%s", record.id, rig_file.calibration_id, by)
+
+    async def _become(
+        self, record: CalibrationRecord, state: CalibrationState, **changes: Any
+    ) -> CalibrationRecord:
+        record = replace(record, state=state, changed_at=utc_now(), **changes)
+        await asyncio.to_thread(self._files.write, record)
+        self._records[record.id] = record
+        return record
+
+    async def _add(self, name: str, drop: ObservedDrop, outlines: Path | None) -> None:
+        if self._records[name].state not in OPEN:
+            return
+        await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
+        if drop.views:
+            self._touched_s = time.monotonic()
+
+
+async def _nobody(rig: RigCalibration) -> None:
+    pass

@@ -1,0 +1,43 @@
+"""One attempt to solve a calibration from its drops so far."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import cast
+
+from service.calibration.drop_files import outline_paths
+from service.calibration.drop_jobs import Method, Solution, SolveJob, solve
+from service.calibration.files import CalibrationFiles, CalibrationRecord
+from service.processing.measure_job import RigFile, step_back
+from service.processing.worker_pool import JobLostError, WorkerStartError, run_apart
+from service.store import utc_now
+
+SOLVE_DEADLINE_S = 300.0
+"""The paper's method takes half a minute of a core."""
+
+Solver = Callable[[SolveJob], Awaitable[Solution]]
+
+
+async def solve_apart(job: SolveJob) -> Solution:
+    """Solve in a process of its own; raises `JobLostError` or `WorkerStartError`."""
+    return await run_apart(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=step_back)
+
+
+async def attempt(
+    files: CalibrationFiles, record: CalibrationRecord, initial: RigFile, rig_name: str, solver: Solver
+) -> tuple[str | None, str | None]:
+    """Id of the rig that was found, and why it must not be used, or why there is none."""
+    paths = await asyncio.to_thread(outline_paths, files.drops(record.id))
+    job = SolveJob(
+        outline_paths=tuple(paths),
+        initial_path=initial.path,
+        diameters_mm=record.ball_diameters_mm,
+        method=cast(Method, record.method),  # as it was planned
+        name=rig_name,
+        created_at=utc_now(),
+        folder=files.folder / record.id,
+    )
+    try:
+        solution = await solver(job)
+    except (JobLostError, WorkerStartError) as err:
+        return None, f"it could not be computed: {err}"
+    return solution.calibration_id, solution.refusal

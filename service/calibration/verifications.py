@@ -1,0 +1,232 @@
+"""Verifications while measuring: balls of a known diameter fall, and are measured as stones are.
+
+What they are judged by is in `service.calibration.verification_limits`.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from drivers.errors import RecordingError
+from drivers.files.durable import write_json
+from pipeline.frames import BundleKind
+from service.calibration.drop_files import ObservedDrop
+from service.calibration.files import CALIBRATION_NAME, read_document
+from service.calibration.plan import BALL_DIAMETERS_MM
+from service.calibration.verification_limits import Summary, VerificationParameters, VerifiedBall, summarize
+from service.processing.processing import DropCollector
+from service.store import utc_now
+
+log = logging.getLogger(__name__)
+
+IDLE_S = 600.0
+"""A verification that sees no ball for so long is cancelled: what falls should be stones again."""
+
+
+class VerificationState(StrEnum):
+    """Of a verification."""
+
+    COLLECTING = "collecting"
+    PASSED = "passed"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """What a verification is and how far it is."""
+
+    id: str
+    state: VerificationState
+    diameter_mm: float
+    count: int  # balls to measure
+    calibration_id: str
+    created_at: str  # RFC 3339, as is `changed_at`
+    changed_at: str
+    by: str | None = None
+    note: str | None = None
+    balls: tuple[VerifiedBall, ...] = ()
+    problems: tuple[str, ...] = ()  # why it failed or was cancelled
+
+    @property
+    def measured(self) -> tuple[VerifiedBall, ...]:
+        """Without the balls that were rejected."""
+        return tuple(ball for ball in self.balls if ball.equivalent_diameter_mm is not None)
+
+    @property
+    def summary(self) -> Summary | None:
+        """None before the first ball."""
+        return summarize(self.measured, self.diameter_mm) if self.measured else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationPlan:
+    """What to verify with."""
+
+    diameter_mm: float = 15.0
+    count: int = 5
+    note: str | None = None
+    by: str | None = None
+
+    def __post_init__(self) -> None:
+        low_mm, high_mm = BALL_DIAMETERS_MM
+        if not low_mm <= self.diameter_mm <= high_mm:
+            raise ValueError(f"diameter_mm must be in {low_mm:g}..{high_mm:g}, not {self.diameter_mm:g}")
+        if not 2 <= self.count <= 100:
+            raise ValueError(f"count must be in 2..100, not {self.count}")
+
+
+def open_verifications(folder: Path, parameters: VerificationParameters) -> "Verifications":
+    """Read what was verified; one that was under way when the daemon ended is cancelled. Blocks."""
+    folder.mkdir(parents=True, exist_ok=True)
+    adapter = TypeAdapter(Verification)
+    known = {}
+    for path in sorted(folder.glob("*.json")):
+        if not CALIBRATION_NAME.fullmatch(path.stem):
+            continue
+        try:
+            verification = read_document(path, adapter)
+        except RecordingError as err:
+            log.error("verification %s is not used: %s", path.stem, err)
+            continue
+        if verification.state is VerificationState.COLLECTING:
+            verification = _cancelled(verification, "the daemon was started again")
+            write_json(path, adapter.dump_python(verification, mode="json"))
+        known[verification.id] = verification
+    return Verifications(folder, known, parameters)
+
+
+class Verifications:
+    """Called on the loop; made by `open_verifications`."""
+
+    def __init__(
+        self, folder: Path, known: dict[str, Verification], parameters: VerificationParameters
+    ) -> None:
+        self._folder = folder
+        self._known = known
+        self._parameters = parameters
+        self._adapter = TypeAdapter(Verification)
+        self._writing = asyncio.Lock()
+        self._touched_s = time.monotonic()
+
+    @property
+    def current(self) -> Verification | None:
+        """The one that waits for balls."""
+        return next(
+            (each for each in self._known.values() if each.state is VerificationState.COLLECTING), None
+        )
+
+    @property
+    def collector(self) -> DropCollector | None:
+        """Who wants the next ball."""
+        current = self.current
+        if current is None:
+            return None
+
+        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+            await self._add(current.id, drop, record)
+
+        return DropCollector(kind=BundleKind.BALL, diameters_mm=(current.diameter_mm,), add=add)
+
+    def all(self) -> list[Verification]:
+        """Newest first."""
+        return [self._known[name] for name in sorted(self._known, key=int, reverse=True)]
+
+    def find(self, name: str) -> Verification | None:
+        return self._known.get(name)
+
+    def last(self, calibration_id: str) -> Verification | None:
+        """The newest that has a verdict on this calibration."""
+        verdicts = (VerificationState.PASSED, VerificationState.FAILED)
+        return next(
+            (each for each in self.all() if each.calibration_id == calibration_id and each.state in verdicts),
+            None,
+        )
+
+    def trouble(self, calibration_id: str, now: datetime) -> str | None:
+        """Why results of this calibration are not to be trusted: it failed, or was not verified for too long."""
+        last = self.last(calibration_id)
+        if last is not None and last.state is VerificationState.FAILED:
+            return f"verification {last.id} failed: {'; '.join(last.problems)}"
+        every_h = self._parameters.every_h
+        if every_h == 0:
+            return None
+        if last is None:
+            return "this calibration was never verified: drop the sphere"
+        age = now - datetime.fromisoformat(last.changed_at)
+        if age > timedelta(hours=every_h):
+            return f"the last verification was {age / timedelta(hours=1):.0f} hours ago: drop the sphere"
+        return None
+
+    async def start(self, plan: VerificationPlan, calibration_id: str) -> Verification:
+        """Begin to measure balls; the caller sees to it that nobody else wants them."""
+        name = f"{max(map(int, self._known), default=0) + 1:04d}"
+        verification = Verification(
+            id=name,
+            state=VerificationState.COLLECTING,
+            diameter_mm=plan.diameter_mm,
+            count=plan.count,
+            calibration_id=calibration_id,
+            created_at=utc_now(),
+            changed_at=utc_now(),
+            by=plan.by,
+            note=plan.note,
+        )
+        await self._keep(verification)
+        self._touched_s = time.monotonic()
+        return verification
+
+    async def cancel(self, name: str, why: str) -> Verification | None:
+        """End one without a verdict; None when there is none of that name, nothing happens to one that has ended."""
+        verification = self._known.get(name)
+        if verification is not None and verification.state is VerificationState.COLLECTING:
+            verification = _cancelled(verification, why)
+            await self._keep(verification)
+            log.warning("verification cancelled: %s verification=%s", why, name)
+        return verification
+
+    async def cancel_idle(self) -> None:
+        current = self.current
+        if current is not None and time.monotonic() - self._touched_s > IDLE_S:
+            await self.cancel(current.id, f"no ball fell for {IDLE_S / 60:.0f} minutes")
+
+    async def _add(self, name: str, drop: ObservedDrop, record: Mapping[str, Any]) -> None:
+        verification = self._known[name]
+        is_of_it = record["calibration_id"] == verification.calibration_id
+        if verification.state is not VerificationState.COLLECTING or not is_of_it:
+            return
+        diameter_mm = record["equivalent_diameter_mm"]
+        seen = VerifiedBall(
+            bundle=drop.bundle,
+            equivalent_diameter_mm=diameter_mm,
+            vertical_minus_horizontal_mm=None if diameter_mm is None else drop.vertical_minus_horizontal_mm,
+            detail=record["detail"],
+        )
+        verification = replace(verification, balls=(*verification.balls, seen), changed_at=utc_now())
+        if diameter_mm is not None:
+            self._touched_s = time.monotonic()
+        if len(verification.measured) == verification.count:
+            problems = self._parameters.problems(verification.measured, verification.diameter_mm)
+            state = VerificationState.FAILED if problems else VerificationState.PASSED
+            verification = replace(verification, state=state, problems=tuple(problems))
+            level = logging.ERROR if problems else logging.INFO
+            log.log(level, "verification %s verification=%s %s", state, name, "; ".join(problems))
+        await self._keep(verification)
+
+    async def _keep(self, verification: Verification) -> None:
+        self._known[verification.id] = verification
+        document = self._adapter.dump_python(verification, mode="json")
+        async with self._writing:  # a ball may come in while somebody cancels
+            await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
+
+
+def _cancelled(verification: Verification, why: str) -> Verification:
+    return replace(verification, state=VerificationState.CANCELLED, problems=(why,), changed_at=utc_now())

@@ -1,0 +1,71 @@
+"""What physics and the network forbid a live rig, in the words of its settings."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.fall import blur_px, longest_exposure_us, speed_mm_s
+from pipeline.rig.cameras import RigCalibration
+from service.bundling.parameters import BundlingParameters
+
+if TYPE_CHECKING:
+    from service.configuration.rig_settings import AravisRigSettings
+
+BUSY_SLACK_MS = 30.0
+"""A stone may follow the one before by so much less than a camera is busy: it is lost as a stone without frames."""
+
+
+def timing_problems(rig: "AravisRigSettings", bundling: BundlingParameters) -> Iterator[str]:
+    """Say which times of the bundling do not fit the fall."""
+    if rig.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < rig.busy_ms:
+        yield (
+            f"bundling.dead_time_ms: cameras ignore an edge for {rig.busy_ms:.1f} ms after another; a gate without a"
+            f" clock is given {BUSY_SLACK_MS:g} ms of slack, {rig.busy_ms - BUSY_SLACK_MS:.0f} are needed,"
+            f" not {bundling.dead_time_ms:g}"
+        )
+    if abs(bundling.expected_delay_ms - rig.busy_ms) > bundling.window_ms / 2:
+        yield (
+            f"bundling.expected_delay_ms: frames come {rig.busy_ms:.1f} ms after their trigger"
+            f" (fall of {rig.fall_height_mm:g} mm), not {bundling.expected_delay_ms:g}"
+        )
+
+
+def blur_problems(rig: "AravisRigSettings", calibration: RigCalibration) -> Iterator[str]:
+    """Say whether a stone moves too far while it is lit."""
+    lit_us = (rig.flash_us or rig.exposure_us) + rig.trigger_skew_us
+    speed = speed_mm_s(rig.fall_height_mm, rig.speed_at_gate_mm_s)
+    pixel_mm = min(
+        float(np.linalg.norm(camera.center_mm)) / float(camera.K[1, 1]) for camera in calibration.cameras
+    )
+    blur = blur_px(lit_us, speed_mm_s=speed, pixel_mm=pixel_mm)
+    if blur > rig.max_blur_px:
+        longest_us = longest_exposure_us(rig.max_blur_px, speed_mm_s=speed, pixel_mm=pixel_mm)
+        yield (
+            f"rig.exposure_us: {lit_us:g} us of light and skew blur a stone of {speed / 1e3:.2f} m/s by"
+            f" {blur:.1f} px; rig.max_blur_px = {rig.max_blur_px:g} allows {longest_us:.0f} us:"
+            " expose for less, or set rig.flash_us for a short strobe"
+        )
+
+
+def transfer_problems(
+    rig: "AravisRigSettings", calibration: RigCalibration, bundling: BundlingParameters
+) -> Iterator[str]:
+    """All frames of a trigger share the uplink, and must be through before the next ones come."""
+    rate_bytes_s = min(rig.link_bytes_s, rig.throughput_limit_bytes_s or rig.link_bytes_s)
+    packet_bytes = 1500 if rig.packet_size_bytes == "negotiate" else rig.packet_size_bytes
+    per_packet_s = packet_bytes / rate_bytes_s + rig.packet_delay_ns / 1e9
+    sum_bytes_s = len(rig.cameras) * packet_bytes / per_packet_s
+    if sum_bytes_s > rig.uplink_bytes_s:
+        yield (
+            f"rig.throughput_limit_bytes_s: {len(rig.cameras)} cameras send {sum_bytes_s / 1e6:.0f} MB/s at once,"
+            f" the uplink takes {rig.uplink_bytes_s / 1e6:.0f}: limit each to"
+            f" {rig.uplink_bytes_s / len(rig.cameras) / 1e6:.1f} MB/s or less, or raise rig.packet_delay_ns"
+        )
+    largest_bytes = max(width * height for width, height in (c.image_size_px for c in calibration.cameras))
+    transfer_ms = largest_bytes / packet_bytes * per_packet_s * 1e3
+    if transfer_ms > bundling.window_ms:
+        yield (
+            f"rig.throughput_limit_bytes_s: a frame takes {transfer_ms:.0f} ms to arrive,"
+            f" more than bundling.window_ms = {bundling.window_ms:g}"
+        )

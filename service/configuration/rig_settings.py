@@ -1,0 +1,299 @@
+"""`[rig]` of the configuration: a recording that is replayed, or cameras and a light gate.
+
+When the cameras expose follows from the height of the fall, not from a number somebody typed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Discriminator, Tag, ValidationInfo
+
+from drivers.cameras.genicam import (
+    Feature,
+    GigeCameraSettings,
+    action_features,
+    exposure_features,
+    strobe_features,
+    trigger_features,
+)
+from drivers.cameras.host_trigger import ActionKeys
+from drivers.errors import RecordingError
+from drivers.factory import AravisBackend, GateDevice, ReplayBackend
+from drivers.files.recording import open_recording, require_rig_of
+from drivers.files.rig_file import read_rig
+from drivers.gates.gpio import GpioGateSettings
+from drivers.gates.modem_line import ModemLineSettings
+from drivers.gates.serial_gate import SerialGateSettings
+from pipeline.fall import fall_time_ms, speed_mm_s
+from pipeline.frames import CameraId
+from pipeline.rig.cameras import RigCalibration
+from service.bundling.parameters import BundlingParameters
+from service.configuration.rig_checks import blur_problems, timing_problems, transfer_problems
+from service.paths import ConfiguredPath, beside_the_file
+
+PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayRigSettings:
+    """Stones come from a recording."""
+
+    recording: ConfiguredPath
+    backend: Literal["replay"] = "replay"
+    pace: Literal["recorded", "fast"] = "recorded"
+    speed: float = 1.0  # factor on the recorded pace
+    loop: bool = False
+    calibration: ConfiguredPath | None = None  # rig file; default: the recording's own
+
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.speed <= 100:
+            raise ValueError(f"speed must be in 0.01..100, not {self.speed:g}")
+        if self.pace == "fast" and self.speed != 1.0:
+            raise ValueError('speed scales the recorded pace and means nothing with pace = "fast"')
+
+    @property
+    def calibration_path(self) -> Path:
+        return self.calibration or self.recording / "rig.json"
+
+    def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
+        return bundling
+
+    def backend_for(self, calibration: RigCalibration) -> ReplayBackend:
+        return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
+
+    def describe(self) -> dict[str, Any]:
+        """What a session was run on, for the store."""
+        return {"recording": str(self.recording)}
+
+    def problems(self, bundling: BundlingParameters) -> Iterator[str]:
+        """Say what the settings refer to and cannot be used."""
+        try:
+            recording = open_recording(self.recording)
+        except RecordingError as err:
+            yield f"rig.recording: {err}"
+            return
+        try:
+            require_rig_of(recording, read_rig(self.calibration_path), self.calibration_path)
+        except RecordingError as err:
+            yield f"rig.calibration: {err}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPlace:
+    """Which camera is in a place of the rig; what is given must all be true of it."""
+
+    id: CameraId
+    serial: str | None = None
+    address: str | None = None
+    user_name: str | None = None
+    features: tuple[Feature, ...] = ()  # for this camera alone, after those of all
+
+
+def _port_beside_the_file(gate: PortGate, info: ValidationInfo) -> PortGate:
+    return replace(gate, port=str(beside_the_file(Path(gate.port), info)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateSettings:
+    """The light gate: exactly one of the three kinds."""
+
+    serial: Annotated[SerialGateSettings, AfterValidator(_port_beside_the_file)] | None = None
+    modem_line: Annotated[ModemLineSettings, AfterValidator(_port_beside_the_file)] | None = None
+    gpio: GpioGateSettings | None = None
+
+    def __post_init__(self) -> None:
+        if sum(kind is not None for kind in (self.serial, self.modem_line, self.gpio)) != 1:
+            raise ValueError(
+                "exactly one of [rig.gate.serial], [rig.gate.modem_line], [rig.gate.gpio] is needed"
+            )
+
+    @property
+    def device(self) -> GateDevice:
+        device = self.serial or self.modem_line or self.gpio
+        assert device is not None  # noqa: S101 - __post_init__ has seen to it
+        return device
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AravisRigSettings:
+    """GigE cameras on the trigger of a light gate."""
+
+    backend: Literal["aravis"]
+    calibration: ConfiguredPath  # rig file
+    cameras: tuple[CameraPlace, ...]
+    gate: GateSettings
+    is_simulated: bool = False  # results say so
+
+    fall_height_mm: float = 300.0  # from the beam of the gate to the rig's centre
+    start_above_gate_mm: float = 0.0  # the stone starts from rest with its lowest point so far above the beam
+    delay_correction_ms: float = 0.0  # measured, for the latency of gate and cameras: negative
+    exposure_us: float = 20.0
+    flash_us: float | None = None  # of the strobe, when it is shorter than the exposure
+    trigger_skew_us: float = 1.0  # between cameras; a wired line has next to none
+    max_blur_px: float = 1.5
+
+    trigger: str = "Line1"  # input of the cameras; or "software", "action": triggered by this machine
+    trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
+    action: ActionKeys = field(default_factory=ActionKeys)
+    strobe_line: str | None = None  # output of the cameras that fires the strobe
+    gain_db: float = 0.0
+    features: tuple[Feature, ...] = ()  # further GenICam features of all cameras, written in this order
+
+    interfaces: tuple[str, ...] = ()  # this machine's addresses towards the cameras; all of them if empty
+    packet_size_bytes: int | Literal["negotiate"] = 8192
+    packet_delay_ns: int = 0
+    throughput_limit_bytes_s: int | None = None
+    receive_buffer_bytes: int = 4 << 20
+    link_bytes_s: float = 125e6  # of a camera: 1 Gb/s
+    uplink_bytes_s: float = 2.5e9  # of this machine: 2 x 10 Gb/s
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ValueError("cameras must not be empty")
+        for name, low, high in (
+            ("fall_height_mm", 10, 10_000),
+            ("start_above_gate_mm", 0, 10_000),
+            ("delay_correction_ms", -1_000, 1_000),
+            ("exposure_us", 1, 100_000),
+            ("trigger_skew_us", 0, 10_000),
+            ("max_blur_px", 0.01, 100),
+            ("link_bytes_s", 1e6, 1e12),
+            ("uplink_bytes_s", 1e6, 1e12),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must be in {low:g}..{high:g}, not {getattr(self, name):g}")
+        if self.flash_us is not None and not 0.1 <= self.flash_us <= self.exposure_us:
+            raise ValueError(f"flash_us must be in 0.1..exposure_us, not {self.flash_us:g}")
+        if not (self.trigger in ("software", "action") or self.trigger.startswith("Line")):
+            raise ValueError(
+                f'trigger must be an input such as "Line1", "software" or "action", not {self.trigger!r}'
+            )
+        if self.trigger_delay_ms <= 0:
+            raise ValueError(f"delay_correction_ms leaves a trigger delay of {self.trigger_delay_ms:.1f} ms")
+        for name in ("id", "serial", "address", "user_name"):
+            values = [value for camera in self.cameras if (value := getattr(camera, name))]
+            if twice := sorted({value for value in values if values.count(value) > 1}):
+                raise ValueError(f"cameras: {name} {', '.join(twice)} is there twice")
+        for camera in self.cameras:
+            try:
+                self._camera(camera, (1, 1))
+            except ValueError as err:
+                raise ValueError(f"cameras: {err}") from None
+
+    @property
+    def calibration_path(self) -> Path:
+        return self.calibration
+
+    @property
+    def speed_at_gate_mm_s(self) -> float:
+        return speed_mm_s(self.start_above_gate_mm)
+
+    @property
+    def trigger_delay_ms(self) -> float:
+        """From the edge of the light gate to the exposure at the rig's centre."""
+        return fall_time_ms(self.fall_height_mm, self.speed_at_gate_mm_s) + self.delay_correction_ms
+
+    @property
+    def busy_ms(self) -> float:
+        """From an edge to the end of its exposure; until then a camera ignores further edges."""
+        return self.trigger_delay_ms + self.exposure_us / 1e3
+
+    def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
+        """With the edges that the cameras ignore in the dead time, if the gate's clock can tell which they are."""
+        if self.gate.modem_line is not None:
+            return bundling
+        return replace(bundling, dead_time_ms=max(bundling.dead_time_ms, self.busy_ms))
+
+    def backend_for(self, calibration: RigCalibration) -> AravisBackend:
+        sizes_px = {camera.id: camera.image_size_px for camera in calibration.cameras}
+        return AravisBackend(
+            cameras=tuple(self._camera(camera, sizes_px[camera.id]) for camera in self.cameras),
+            gate=self.gate.device,
+            interfaces=self.interfaces,
+            fired_by=self._fired_by,
+            is_simulated=self.is_simulated,
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """What a session was run on, for the store."""
+        return {"cameras": [camera.id for camera in self.cameras], "gate": type(self.gate.device).__name__}
+
+    def problems(self, bundling: BundlingParameters) -> Iterator[str]:
+        """Say what cannot work, with the physics of it."""
+        yield from timing_problems(self, bundling)
+        try:
+            calibration = read_rig(self.calibration)
+        except RecordingError as err:
+            yield f"rig.calibration: {err}"
+            return
+        calibrated = {camera.id: camera for camera in calibration.cameras}
+        if calibrated.keys() != {camera.id for camera in self.cameras}:
+            yield (
+                f"rig.cameras: {', '.join(sorted(camera.id for camera in self.cameras))} are not the cameras of"
+                f" {self.calibration}: {', '.join(sorted(calibrated))}"
+            )
+            return
+        for place in self.cameras:
+            serial = calibrated[place.id].serial
+            if place.serial and serial and place.serial != serial:
+                yield (
+                    f"rig.cameras: {place.id} is camera {place.serial},"
+                    f" but {self.calibration} was made with camera {serial} in its place"
+                )
+        yield from blur_problems(self, calibration)
+        yield from transfer_problems(self, calibration, bundling)
+
+    @property
+    def _fired_by(self) -> ActionKeys | Literal["software"] | None:
+        if self.trigger == "software":
+            return "software"
+        return self.action if self.trigger == "action" else None
+
+    def _camera(self, place: CameraPlace, image_size_px: tuple[int, int]) -> GigeCameraSettings:
+        source = {"software": "Software", "action": "Action1"}.get(self.trigger, self.trigger)
+        keys = self.action
+        return GigeCameraSettings(
+            id=place.id,
+            serial=place.serial,
+            address=place.address,
+            user_name=place.user_name,
+            interfaces=self.interfaces,
+            image_size_px=image_size_px,
+            features=(
+                *exposure_features(exposure_us=self.exposure_us, gain_db=self.gain_db),
+                *(strobe_features(line=self.strobe_line) if self.strobe_line else ()),
+                *(
+                    action_features(
+                        device_key=keys.device_key, group_key=keys.group_key, group_mask=keys.group_mask
+                    )
+                    if self.trigger == "action"
+                    else ()
+                ),
+                *trigger_features(
+                    source=source,
+                    activation=self.trigger_activation,
+                    delay_us=round(self.trigger_delay_ms * 1e3),
+                ),
+                *self.features,
+                *place.features,
+            ),
+            packet_size_bytes=None if self.packet_size_bytes == "negotiate" else self.packet_size_bytes,
+            packet_delay_ns=self.packet_delay_ns,
+            throughput_limit_bytes_s=self.throughput_limit_bytes_s,
+            receive_buffer_bytes=self.receive_buffer_bytes,
+        )
+
+
+BACKENDS = ("replay", "aravis")
+
+
+def _backend(rig: Any) -> Any:
+    return rig.get("backend", "replay") if isinstance(rig, dict) else getattr(rig, "backend", None)
+
+
+RigSettings = Annotated[
+    Annotated[ReplayRigSettings, Tag("replay")] | Annotated[AravisRigSettings, Tag("aravis")],
+    Discriminator(_backend),
+]

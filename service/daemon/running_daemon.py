@@ -1,0 +1,115 @@
+"""The parts of the daemon at work: what the REST interface, the watchdog and `systemctl status` ask."""
+
+import logging
+import shutil
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from pipeline.frames import CameraId
+from service.acquisition.session import Acquisition
+from service.api.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
+from service.calibration.sessions import Calibrations
+from service.configuration.settings import Settings
+from service.daemon.heartbeats import Heartbeats
+from service.daemon.loop_watch import LoopWatch
+from service.health.assessment import Facts, assess
+from service.health.optical_watch import OpticalWatch
+from service.health.rig_watch import CameraScore, RigWatch
+from service.health.segmentation_watch import SegmentationWatch
+from service.processing.processing import Processing
+from service.processing.segmenters import SegmenterPlan
+from service.processing.spool import Spool
+from service.processing.worker_pool import WorkerPool
+from service.recording.raw_archive import RawArchive
+from service.recording.recordings import Recordings
+from service.store import Store
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Daemon:
+    """The parts at work; to the REST interface they are its `Control`."""
+
+    settings: Settings
+    segmentation: SegmenterPlan
+    store: Store
+    session: int
+    calibrations: Calibrations
+    folder: Path  # on tmpfs, for bundles and for the workers' files
+    pool: WorkerPool
+    spool: Spool
+    recordings: Recordings
+    archive: RawArchive
+    rig: Acquisition
+    processing: Processing
+    heartbeats: Heartbeats
+    loop_watch: LoopWatch
+    rig_watch: RigWatch
+    optical_watch: OpticalWatch
+    segmentation_watch: SegmentationWatch
+
+    def acquisition(self) -> AcquisitionStatus:
+        return self.rig.status()
+
+    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
+        state = self.rig.request(target)
+        log.info("acquisition requested target=%s state=%s", target, state)
+        return state
+
+    def cameras(self) -> list[CameraStatus]:
+        scores, optics = self.rig_watch.scores(), self.optical_watch.optics()
+        return [
+            replace(status, **asdict(scores.get(status.id, CameraScore())), optics=optics.get(status.id))
+            for status in self.rig.cameras.statuses()
+        ]
+
+    async def snapshot(self, camera: CameraId) -> bytes | None:
+        return await self.rig.cameras.snapshot(camera)
+
+    def health(self) -> Health:
+        return assess(
+            Facts(
+                acquisition=self.rig.status(),
+                blind_triggers=self.rig.cameras.blind_triggers,
+                cameras=self.cameras(),
+                views=self.settings.views,
+                waiting=self.spool.held,
+                max_waiting=self.spool.max_bundles,
+                overflows=self.spool.overflows,
+                workers=len(self.pool.pids),
+                slots=self.pool.size,
+                worker_restarts=self.pool.restarts,
+                loop_ms=self.loop_watch.worst_ms(),
+                clock_step_s=self.loop_watch.clock_step_s(),
+                late=self.late(),
+                has_background=self.processing.has_background,
+                has_network=self.segmentation.model is not None,
+                segmentation_warning=self.segmentation_watch.warning,
+                calibration=self.calibrations.facts(),
+                last_seq=self.store.last_seq,
+                free_bytes=shutil.disk_usage(self.settings.store.dir).free,
+                recording_trouble=self.recordings.trouble,
+                left_out=self.archive.left_out,
+                archive_trouble=self.archive.trouble,
+                suspicions=self.rig_watch.suspicions(),
+                optics=self.optical_watch.findings(),
+            )
+        )
+
+    def late(self) -> list[str]:
+        """Parts that have something to do and make no progress."""
+        return self.heartbeats.late(time.monotonic())
+
+    def watch(self) -> list[str]:
+        """Look after the parts, often: those with nothing to do are not late, the others are named."""
+        if not self.rig.is_at_work:
+            self.heartbeats.beat("acquisition", time.monotonic())
+        if self.spool.held == 0:
+            self.heartbeats.beat("processing", time.monotonic())
+        return self.late()
+
+    def status(self) -> str:
+        """One line for `systemctl status`."""
+        return f"{self.rig.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"

@@ -1,0 +1,238 @@
+"""Windows, lenses and light watch themselves: how each camera's optical figures drift, exposure after exposure.
+
+Every result, and every exposure of the empty rig, carries the figures of each camera
+(`pipeline.segmentation.optics`). Dust and fading light come slowly: at half of a limit somebody should come with
+a cloth (*maintenance required*), at the limit results are less certain than promised (*out of specification*).
+Whether a view is used is decided for each stone alone, by the pipeline, never here.
+"""
+
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from itertools import pairwise
+from math import hypot, sqrt
+from statistics import fmean, median
+from typing import Any
+
+from pipeline.frames import CameraId
+from pipeline.rig.cameras import RigCalibration
+from service.health.dark_panels import DarkPlace, ViewLight, dark_places
+
+WINDOW = 20
+"""Exposures that an opinion rests on."""
+MIN_EXPOSURES = 5
+"""Fewer say nothing."""
+MAINTENANCE_SHARE = 0.5
+"""Of a limit, from which somebody should look."""
+RELIEF = 0.9
+"""An alarm ends below this share of what raised it: figures scatter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpticalParameters:
+    """Where a camera is out of specification; at half of each, maintenance is required."""
+
+    light_change: float = 0.3  # of the plain wall's brightness, against the clean rig
+    gradient: float = 0.5  # the same from border to border of the view
+    flicker: float = 0.1  # standard deviation of the brightness from exposure to exposure
+    dust: float = 0.1  # share of the light lost on average, against the clearest part of the view
+    spots_share: float = 0.05  # of the view, darker than its surroundings
+    saturated_share: float = 0.02  # of all pixels
+    noise_grey: float = 8.0  # the design's is 2
+    edge_width_px: float = 8.0  # of a stone's outline, 10 to 90 %; the design's is 2.5
+
+    def __post_init__(self) -> None:
+        for limit in fields(self):
+            if not getattr(self, limit.name) > 0:
+                raise ValueError(f"{limit.name} must be positive, not {getattr(self, limit.name):g}")
+
+
+class Severity(IntEnum):
+    """What a figure asks for."""
+
+    NOTHING = 0
+    MAINTENANCE = 1
+    OUT_OF_SPECIFICATION = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOptics:
+    """Of one camera, medians over the latest exposures; `None` while too few have been seen."""
+
+    brightness: float | None = None  # of the plain wall; 1: as in the clean rig
+    gradient_u: float | None = None  # of that, from the left to the right border
+    gradient_v: float | None = None
+    flicker: float | None = None
+    dust: float | None = None
+    spots_share: float | None = None
+    saturated_share: float | None = None
+    noise_grey: float | None = None
+    edge_width_px: float | None = None
+    contrast: float | None = None  # of stone and wall at the outline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpticalFinding:
+    """Something that should be cleaned or replaced."""
+
+    cameras: tuple[CameraId, ...]  # that see it, worst first
+    severity: Severity
+    detail: str  # what it is, how much, and the remedy
+
+
+LIGHT_CHANGE, GRADIENT = "light_change", "gradient"
+WORDS = {
+    "flicker": "light varies by {:.0%} from exposure to exposure: look at the strobe and its supply",
+    "dust": "{:.0%} of the light is lost in patches: clean window and lens",
+    "spots_share": "{:.0%} of the view is darker than its surroundings: clean window and wall",
+    "saturated_share": "{:.1%} of all pixels are saturated: less gain, or a shorter flash",
+    "noise_grey": "images are noisy, {:.1f} grey levels: look at gain and temperature",
+    "edge_width_px": "outlines are {:.1f} px wide: look at focus, window and exposure time",
+}
+"""What passes a limit, and the remedy. Changes of the light are told apart by geometry, see `dark_panels`."""
+
+
+@dataclass(slots=True)
+class _Camera:
+    series: dict[str, deque[float]] = field(default_factory=dict)
+    optics: CameraOptics = CameraOptics()  # of these
+    severities: dict[str, Severity] = field(default_factory=dict)  # by limit
+
+    def add(self, figures: Mapping[str, Any], limits: OpticalParameters) -> None:
+        gradient_u, gradient_v = figures["gradient_uv"]
+        for name, value in {**figures, "gradient_u": gradient_u, "gradient_v": gradient_v}.items():
+            if name != "gradient_uv" and value is not None:
+                self.series.setdefault(name, deque(maxlen=WINDOW)).append(value)
+        typical = {name: median(seen) for name, seen in self.series.items() if len(seen) >= MIN_EXPOSURES}
+        self.optics = CameraOptics(**typical, flicker=_flicker(self.series.get("brightness", ())))
+        for name, value in self.judged().items():
+            share = value / getattr(limits, name)
+            self.severities[name] = _severity(share, self.severities.get(name, Severity.NOTHING))
+
+    def judged(self) -> dict[str, float]:
+        """The figures that have a limit, by its name."""
+        optics = self.optics
+        figures = {name: value for name in WORDS if (value := getattr(optics, name)) is not None}
+        if (light := _light(optics)) is not None:
+            figures |= {LIGHT_CHANGE: abs(1 - light.brightness), GRADIENT: hypot(*light.gradient_uv)}
+        return figures
+
+    def severity(self, *limits: str) -> Severity:
+        return max(self.severities.get(limit, Severity.NOTHING) for limit in limits)
+
+
+class OpticalWatch:
+    """Fed with all results and all exposures of the empty rig, in their order; `findings` are for people."""
+
+    def __init__(self, rig: RigCalibration, limits: OpticalParameters) -> None:
+        self._rig = rig  # the configured one will do: no calibration tells a camera from its neighbour
+        self._limits = limits
+        self._cameras = {camera.id: _Camera() for camera in rig.cameras}
+
+    def feed(self, record: Mapping[str, Any]) -> None:
+        """Learn from one result."""
+        self.note(record.get("optics", {}))
+
+    def note(self, optics: Mapping[str, Mapping[str, Any]]) -> None:
+        """Learn from the figures of one exposure, as `record.optics_record` writes them."""
+        for name, camera in self._cameras.items():
+            if name in optics:
+                camera.add(optics[name], self._limits)
+
+    def optics(self) -> dict[CameraId, CameraOptics]:
+        """Of every camera of the rig."""
+        return {name: camera.optics for name, camera in self._cameras.items()}
+
+    def findings(self) -> tuple[OpticalFinding, ...]:
+        """What should be looked at, worst first."""
+        found = [*self._of_light(), *(each for limit in WORDS for each in self._of_limit(limit))]
+        return tuple(sorted(found, key=lambda finding: -finding.severity))
+
+    def _of_limit(self, limit: str) -> list[OpticalFinding]:
+        """One for each camera, or one for most of them: it is not them."""
+        values = {
+            name: camera.judged()[limit] for name, camera in self._cameras.items() if camera.severity(limit)
+        }
+        worst_first = sorted(values, key=lambda name: -values[name])
+        groups = [worst_first] if self._are_most(values) else [[name] for name in worst_first]
+        return [
+            OpticalFinding(
+                cameras=tuple(group),
+                severity=max(self._cameras[name].severity(limit) for name in group),
+                detail=WORDS[limit].format(values[group[0]]),
+            )
+            for group in groups
+        ]
+
+    def _of_light(self) -> list[OpticalFinding]:
+        """Where the light has changed: everywhere, on a part of the wall that several cameras see, or for one."""
+        changed = {
+            name: severity
+            for name, camera in self._cameras.items()
+            if (severity := camera.severity(LIGHT_CHANGE, GRADIENT))
+        }
+        lights = {
+            name: light for name in self._cameras if (light := _light(self._cameras[name].optics)) is not None
+        }
+        if self._are_most(changed):
+            detail = f"the light {self._change(lights, changed)}: look at the strobes' supply"
+            return [OpticalFinding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
+        found = []
+        for place in dark_places(self._rig, lights):
+            alarmed = [changed.pop(name) for name in place.cameras if name in changed]
+            if alarmed:
+                found.append(
+                    OpticalFinding(cameras=place.cameras, severity=max(alarmed), detail=_place(place))
+                )
+        for name, severity in changed.items():
+            detail = f"its light {self._change(lights, [name])}: look at its gain and flash"
+            found.append(OpticalFinding(cameras=(name,), severity=severity, detail=detail))
+        return found
+
+    def _change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:
+        """Which of the limits of light these cameras have passed, and by how much on average."""
+        words = []
+        if any(self._cameras[name].severity(LIGHT_CHANGE) for name in cameras):
+            words.append(f"has changed by {median(lights[name].brightness for name in cameras) - 1:+.0%}")
+        if any(self._cameras[name].severity(GRADIENT) for name in cameras):
+            slope = median(hypot(*lights[name].gradient_uv) for name in cameras)
+            words.append(f"differs by {slope:.0%} from border to border")
+        return " and ".join(words)
+
+    def _are_most(self, cameras: Collection[CameraId]) -> bool:
+        return 2 * len(cameras) > len(self._cameras)
+
+
+def _severity(share: float, before: Severity) -> Severity:
+    """Of a figure that has reached a share of its limit; an alarm goes as it came, but a little later."""
+    for severity, raised_at in (
+        (Severity.OUT_OF_SPECIFICATION, 1.0),
+        (Severity.MAINTENANCE, MAINTENANCE_SHARE),
+    ):
+        if share >= raised_at * (RELIEF if before >= severity else 1):
+            return severity
+    return Severity.NOTHING
+
+
+def _light(optics: CameraOptics) -> ViewLight | None:
+    if optics.brightness is None or optics.gradient_u is None or optics.gradient_v is None:
+        return None
+    return ViewLight(optics.brightness, (optics.gradient_u, optics.gradient_v))
+
+
+def _flicker(brightness: Sequence[float]) -> float | None:
+    """Standard deviation from one exposure to the next; a single step is a change, no flicker."""
+    if len(brightness) < MIN_EXPOSURES:
+        return None
+    steps = sorted(abs(after - before) for before, after in pairwise(brightness))[:-1]
+    return sqrt(fmean([step**2 for step in steps]) / 2) / max(fmean(brightness), 0.01)
+
+
+def _place(place: DarkPlace) -> str:
+    if len(place.cameras) == 1:
+        return f"sees {place.loss:.0%} less light, those beside it do not: look at its window, lens and flash"
+    return (
+        f"the wall is {place.loss:.0%} darker about azimuth {place.azimuth_deg:.0f},"
+        f" elevation {place.elevation_deg:+.0f} degrees: look at the light panel there"
+    )

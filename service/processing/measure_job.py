@@ -1,0 +1,264 @@
+"""What a worker process does: one bundle file in, one result record and its files out.
+
+The offline command and the daemon run these very functions, so their results are equal bit for bit,
+whatever the number of workers.
+"""
+
+import gc
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+from numba.core import event
+from threadpoolctl import threadpool_limits
+
+from drivers.files.mesh_file import write_mesh
+from drivers.files.recording import read_bundle
+from drivers.files.rig_file import read_rig
+from drivers.files.silhouette_file import write_silhouettes
+from pipeline import carving, estimate, measuring, meshing
+from pipeline.each import Each
+from pipeline.frames import CameraId
+from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
+from pipeline.rig.cameras import RigCalibration
+from pipeline.segmentation import BackgroundModel
+from pipeline.segmentation.background import learn_background as learn
+from pipeline.segmentation.choice import ChoosingSegmenter
+from pipeline.segmentation.optics import observe_all
+from pipeline.views import consistency
+from service.errors import WorkerFailure
+from service.processing.background_files import read_background, write_background
+from service.processing.process_memory import keep_freed_memory
+from service.processing.result_record import optics_record, result_record
+from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
+from service.processing.worker_process import WarmUp, worker_boundary
+
+MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
+"""Files of a result."""
+COMPILER_THRESHOLD = 20_000
+"""New objects between two collections: a compiler makes many that stay, and to look through them is 9 % of its time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerContext:
+    """What all jobs of a worker share."""
+
+    parameters: PipelineParameters
+    is_simulated: bool
+    speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
+    segmentation: SegmenterPlan = CLASSICAL
+
+
+@dataclass(frozen=True, slots=True)
+class RigFile:
+    """A calibration: its file, never rewritten under its name, and the id its content has."""
+
+    path: Path
+    calibration_id: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureJob:
+    """One bundle to measure; its files go into `out_dir`, which is made."""
+
+    bundle_path: Path
+    camera_ids: tuple[CameraId, ...]
+    rig: RigFile
+    background_path: Path | None
+    out_dir: Path
+    save_silhouettes: bool = False
+    checked: bool = True  # whether pixels are compared with their checksums
+    threads: int = 1  # views that are worked on at a time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnJob:
+    """One exposure of the empty rig to fold into the background, which becomes a new folder."""
+
+    bundle_path: Path
+    camera_ids: tuple[CameraId, ...]
+    previous_path: Path | None
+    out_path: Path
+    threads: int = 1  # views that are worked on at a time
+
+
+@dataclass(slots=True)
+class Worker:
+    """A worker process: what its jobs share, and what it keeps from one to the next."""
+
+    context: WorkerContext
+    segmenter: ChoosingSegmenter
+    background_path: Path | None = None
+    background: BackgroundModel | None = None
+    rig_file: RigFile | None = None
+    rig: RigCalibration | None = None
+
+    def background_at(self, path: Path | None) -> BackgroundModel:
+        """The model in a folder; the last one is kept, folders are never rewritten under their name."""
+        if path is None:
+            return {}
+        if self.background is None or path != self.background_path:
+            self.background, self.background_path = read_background(path), path
+        return self.background
+
+    def rig_in(self, file: RigFile) -> RigCalibration:
+        """The calibration in a file; the last one is kept. `ValueError` when it is not the one that is meant."""
+        if self.rig is None or file != self.rig_file:
+            rig = read_rig(file.path)
+            if rig.calibration_id != file.calibration_id:
+                raise ValueError(
+                    f"{file.path} holds calibration {rig.calibration_id}, not {file.calibration_id}"
+                )
+            self.rig, self.rig_file = rig, file
+        return self.rig
+
+
+_worker: Worker | None = None
+
+
+def prepare(context: WorkerContext) -> list[WarmUp]:
+    """Prepare this process; returns what has everything compiled that a stone needs, the longest first."""
+    global _worker
+    step_back()
+    keep_freed_memory()
+    gc.set_threshold(COMPILER_THRESHOLD)
+    segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
+    _worker = Worker(context=context, segmenter=segmenter)
+    steps: list[Callable[[], object]] = [
+        partial(warm_up, segmenter),
+        measuring.warm_up,
+        consistency.warm_up,
+        estimate.warm_up,
+        partial(carving.warm_up, context.parameters.carving),
+        meshing.warm_up,
+    ]
+    return [partial(takes_compiler, step) for step in steps]
+
+
+def takes_compiler(step: Callable[[], object]) -> bool:
+    """Run the step; whether something was compiled."""
+    with event.install_recorder("numba:compile") as compilations:
+        step()
+    return bool(compilations.buffer)
+
+
+def initialize(context: WorkerContext) -> None:
+    """Prepare this process, and have everything compiled."""
+    for step in prepare(context):
+        step()
+
+
+def step_back(context: None = None) -> tuple[WarmUp, ...]:
+    """Frames come first: this process yields the processor to the daemon, and uses one core."""
+    os.nice(10)
+    # N processes with M library threads each would only stall one another
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+    return ()
+
+
+def this_worker() -> Worker:
+    """Return what this process keeps; raise `WorkerFailure` before `initialize`."""
+    if _worker is None:
+        raise WorkerFailure("the worker was not initialized")
+    return _worker
+
+
+def measure(job: MeasureJob) -> dict[str, Any]:
+    """The result record of one bundle; writes `mesh.ply` and `silhouettes.tiff`.
+
+    Raises
+    ------
+    RecordingError
+        Nothing of the bundle can be read.
+    WorkerFailure
+        Anything that is not the stone's fault; carries the traceback as text.
+    """
+    worker = this_worker()
+    timings_ms: dict[str, float] = {}
+    stage_start = time.perf_counter()
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True, checked=job.checked)
+
+    def on_stage(stage: str) -> None:
+        nonlocal stage_start
+        now = time.perf_counter()
+        timings_ms[stage] = round(1000 * (now - stage_start), 2)
+        stage_start = now
+
+    with worker_boundary():
+        background = worker.background_at(job.background_path)
+        rig = worker.rig_in(job.rig)
+        on_stage("load")
+        with several(job.threads) as each:
+            result = measure_bundle(
+                bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage, each
+            )
+        _write_files(job, result)
+        on_stage("write")
+    timings_ms["total"] = round(sum(timings_ms.values()), 2)
+    record = result_record(
+        result,
+        bundle.trigger,
+        bundle=bundle.name,
+        calibration_id=job.rig.calibration_id,
+        is_simulated=worker.context.is_simulated,
+        speed_at_gate_mm_s=worker.context.speed_at_gate_mm_s,
+        timings_ms=timings_ms,
+    )
+    record["mesh"] = None if result.mesh is None else MESH
+    return record
+
+
+@contextmanager
+def several(n: int) -> Iterator[Each]:
+    """How to work on `n` views at a time."""
+    if n == 1:
+        yield map
+        return
+    with ThreadPoolExecutor(n, thread_name_prefix="views") as threads:
+        yield threads.map
+
+
+def _write_files(job: MeasureJob, result: ParticleResult) -> None:
+    job.out_dir.mkdir(parents=True, exist_ok=True)
+    if result.mesh is not None:
+        write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces)
+    if job.save_silhouettes:
+        seen = result.silhouettes
+        size_px = next(iter(seen.values())).image_size_px
+        regions = {camera: (silhouette.offset_uv, silhouette.labels) for camera, silhouette in seen.items()}
+        write_silhouettes(job.out_dir / SILHOUETTES, regions, size_px)
+
+
+def learn_background(job: LearnJob) -> dict[str, Any]:
+    """Fold one exposure of the empty rig into the background and write it into a new folder.
+
+    Returns the optical figures of each camera, see `record.optics_record`.
+
+    Raises
+    ------
+    RecordingError
+        Nothing of the bundle can be read.
+    WorkerFailure
+        Anything else, with the traceback as text.
+    """
+    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+    with worker_boundary():
+        previous = this_worker().background_at(job.previous_path)
+
+        def fold(camera: CameraId) -> dict[str, Any]:
+            known = {camera: previous[camera]} if camera in previous else {}
+            seen = {camera: bundle.frames[camera]} if camera in bundle.frames else {}
+            write_background(job.out_path, learn(known, seen))
+            return optics_record(observe_all(seen, known))
+
+        with several(job.threads) as each:  # whole cameras: all means at once would be 84 MB of fresh memory
+            observed = each(fold, sorted({*previous, *bundle.frames}))
+            return {camera: figures for seen in observed for camera, figures in seen.items()}

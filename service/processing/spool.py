@@ -1,0 +1,155 @@
+"""The bounded queue of bundles between the cameras and the workers: one TIFF file each, on tmpfs.
+
+A worker maps the file, so that a frame is copied once on its way; the next bundles are written over it.
+
+Bundles leave it strictly in the order they came. When it is full the whole new bundle is lost: the one
+place where stones are dropped for lack of speed, never half a bundle and never by blocking a camera.
+A lost bundle keeps its place in the order, without a file.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.files.bundle_file import overwrite_bundle
+from drivers.replay.belt import UNREADABLE
+from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
+from service.bundling.window import DISARMED
+
+log = logging.getLogger(__name__)
+
+SPARE_FILES = 4
+"""So many files of bundles that are through are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """Why a trigger ends as `lost` (a word of the REST contract), and the same for people."""
+
+    reason: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpooledBundle:
+    """One trigger's turn: a file to measure, or what it was lost to."""
+
+    trigger: Trigger
+    name: str
+    content: Path | Loss
+
+    @property
+    def is_background(self) -> bool:
+        return self.trigger.kind is BundleKind.BACKGROUND
+
+
+class Spool:
+    """`offer` on one side, `take` and `release` on the other, `write` as a task in between.
+
+    `folder` exists and belongs to this spool alone.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        max_bundles: int,
+        camera_ids: Sequence[CameraId],
+    ) -> None:
+        self._folder = folder
+        self._camera_ids = tuple(camera_ids)
+        self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
+        self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
+        self.max_bundles = max_bundles
+        self.held = 0
+        """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
+        self.overflows = 0
+        """Stones and balls lost because there were so many."""
+        self.on_release: Callable[[], None] = lambda: None
+        """Called on the loop for every bundle that is through, file and all, lost ones included."""
+        self.keep: Callable[[Path, int], bool] = lambda path, seq: False
+        """Asked whether somebody takes over the file of the result `seq`, until `reuse`."""
+        self._n_files = 0
+        self._spare: list[Path] = []
+
+    def offer(self, bundle: FrameBundle) -> None:
+        """Take a bundle over; never blocks."""
+        if not bundle.frames:
+            self._lose(bundle, _without_frames(bundle))
+        elif self.held >= self.max_bundles:
+            self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
+            self._lose(bundle, Loss(reason="queue_full", detail=f"{self.held} bundles were waiting"))
+        else:
+            self.held += 1
+            self._offered.put_nowait(bundle)
+
+    def finish(self) -> None:
+        """No more offers: `take` returns None after the last bundle."""
+        self._offered.put_nowait(None)
+
+    async def write(self) -> None:
+        """Write what is offered, one after the other, off the loop; returns after `finish`."""
+        # a thread of its own: no stone waits for what clients ask for
+        with ThreadPoolExecutor(1, thread_name_prefix="spool") as thread:
+            while (item := await self._offered.get()) is not None:
+                self._ready.put_nowait(
+                    await self._spooled(item, thread) if isinstance(item, FrameBundle) else item
+                )
+        self._ready.put_nowait(None)
+
+    async def take(self) -> SpooledBundle | None:
+        """Return the next bundle in order, None when there will be none."""
+        return await self._ready.get()
+
+    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
+        """Forget a taken bundle that has its outcome; `seq` is the number of its result, if it was looked at."""
+        if isinstance(bundle.content, Path):
+            self.held -= 1
+            if seq is None or not self.keep(bundle.content, seq):
+                await self.reuse(bundle.content)
+            return
+        self.on_release()
+
+    async def reuse(self, path: Path) -> None:
+        """Take back a file that nobody reads any more."""
+        if len(self._spare) < SPARE_FILES:
+            self._spare.append(path)
+        else:
+            await asyncio.to_thread(path.unlink)
+        self.on_release()
+
+    def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
+        self._offered.put_nowait(SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss))
+
+    async def _spooled(self, bundle: FrameBundle, thread: ThreadPoolExecutor) -> SpooledBundle:
+        path = self._file()
+        try:
+            await asyncio.get_running_loop().run_in_executor(
+                thread, overwrite_bundle, path, bundle, self._camera_ids
+            )
+        except OSError as err:  # a full tmpfs is a full queue
+            await asyncio.to_thread(path.unlink, missing_ok=True)
+            log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)
+            self.held -= 1
+            loss = Loss(reason="queue_full", detail=f"spool: {err.strerror}")
+            return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
+        return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)
+
+    def _file(self) -> Path:
+        """One that nobody reads any more, else a new one."""
+        if self._spare:
+            return self._spare.pop()
+        self._n_files += 1
+        return self._folder / f"{self._n_files:08d}.tiff"
+
+
+def _without_frames(bundle: FrameBundle) -> Loss:
+    causes = sorted(set(bundle.missing.values()))
+    if len(causes) == 1 and causes[0].startswith(f"{UNREADABLE}: "):  # in a recording
+        return Loss(reason="unreadable", detail=causes[0].removeprefix(f"{UNREADABLE}: "))
+    if causes == [DISARMED]:
+        return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
+    return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")

@@ -1,0 +1,272 @@
+"""One live recording: bundles are offered on the loop and written in a thread of their own.
+
+The disk may be slow, full or gone: the loop never waits for it, and what waits for it is bounded. When that
+bound or the reserve of free space is reached, the recording ends early, says so and keeps what it has; when
+it cannot be written it fails and leaves nothing. The cameras and the measuring never notice.
+"""
+
+import asyncio
+import queue
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RecordingError
+from drivers.factory import Devices
+from drivers.files.bundle_file import Compression
+from drivers.files.durable import read_json, write_json
+from drivers.files.recording import RecordingWriter
+from pipeline.fall import speed_mm_s
+from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.rig.cameras import RigCalibration
+
+MAX_WAITING = 16
+"""So many bundles may wait for the disk: four seconds at four stones a second, 340 MB with 16 cameras."""
+
+
+class EndedBy(StrEnum):
+    """Why a recording has ended."""
+
+    COUNT = "count"
+    """As many stones as were asked for."""
+    DURATION = "duration"
+    STOP = "stop"
+    """Somebody asked for it, or there is nothing more to come."""
+    LOW_DISK = "low_disk"
+    """The reserve of free space was reached."""
+    SLOW_DISK = "slow_disk"
+    """More bundles were waiting to be written than memory is meant for."""
+
+
+CUT_SHORT = (EndedBy.LOW_DISK, EndedBy.SLOW_DISK)
+"""Nobody asked for these."""
+
+
+class RecordingState(StrEnum):
+    """Of a live recording."""
+
+    RECORDING = "recording"
+    COMPLETE = "complete"
+    """The folder is there, under its name."""
+    FAILED = "failed"
+    """There is nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingStatus:
+    """What can be said of a recording at one moment."""
+
+    name: str
+    state: RecordingState
+    created_at: str  # RFC 3339
+    bundles: int  # in it so far, exposures of the empty rig included
+    bytes: int
+    ended_by: str | None = None
+    reason: str | None = None  # why it failed
+    made_by: Mapping[str, Any] = field(default_factory=dict)  # as in recording.json
+
+    @property
+    def is_cut_short(self) -> bool:
+        """Whether it is less than was asked for."""
+        return self.reason is not None or self.ended_by in CUT_SHORT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingSource:
+    """The rig that is recorded."""
+
+    camera_ids: tuple[CameraId, ...]  # in page order
+    rig: RigCalibration
+    is_simulated: bool
+    camera_settings: Mapping[str, Any] = field(default_factory=dict)  # JSON, as recording.json has them
+    gate_settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def speed_at_gate_mm_s(self) -> float:
+        """Of the stones, as the beam closes; zero where nobody said so."""
+        return float(self.gate_settings.get("speed_at_gate_mm_s", 0.0))
+
+    @property
+    def bundle_bytes(self) -> int:
+        """Most that a bundle takes on disk."""
+        width_px, height_px = self.rig.cameras[0].image_size_px
+        return len(self.camera_ids) * (width_px * height_px + 4096)
+
+
+def recording_source(
+    devices: Devices, rig: RigCalibration, rig_settings: Mapping[str, Any]
+) -> RecordingSource:
+    """What a recording of these devices says of them; `rig_settings` is `[rig]` of the configuration, as JSON."""
+    settings = {
+        "camera_settings": {key: value for key, value in rig_settings.items() if key != "gate"},
+        "gate_settings": {
+            **rig_settings.get("gate", {}),
+            "speed_at_gate_mm_s": speed_mm_s(rig_settings.get("start_above_gate_mm", 0.0)),
+        },
+    }
+    if devices.belt is not None:
+        settings |= {key: devices.belt.recording.document.get(key, {}) for key in settings}
+    return RecordingSource(
+        camera_ids=tuple(devices.cameras), rig=rig, is_simulated=devices.is_simulated, **settings
+    )
+
+
+class LiveRecording:
+    """`start`, any number of `offer`, `end`, and `closed` is set when the folder is complete; on the loop.
+
+    It ends by itself after `count` stones; `earlier` bundles come first and do not count. `on_through` is
+    called, in any thread, for every bundle that needs no memory any more, `on_closed` on the loop.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        source: RecordingSource,
+        *,
+        compression: Compression,
+        reserve_bytes: int,
+        made_by: Mapping[str, Any],
+        count: int | None = None,
+        earlier: Sequence[FrameBundle] = (),
+        on_through: Callable[[], None] = lambda: None,
+        on_closed: Callable[[RecordingStatus], None] = lambda status: None,
+    ) -> None:
+        self.path = path
+        self.stones = 0
+        """Written so far, as are `bundles`."""
+        self.bundles = 0
+        self.without_frames = 0
+        """Bundles of which no camera delivered anything: a file cannot hold them."""
+        self.ended_by: EndedBy | None = None
+        self.failure: str | None = None
+        self.closed = asyncio.Event()
+        self._made_by = dict(made_by)
+        self._created_at = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+        self._writer = RecordingWriter(
+            path,
+            camera_ids=source.camera_ids,
+            image_size_px=source.rig.cameras[0].image_size_px,
+            rig=source.rig,
+            is_simulated=source.is_simulated,
+            made_by=made_by,
+            camera_settings=source.camera_settings,
+            gate_settings=source.gate_settings,
+            compression=compression,
+        )
+        self._room_needed_bytes = reserve_bytes + source.bundle_bytes
+        self._still_wanted = count
+        self._max_waiting = len(earlier) + MAX_WAITING
+        self._on_through = on_through
+        self._on_closed = on_closed
+        self._bytes = 0
+        self._last_sequence = -1
+        self._sequence_shift = 0
+        self._waiting: queue.SimpleQueue[FrameBundle | EndedBy] = queue.SimpleQueue()
+        for bundle in earlier:
+            self._waiting.put(self._in_order(bundle))
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
+        # not niced: a starved thread that holds the interpreter's lock blocks the loop, 240 ms were measured
+        self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=True)
+
+    def start(self, duration_s: float | None = None) -> None:
+        """Begin to write, and end after `duration_s`."""
+        self._thread.start()
+        if duration_s is not None:
+            self._timer = self._loop.call_later(duration_s, self.end, EndedBy.DURATION)
+
+    def offer(self, bundle: FrameBundle) -> None:
+        """Take a bundle over unless the recording has ended; never blocks."""
+        if self.ended_by is not None or self.closed.is_set():
+            return
+        if not bundle.frames:
+            self.without_frames += 1
+            self._on_through()
+            return
+        if self._waiting.qsize() >= self._max_waiting:
+            self.end(EndedBy.SLOW_DISK)
+            return
+        self._waiting.put(self._in_order(bundle))
+        if self._still_wanted is not None and bundle.kind is not BundleKind.BACKGROUND:
+            self._still_wanted -= 1
+            if self._still_wanted == 0:
+                self.end(EndedBy.COUNT)
+
+    def end(self, by: EndedBy) -> None:
+        """Take nothing more; what was taken is still written. Only the first reason counts."""
+        if self.ended_by is None:
+            self.ended_by = by
+            self._waiting.put(by)
+
+    def status(self) -> RecordingStatus:
+        state = RecordingState.RECORDING
+        if self.closed.is_set():
+            state = RecordingState.FAILED if self.failure else RecordingState.COMPLETE
+        return RecordingStatus(
+            name=self.path.name,
+            state=state,
+            created_at=self._created_at,
+            bundles=self.bundles,
+            bytes=self._bytes,
+            ended_by=self.ended_by,
+            reason=self.failure,
+            made_by=self._made_by,
+        )
+
+    def _in_order(self, bundle: FrameBundle) -> FrameBundle:
+        """Number on where the gate begins to count anew: in a recording the sequence is the order."""
+        sequence = bundle.trigger.sequence + self._sequence_shift
+        if sequence <= self._last_sequence:
+            self._sequence_shift += self._last_sequence + 1 - sequence
+            sequence = self._last_sequence + 1
+        self._last_sequence = sequence
+        return replace(bundle, trigger=replace(bundle.trigger, sequence=sequence, name=bundle.name))
+
+    def _close(self, ended_by: EndedBy | None, failure: str | None) -> None:
+        self._thread.join()  # it has nothing left to do
+        if self._timer is not None:
+            self._timer.cancel()
+        self.ended_by, self.failure = ended_by, failure
+        self.closed.set()
+        self._on_closed(self.status())
+
+    # --- the thread ---
+
+    def _run(self) -> None:
+        ended_by: EndedBy | None = None
+        failure: str | None = "the recorder broke off, the journal says why"
+        try:
+            ended_by, failure = self._write(), None
+        except RecordingError as err:
+            failure = err.problem
+        except OSError as err:
+            failure = f"cannot be written: {err.strerror}"
+        finally:
+            self._loop.call_soon_threadsafe(self._close, ended_by, failure)
+
+    def _write(self) -> EndedBy:
+        with self._writer as writer:
+            ended_by = self._write_bundles(writer)
+            if self.bundles == 0:
+                raise RecordingError(self.path, f"nothing was recorded, it ended by {ended_by}")
+            self._made_by = {**self._made_by, "ended_by": ended_by, "without_frames": self.without_frames}
+            document = read_json(writer.folder / "recording.json")
+            document |= {"created_at": self._created_at, "made_by": self._made_by}
+            write_json(writer.folder / "recording.json", document)
+        return ended_by
+
+    def _write_bundles(self, writer: RecordingWriter) -> EndedBy:
+        while isinstance(bundle := self._waiting.get(), FrameBundle):
+            if shutil.disk_usage(writer.folder).free < self._room_needed_bytes:
+                return EndedBy.LOW_DISK
+            writer.add(bundle)
+            self._bytes += (writer.folder / "bundles" / f"{bundle.name}.tiff").stat().st_size
+            self.bundles += 1
+            self.stones += bundle.kind is not BundleKind.BACKGROUND
+            self._on_through()
+        return bundle

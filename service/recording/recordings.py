@@ -1,0 +1,298 @@
+"""The daemon's recordings: a short memory of the newest bundles, and at most one recording under way.
+
+What the cameras saw is kept in memory for a while, so that a recording can begin in the past; the newest
+exposures of the empty rig are kept longer, because without them nothing could be measured.
+"""
+
+import asyncio
+import logging
+import re
+import shutil
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RecordingError
+from drivers.files.bundle_file import Compression
+from drivers.files.durable import read_json
+from drivers.files.recording import UNKNOWN_UTC
+from pipeline.frames import BundleKind, FrameBundle
+from pipeline.rig.cameras import RigCalibration
+from service.errors import ServiceError
+from service.recording.live_recording import (
+    EndedBy,
+    LiveRecording,
+    RecordingSource,
+    RecordingState,
+    RecordingStatus,
+)
+
+log = logging.getLogger(__name__)
+
+RECORDING_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+"""What a recording may be called: the name is that of a folder and part of a URL."""
+KEPT_BACKGROUNDS = 5
+"""Newest exposures of the empty rig that are kept in memory for the next recording."""
+CLOSE_S = 10.0
+"""How long the disk may take for what a recording still has to write."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingsSettings:
+    """How recordings are made while measuring."""
+
+    pre_trigger: int = 8  # newest stones that are kept in memory for the next recording; 21 MB each
+    reserve_gb: float = 2.0  # a recording ends before less than this is free; results need room too
+    # "zstd" halves the 21 MB of a bundle; 80 ms of a core instead of 25, which is taken from measuring
+    compression: Compression = "none"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.pre_trigger <= 1000:
+            raise ValueError(f"pre_trigger must be in 0..1000, not {self.pre_trigger}")
+        if not 0 <= self.reserve_gb <= 100_000:
+            raise ValueError(f"reserve_gb must be in 0..100000, not {self.reserve_gb:g}")
+
+    @property
+    def reserve_bytes(self) -> int:
+        return round(self.reserve_gb * 1e9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingPlan:
+    """What to record; without `count` and `duration_s` until somebody stops it."""
+
+    name: str
+    count: int | None = None  # stones from now on
+    duration_s: float | None = None
+    pre_trigger: int = 0  # stones before now, as far as they are kept
+
+    def __post_init__(self) -> None:
+        if not RECORDING_NAME.fullmatch(self.name):
+            raise ValueError(f"name must be 1..64 letters, digits, '-' and '_', not {self.name!r}")
+        if self.count is not None and self.count < 1:
+            raise ValueError(f"count must be at least 1, not {self.count}")
+        if self.duration_s is not None and not 0 < self.duration_s <= 86_400:
+            raise ValueError(f"duration_s must be in 0..86400, not {self.duration_s:g}")
+        if self.pre_trigger < 0:
+            raise ValueError(f"pre_trigger must not be negative, not {self.pre_trigger}")
+
+
+class Refusal(StrEnum):
+    """Why no recording is started."""
+
+    EXISTS = "recording-exists"
+    RUNNING = "recording-running"
+    NO_ROOM = "no-room"
+
+
+class RecordingRefusedError(ServiceError):
+    """A recording cannot be started now."""
+
+    def __init__(self, refusal: Refusal, detail: str) -> None:
+        super().__init__(detail)
+        self.refusal = refusal
+
+
+def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_bytes: int) -> None:
+    """Refuse a recording that would not fit beside the reserve; `folder` need not exist yet.
+
+    Raises
+    ------
+    RecordingRefusedError
+    """
+    while not folder.exists():
+        folder = folder.parent
+    free_bytes = shutil.disk_usage(folder).free
+    needed_bytes = n_bundles * source.bundle_bytes
+    if free_bytes < needed_bytes + reserve_bytes:
+        raise RecordingRefusedError(
+            Refusal.NO_ROOM,
+            f"{n_bundles} bundles may take {needed_bytes / 1e9:.1f} GB beside the reserve of"
+            f" {reserve_bytes / 1e9:.1f} GB, and {free_bytes / 1e9:.1f} GB are free: make room or record less",
+        )
+
+
+def open_recordings(
+    folder: Path, source: RecordingSource, settings: RecordingsSettings, made_by: Mapping[str, Any]
+) -> "Recordings":
+    """Open the folder of recordings, which is made; what a killed predecessor left half done is removed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for unfinished in folder.glob(".*.unfinished"):
+        log.warning("recording lost in a crash of the daemon: %s", unfinished.name)
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return Recordings(folder, source, settings, made_by)
+
+
+class Recordings:
+    """`offer` every bundle; everything is called on the loop. Made by `open_recordings`."""
+
+    def __init__(
+        self,
+        folder: Path,
+        source: RecordingSource,
+        settings: RecordingsSettings,
+        made_by: Mapping[str, Any],
+    ) -> None:
+        self._folder = folder
+        self._source = source
+        self._settings = settings
+        self._made_by = made_by
+        self._stones: deque[tuple[int, FrameBundle]] = deque(maxlen=settings.pre_trigger)
+        self._backgrounds: deque[tuple[int, FrameBundle]] = deque(maxlen=KEPT_BACKGROUNDS)
+        self._n_offered = 0
+        self._live: LiveRecording | None = None
+        self._failed: dict[str, RecordingStatus] = {}
+        self._last: RecordingStatus | None = None
+
+    @property
+    def trouble(self) -> str | None:
+        """What went wrong with the latest recording, until the next one."""
+        if self._last is None or not self._last.is_cut_short:
+            return None
+        return f"recording {self._last.name}: {self._last.reason or self._last.ended_by}"
+
+    def use_rig(self, rig: RigCalibration) -> None:
+        """What the rig file of later recordings says."""
+        self._source = replace(self._source, rig=rig)
+
+    def offer(self, bundle: FrameBundle) -> None:
+        """Remember a bundle, and hand it to the recording under way; never blocks."""
+        self._n_offered += 1
+        kept = self._backgrounds if bundle.kind is BundleKind.BACKGROUND else self._stones
+        if bundle.frames:
+            kept.append((self._n_offered, bundle))
+        if self._live is not None:
+            self._live.offer(bundle)
+
+    async def start(self, plan: RecordingPlan) -> RecordingStatus:
+        """Begin a recording.
+
+        Raises
+        ------
+        RecordingRefusedError
+            The name is taken, another recording is under way, or the disk has no room for it.
+        """
+        path = self._folder / plan.name
+        await asyncio.to_thread(self._require_place, path, plan)
+        # nothing is waited for from here on: two requests at a time do not both get through
+        if self._live is not None:
+            raise RecordingRefusedError(
+                Refusal.RUNNING, f"recording {self._live.path.name} is under way: stop it first"
+            )
+        stones = list(self._stones)[-plan.pre_trigger :] if plan.pre_trigger else []
+        earlier = [bundle for _, bundle in sorted([*self._backgrounds, *stones], key=_order)]
+        live = LiveRecording(
+            path,
+            self._source,
+            compression=self._settings.compression,
+            reserve_bytes=self._settings.reserve_bytes,
+            made_by={
+                **self._made_by,
+                "count": plan.count,
+                "duration_s": plan.duration_s,
+                "pre_trigger": len(stones),
+            },
+            count=plan.count,
+            earlier=earlier,
+            on_closed=self._let_go,
+        )
+        live.start(plan.duration_s)
+        self._live, self._last = live, None
+        self._failed.pop(plan.name, None)
+        log.info("recording recording=%s earlier=%d", plan.name, len(earlier))
+        return live.status()
+
+    async def stop(self, name: str) -> RecordingStatus | None:
+        """End a recording early and return it when it is complete; None when there is none of that name."""
+        live = self._live
+        if live is not None and live.path.name == name:
+            await _end(live)
+            return live.status()
+        return await self.find(name)
+
+    async def find(self, name: str) -> RecordingStatus | None:
+        """None when there is none of that name."""
+        if self._live is not None and self._live.path.name == name:
+            return self._live.status()
+        return await asyncio.to_thread(_recording_in, self._folder, name) or self._failed.get(name)
+
+    async def all(self) -> list[RecordingStatus]:
+        """All recordings, by name: on the disk, under way, and those that failed since the start."""
+        kept = await asyncio.to_thread(_recordings_in, self._folder)
+        known = {status.name: status for status in [*self._failed.values(), *kept]}
+        if self._live is not None:
+            known[self._live.path.name] = self._live.status()
+        return [known[name] for name in sorted(known)]
+
+    async def close(self) -> None:
+        """End the recording under way; it stays as far as it came."""
+        if self._live is not None:
+            await _end(self._live)
+
+    def _require_place(self, path: Path, plan: RecordingPlan) -> None:
+        if path.exists():
+            raise RecordingRefusedError(Refusal.EXISTS, f"there is a recording {path.name} already")
+        n_bundles = (plan.count or 1) + plan.pre_trigger + KEPT_BACKGROUNDS
+        require_room(self._folder, n_bundles, self._source, self._settings.reserve_bytes)
+
+    def _let_go(self, status: RecordingStatus) -> None:
+        self._live, self._last = None, status
+        if status.state is RecordingState.FAILED:
+            self._failed[status.name] = status
+        log.log(
+            logging.ERROR if status.is_cut_short else logging.INFO,
+            "recording ended: %s recording=%s bundles=%d bytes=%d",
+            status.reason or status.ended_by,
+            status.name,
+            status.bundles,
+            status.bytes,
+        )
+
+
+def _order(kept: tuple[int, FrameBundle]) -> int:
+    return kept[0]
+
+
+async def _end(live: LiveRecording) -> None:
+    live.end(EndedBy.STOP)
+    try:
+        async with asyncio.timeout(CLOSE_S):
+            await live.closed.wait()
+    except TimeoutError:
+        log.error("the disk takes too long, it is not waited for recording=%s", live.path.name)
+
+
+def _recordings_in(folder: Path) -> list[RecordingStatus]:
+    return [status for path in folder.iterdir() if (status := _recording_in(folder, path.name))]
+
+
+def _recording_in(folder: Path, name: str) -> RecordingStatus | None:
+    path = folder / name
+    return _status_of(path) if RECORDING_NAME.fullmatch(name) and path.exists() else None
+
+
+def _status_of(path: Path) -> RecordingStatus:
+    sizes = [file.stat().st_size for file in (path / "bundles").glob("*.tiff")]
+    document: Any = {}
+    reason = None
+    try:
+        document = read_json(path / "recording.json")
+    except RecordingError as err:
+        reason = f"recording.json {err.problem}"
+    if not isinstance(document, dict) or not isinstance(document.get("made_by", {}), dict):
+        document, reason = {}, "recording.json is damaged"
+    made_by = document.get("made_by", {})
+    ended_by = made_by.get("ended_by")
+    return RecordingStatus(
+        name=path.name,
+        state=RecordingState.FAILED if reason else RecordingState.COMPLETE,
+        created_at=str(document.get("created_at", UNKNOWN_UTC)),
+        bundles=len(sizes),
+        bytes=sum(sizes),
+        ended_by=ended_by if isinstance(ended_by, str) else None,
+        reason=reason,
+        made_by=made_by,
+    )

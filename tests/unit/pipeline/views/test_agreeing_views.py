@@ -1,0 +1,64 @@
+"""Claims of agreeing views against the clearances of a search everywhere, gaps in outlines or not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.forms import form, silhouettes_of
+
+from pipeline.carving import usable_views
+from pipeline.rig.design import as_built, nominal_rig
+from pipeline.segmentation.silhouette import SilhouetteSet
+from pipeline.views import tangent_planes
+from pipeline.views.agreeing_views import claims_px
+from pipeline.views.clearance import body_sphere, clearances_px
+from pipeline.views.epipolar_tangency import outline_hulls, outlines_of
+
+RIG = as_built(nominal_rig(), seed=8)
+
+
+def seen(name: str, n_gaps: int) -> SilhouetteSet:
+    """Silhouettes of a body; in the first `n_gaps` views its left end is behind something dark."""
+    rng = np.random.default_rng(4)
+    silhouettes: SilhouetteSet = silhouettes_of(form(name, rng).mesh, RIG, rng)
+    for camera in RIG.camera_ids[:n_gaps]:
+        outline_uv = silhouettes[camera].outline_uv
+        u = outline_uv[:, 0]
+        kept = np.roll(outline_uv, -int(u.argmin()), axis=0)
+        is_seen = kept[:, 0] > u.min() + 0.2 * np.ptp(u)
+        silhouettes[camera] = replace(silhouettes[camera], outline_uv=kept[is_seen])
+    return silhouettes
+
+
+@pytest.mark.parametrize(("name", "n_gaps"), [("polyhedron", 0), ("polyhedron", 5), ("rough polyhedron", 10)])
+def test_claims_are_the_clearances_below_zero(name: str, n_gaps: int) -> None:
+    silhouettes = seen(name, n_gaps)
+    views = usable_views(silhouettes, RIG)
+    sphere = body_sphere(views, 0)
+    assert sphere is not None
+    expected_px = np.minimum(np.concatenate(clearances_px(views, sphere, 0, RIG.camera_ids)), 0)
+    found_px = np.concatenate(claims_px(views, outline_hulls(outlines_of(silhouettes), RIG)))
+    assert (found_px - expected_px).min() > -0.1
+    assert np.median(found_px - expected_px) < 0.01  # where it is higher, a narrow peak was found
+    assert found_px.max() <= 0
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40))
+def test_planes_leave_of_rays_what_they_leave_one_by_one(seed: int, n_planes: int) -> None:
+    rng = np.random.default_rng(seed)
+    planes, rays = (
+        rng.normal(size=(n_planes, 4)).astype(np.float32),
+        rng.normal(size=(6, 30)).astype(np.float32),
+    )
+    slopes = planes[:, :3].astype(float) @ rays[3:]
+    ends_mm = (planes[:, 3:] - planes[:, :3].astype(float) @ rays[:3]) / slopes
+    low_mm, high_mm = tangent_planes.left_by(planes[:, :3], planes[:, 3], rays)
+    np.testing.assert_allclose(
+        low_mm, np.where(slopes < 0, ends_mm, -np.inf).max(axis=0), rtol=1e-2, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        high_mm, np.where(slopes > 0, ends_mm, np.inf).min(axis=0), rtol=1e-2, atol=1e-3
+    )

@@ -1,0 +1,119 @@
+"""What is told late, in numbers or never, to an acquisition whose devices and clock are the test's."""
+
+import asyncio
+
+import numpy as np
+import pytest
+from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
+
+from drivers.factory import Devices
+from drivers.interfaces import CameraLost, CameraVitals, EventSink, TriggersLost
+from pipeline.frames import BundleKind, CameraId, Frame, Trigger
+from service.api.control import AcquisitionState, AcquisitionTarget
+
+
+class HandCamera:
+    """Delivers what a test hands it."""
+
+    def __init__(self, camera: CameraId) -> None:
+        self.id = camera
+        self.sink: EventSink | None = None
+
+    def open(self) -> None: ...
+
+    def arm(self, sink: EventSink) -> None:
+        self.sink = sink
+
+    def examine(self) -> CameraVitals:
+        return CameraVitals()
+
+    def disarm(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class HandGate(HandCamera):
+    warnings = ()
+
+    def test_pulse(self) -> None: ...
+
+
+class HandBench(AcquisitionBench):
+    """What a test hands to the devices, at the time that it says it is."""
+
+    def __init__(self, *, is_ball: bool = False) -> None:
+        self.now_ns = 10**10
+        self.cameras = {camera: HandCamera(camera) for camera in CAMERAS}
+        self.gate = HandGate(CameraId("gate"))
+        devices = Devices(cameras=self.cameras, gate=self.gate, clock=lambda: self.now_ns)
+        super().__init__(devices, is_ball=lambda: is_ball)
+
+    def trigger(self, sequence: int, at_ns: int) -> None:
+        assert self.gate.sink is not None
+        self.gate.sink.deliver(Trigger(sequence=sequence, received_ns=at_ns, device_ns=at_ns, utc=UTC))
+
+    def expose(self, number: int) -> None:
+        image = np.full(
+            (4, 4), number, np.uint8
+        )  # an equal one would be refused as that of a camera that hangs
+        for camera, device in self.cameras.items():
+            assert device.sink is not None
+            device.sink.deliver(
+                Frame(
+                    camera=camera,
+                    image=image,
+                    frame_id=number,
+                    device_ns=self.now_ns,
+                    received_ns=self.now_ns,
+                )
+            )
+
+
+@pytest.mark.parametrize("is_ball", [False, True])
+async def test_a_line_that_is_read_late_is_of_the_stone_that_is_there_already(is_ball: bool):
+    bench = HandBench(is_ball=is_ball)
+    async with armed(bench) as acquisition:
+        for number in (1, 2, 3):
+            fell_ns = bench.now_ns
+            if number != 2:
+                bench.trigger(number, fell_ns)
+                await bench.until(lambda n=number: len(bench.told) == 2 * n - 1)
+            bench.now_ns += DELAY_NS
+            bench.expose(number)
+            bench.now_ns += DELAY_NS  # whoever waits for the line waits no longer
+            await bench.until(lambda n=number: len(bench.bundles) == n)
+            if number == 2:
+                bench.trigger(2, fell_ns)
+                await bench.until(lambda: acquisition.counters.triggers_ignored == 1)
+    names = ["00000001", "00000002-orphan", "00000003"]
+    assert [name for kind, name in bench.told if kind == "trigger"] == names
+    assert [bundle.name for bundle in bench.bundles] == names
+    assert [len(bundle.frames) for bundle in bench.bundles] == [3, 3, 3]
+    assert {bundle.trigger.kind for bundle in bench.bundles} == {
+        BundleKind.BALL if is_ball else BundleKind.PARTICLE
+    }
+
+
+async def test_what_held_a_rig_that_is_disarmed_holds_it_no_longer():
+    bench = HandBench()
+    async with armed(bench) as acquisition:
+        for device in list(bench.cameras.values())[:2]:
+            assert device.sink is not None
+            device.sink.deliver(CameraLost(camera=device.id, received_ns=bench.now_ns, reason="gone"))
+        await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
+        assert acquisition.trouble is not None
+        acquisition.request(AcquisitionTarget.DISARMED)
+        await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
+        assert acquisition.trouble is None
+
+
+async def test_what_only_the_counter_saw_is_recorded_at_once():
+    bench = HandBench()
+    async with armed(bench):
+        assert bench.gate.sink is not None
+        bench.gate.sink.deliver(TriggersLost(received_ns=bench.now_ns, count=500, reason="gap"))
+        await asyncio.sleep(0.1)
+        bench.now_ns += 10 * DELAY_NS
+        await bench.until(lambda: len(bench.bundles) == 500)
+    assert bench.n_records == 1
+    assert len({name for kind, name in bench.told if kind == "trigger"}) == 500

@@ -1,0 +1,151 @@
+"""Frames without a trigger and triggers without frames: orphans, strays, gaps of the gate."""
+
+from support.bundling import (
+    CAMERAS,
+    DELAY_NS,
+    MS,
+    PARAMETERS,
+    WINDOW_NS,
+    A,
+    B,
+    C,
+    feed_all,
+    frame,
+    tags,
+    trigger,
+)
+
+from drivers.interfaces import TriggersLost
+from service.bundling.assembler import DELIVERY_NS, BundleAssembler
+from service.bundling.parameters import BundlingParameters
+
+
+def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:
+    parameters = BundlingParameters(expected_delay_ms=0, window_ms=50, dead_time_ms=200)
+    assembler = BundleAssembler(CAMERAS, parameters)
+    events = [*(frame(camera, 0, 1000) for camera in CAMERAS), trigger(0, 30 * MS)]
+    (bundle,) = feed_all(assembler, events)
+    assert not bundle.missing
+    feed_all(assembler, [frame(A, 1, 500 * MS)])
+    assembler.advance(600 * MS)
+    assert assembler.counters.cameras[A].strays == 1
+
+
+def test_a_stone_that_the_gate_did_not_announce_is_an_orphan_with_a_bundle_of_its_own() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    bundles = feed_all(
+        assembler,
+        [
+            trigger(7, 0),
+            *(frame(camera, 0, DELAY_NS) for camera in CAMERAS),
+            *(frame(camera, 1, period_ns + DELAY_NS) for camera in (A, B)),  # 8 was garbled
+            trigger(9, 2 * period_ns),
+            TriggersLost(received_ns=2 * period_ns, count=1, reason="gap"),
+            *(frame(camera, 2, 2 * period_ns + DELAY_NS) for camera in CAMERAS),
+        ],
+    )
+    bundles += assembler.advance(10 * period_ns)
+    assert [(bundle.trigger.sequence, bundle.trigger.is_announced) for bundle in bundles] == [
+        (7, True),
+        (8, False),
+        (9, True),
+    ]
+    orphan = bundles[1]
+    assert orphan.trigger.received_ns == period_ns
+    assert (tags(orphan), dict(orphan.missing)) == ({1}, {C: "no_frame"})
+    counters = assembler.counters
+    assert (counters.triggers, counters.orphans, counters.unseen, counters.triggers_lost) == (3, 1, 0, 1)
+    assert all(each.not_exposed == each.unannounced == 0 for each in counters.cameras.values())
+
+
+def test_an_orphan_explains_one_gap_and_a_spurious_one_none() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns, bundles = 250 * MS, []
+    feed_all(assembler, [frame(camera, 9, DELAY_NS) for camera in CAMERAS])  # a pulse from nowhere
+    for number in range(1, 5):
+        at_ns = (number + 3) * period_ns
+        bundles += feed_all(
+            assembler, [trigger(number, at_ns), *(frame(c, number, at_ns + DELAY_NS) for c in CAMERAS)]
+        )
+    assert assembler.counters.orphans == 1
+    at_ns = 10 * period_ns
+    feed_all(assembler, [trigger(6, at_ns), TriggersLost(received_ns=at_ns, count=1, reason="gap")])
+    assembler.advance(20 * period_ns)
+    assert assembler.counters.unseen == 1
+
+
+def test_three_orphans_explain_gaps_that_are_told_one_by_one() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    feed_all(assembler, [trigger(1, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    for number in range(1, 4):
+        feed_all(assembler, [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS])
+    assembler.advance(8 * period_ns)
+    assert assembler.counters.orphans == 3
+    for count, at_ns in ((1, 8 * period_ns), (2, 13 * period_ns)):
+        assembler.feed(TriggersLost(received_ns=at_ns, count=count, reason="gap"))
+        assembler.advance(at_ns + 4 * period_ns)
+    assert assembler.counters.unseen == 0
+
+
+def test_a_line_that_comes_after_its_frames_were_adopted_announces_no_second_stone() -> None:
+    """The host was too busy to read it: the gate's clock says when its stone fell."""
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    bundles = feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    for number in (1, 2):
+        late = [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS]
+        bundles += feed_all(assembler, late[number - 1 :])  # the second lacks one
+    bundles += assembler.advance(3 * period_ns + DELAY_NS)
+    bundles += feed_all(assembler, [trigger(1, period_ns), trigger(2, 2 * period_ns + 5 * MS)])
+    bundles += feed_all(assembler, [trigger(5, 5 * period_ns)])
+    bundles += feed_all(assembler, [TriggersLost(received_ns=5 * period_ns, count=2, reason="gap")])
+    bundles += assembler.advance(20 * period_ns)
+    assert [(bundle.trigger.sequence, len(bundle.frames)) for bundle in bundles] == [
+        (0, 3),
+        (1, 3),
+        (2, 2),
+        (5, 0),
+        (6, 0),
+        (6, 0),
+    ]
+    counters = assembler.counters
+    assert (counters.triggers, counters.orphans, counters.unseen) == (6, 2, 2)
+    assert counters.triggers_ignored == 2
+
+
+def test_of_two_orphans_one_is_announced_late_and_the_other_explains_the_gap() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    period_ns = 250 * MS
+    for number in (0, 1):
+        feed_all(assembler, [frame(camera, number, number * period_ns + DELAY_NS) for camera in CAMERAS])
+    assembler.advance(3 * period_ns)
+    gap = TriggersLost(received_ns=3 * period_ns, count=1, reason="gap")
+    feed_all(assembler, [trigger(1, 0), gap, trigger(3, 3 * period_ns)])
+    assembler.advance(10 * period_ns)
+    counters = assembler.counters
+    assert (counters.triggers, counters.orphans, counters.unseen) == (3, 2, 0)
+
+
+def test_what_only_the_counter_of_the_gate_knows_is_a_bundle_without_frames() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS) for camera in CAMERAS)])
+    gap = TriggersLost(received_ns=1000 * MS, count=2, reason="gap")
+    assert feed_all(assembler, [trigger(3, 1000 * MS), gap]) == []
+    bundles = feed_all(assembler, [frame(camera, 3, 1000 * MS + DELAY_NS) for camera in CAMERAS])
+    bundles += assembler.advance(1000 * MS + DELAY_NS + WINDOW_NS + DELIVERY_NS)
+    assert [len(bundle.frames) for bundle in bundles] == [3, 0, 0]
+    assert set(bundles[1].missing.values()) == {"unseen"}
+    assert assembler.counters.triggers == 4 == assembler.counters.complete + assembler.counters.incomplete
+
+
+def test_a_flood_of_late_frames_makes_no_stone_of_its_own() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS, device_ns=1) for camera in CAMERAS)])
+    feed_all(assembler, [trigger(1, 250 * MS)])
+    assembler.advance(1000 * MS)
+    late = [frame(camera, 1, 1500 * MS, device_ns=250 * MS) for camera in CAMERAS]
+    assert feed_all(assembler, late) + assembler.advance(5000 * MS) == []
+    assert [assembler.counters.cameras[camera].late for camera in CAMERAS] == [1, 1, 1]
+    assert assembler.counters.orphans == 0

@@ -1,0 +1,208 @@
+"""Each trigger gets one bundle of its own frames, whatever the cameras and the network do."""
+
+from dataclasses import dataclass, replace
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.bundling import CAMERAS, DELAY_NS, MS, PARAMETERS, accounted, frame, tags, trigger
+
+from drivers.interfaces import DeviceEvent, FrameLost
+from pipeline.frames import CameraId, Frame, FrameBundle
+from service.bundling.assembler import BundleAssembler
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What happens to the exposure of one camera for one trigger."""
+
+    jitter_ns: int = 0
+    is_lost: bool = False
+    is_told: bool = False  # of a lost one
+    n_copies: int = 1
+    late_ns: int = 0
+    lag_ns: int = 0  # from arrival to delivery
+
+
+jitters_ns = st.integers(-90 * MS, 90 * MS)
+lags_ns = st.integers(0, 40 * MS)
+on_time = st.builds(Fate, jitter_ns=jitters_ns, lag_ns=lags_ns, n_copies=st.sampled_from([1, 1, 1, 2, 3]))
+lost = st.builds(Fate, is_lost=st.just(True), is_told=st.booleans(), jitter_ns=jitters_ns)
+
+
+@st.composite
+def trigger_times_ns(draw: st.DrawFn) -> list[int]:
+    gaps_ms = draw(
+        st.lists(st.sampled_from([225, 250, 250, 250, 400, 1500, 60_000]), min_size=2, max_size=10)
+    )
+    return [10**12 + round(sum(gaps_ms[:i])) * MS for i in range(len(gaps_ms))]
+
+
+@st.composite
+def cameras(draw: st.DrawFn, *, has_clock: bool) -> tuple[int, bool, int, float]:
+    first_id = draw(st.sampled_from([1, 65_401, 65_533, 2**64 - 4, 10**9]))
+    epoch_ns = draw(st.integers(1, 10**18)) if has_clock else 0
+    return first_id, first_id <= 0xFFFF, epoch_ns, draw(st.floats(-50e-6, 50e-6))
+
+
+def exposures(
+    camera: CameraId, times_ns: list[int], fates: list[Fate], device: tuple[int, bool, int, float]
+) -> list[tuple[int, DeviceEvent]]:
+    """What the camera delivers, with the times of delivery."""
+    first_id, is_16_bit, epoch_ns, drift = device
+    delivered: list[tuple[int, DeviceEvent]] = []
+    for number, (trigger_ns, fate) in enumerate(zip(times_ns, fates, strict=True)):
+        frame_id = (first_id - 1 + number) % (0xFFFF if is_16_bit else 2**64 - 1) + 1
+        arrival_ns = trigger_ns + DELAY_NS + fate.jitter_ns + fate.late_ns
+        if fate.is_lost:
+            if fate.is_told:
+                event = FrameLost(camera=camera, received_ns=arrival_ns, reason="incomplete")
+                delivered.append((arrival_ns, event))
+            continue
+        device_ns = epoch_ns + round((trigger_ns - times_ns[0]) * (1 + drift)) if epoch_ns else 0
+        shot = frame(camera, number, arrival_ns, frame_id, device_ns)
+        delivered += [(arrival_ns + fate.lag_ns + copy, shot) for copy in range(fate.n_copies)]
+    return delivered
+
+
+def run(
+    times_ns: list[int], deliveries: list[tuple[int, DeviceEvent]]
+) -> tuple[list[FrameBundle], BundleAssembler]:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    triggers = [(at_ns, trigger(number, at_ns)) for number, at_ns in enumerate(times_ns)]
+    bundles = []
+    for now_ns, event in sorted([*triggers, *deliveries], key=lambda delivery: delivery[0]):
+        bundles += assembler.advance(now_ns)
+        bundles += assembler.feed(event)
+    return bundles + assembler.flush(), assembler
+
+
+def check_each_trigger_once(
+    bundles: list[FrameBundle],
+    assembler: BundleAssembler,
+    times_ns: list[int],
+    deliveries: list[tuple[int, DeviceEvent]],
+) -> None:
+    assert [bundle.trigger.received_ns for bundle in bundles] == times_ns
+    for number, bundle in enumerate(bundles):
+        assert tags(bundle) <= {number}, "a frame exposed for another trigger"
+        assert set(bundle.frames) | set(bundle.missing) == set(CAMERAS)
+        assert not set(bundle.frames) & set(bundle.missing)
+    counters = assembler.counters
+    assert counters.triggers == len(times_ns) == counters.complete + counters.incomplete
+    for camera in CAMERAS:
+        n_frames = sum(isinstance(event, Frame) and event.camera == camera for _, event in deliveries)
+        assert accounted(counters.cameras[camera]) == n_frames
+
+
+@settings(max_examples=120)
+@given(data=st.data(), times_ns=trigger_times_ns(), has_clock=st.booleans())
+def test_each_trigger_gets_one_bundle_with_the_right_missing_set(
+    data: st.DataObject, times_ns: list[int], has_clock: bool
+) -> None:
+    """Under loss, jitter, duplication, reordering and wrapping ids."""
+    fates = {
+        # the very first exposure is what a camera's clock is compared with
+        camera: [data.draw(on_time), *(data.draw(on_time | lost) for _ in times_ns[1:])]
+        for camera in CAMERAS
+    }
+    deliveries = [
+        delivery
+        for camera in CAMERAS
+        for delivery in exposures(camera, times_ns, fates[camera], data.draw(cameras(has_clock=has_clock)))
+    ]
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+    for number, bundle in enumerate(bundles):
+        expected = {
+            camera: "incomplete" if fates[camera][number].is_told else "no_frame"
+            for camera in CAMERAS
+            if fates[camera][number].is_lost
+        }
+        assert dict(bundle.missing) == expected
+    for counters in assembler.counters.cameras.values():
+        assert (counters.not_exposed, counters.unannounced, counters.id_restarts) == (0, 0, 0)
+
+
+late = st.builds(
+    Fate,
+    jitter_ns=jitters_ns,
+    late_ns=st.sampled_from([225 * MS, 250 * MS, 500 * MS]) | st.integers(0, 2_000 * MS),
+    n_copies=st.sampled_from([1, 1, 2]),
+)
+
+
+@settings(max_examples=150)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_no_bundle_ever_holds_a_frame_of_another_trigger(data: st.DataObject, times_ns: list[int]) -> None:
+    """Not even when frames arrive whole periods late, exactly when the next one is due."""
+    deliveries = [
+        delivery
+        for camera in CAMERAS
+        for delivery in exposures(
+            camera,
+            times_ns,
+            [data.draw(on_time), *(data.draw(on_time | lost | late) for _ in times_ns[1:])],
+            data.draw(cameras(has_clock=True)),
+        )
+    ]
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+
+
+@settings(max_examples=50)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_no_frame_that_comes_before_the_deadline_is_wasted(data: st.DataObject, times_ns: list[int]) -> None:
+    """However late each comes and in whatever order: the camera's clock knows its trigger."""
+    overdue = st.builds(Fate, jitter_ns=st.just(0), late_ns=st.integers(0, 350 * MS), lag_ns=lags_ns)
+    deliveries = [
+        delivery
+        for camera in CAMERAS
+        for delivery in exposures(
+            camera,
+            times_ns,
+            [data.draw(on_time), *(data.draw(overdue) for _ in times_ns[1:])],
+            data.draw(cameras(has_clock=True)),
+        )
+    ]
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+    assert not any(bundle.missing for bundle in bundles)
+
+
+@settings(max_examples=60)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_a_clock_that_is_set_while_stones_fall_moves_no_frame(
+    data: st.DataObject, times_ns: list[int]
+) -> None:
+    """By a master that comes and goes, be it by whole periods: the camera's counter still knows better."""
+    deliveries = []
+    for camera in CAMERAS:
+        fates = [data.draw(on_time), *(data.draw(on_time | lost) for _ in times_ns[1:])]
+        at_ns = data.draw(st.sampled_from(times_ns))
+        step_ns = data.draw(st.sampled_from([-500, -250, -225, 225, 250]) | st.integers(-600, 600)) * MS
+        for delivered_ns, event in exposures(camera, times_ns, fates, data.draw(cameras(has_clock=True))):
+            if isinstance(event, Frame) and times_ns[int(event.image[0, 0])] >= at_ns:
+                event = replace(event, device_ns=event.device_ns + 10**9 + step_ns)
+            elif isinstance(event, Frame):
+                event = replace(event, device_ns=event.device_ns + 10**9)
+            deliveries.append((delivered_ns, event))
+    bundles, assembler = run(times_ns, deliveries)
+    check_each_trigger_once(bundles, assembler, times_ns, deliveries)
+
+
+@settings(max_examples=60)
+@given(data=st.data(), times_ns=trigger_times_ns())
+def test_a_stone_whose_line_is_late_is_one_stone(data: st.DataObject, times_ns: list[int]) -> None:
+    """However late the lines are read, in their order: either they get the frames, or the frames came without."""
+    fates = [Fate() for _ in times_ns]
+    deliveries = []
+    for camera in CAMERAS:
+        deliveries += exposures(camera, times_ns, fates, data.draw(cameras(has_clock=True)))
+    late_ns = st.sampled_from([0, 0, 0, 300 * MS]) | st.integers(0, 3_000 * MS)
+    read_ns = [times_ns[0], *(at_ns + data.draw(late_ns) for at_ns in times_ns[1:])]
+    for number, at_ns in enumerate(times_ns):
+        deliveries.append((max(read_ns[: number + 1]), trigger(number, at_ns)))
+    bundles, assembler = run([], deliveries)
+    assert sorted(tag for bundle in bundles for tag in tags(bundle)) == list(range(len(times_ns)))
+    assert not any(bundle.missing for bundle in bundles)
+    assert assembler.counters.triggers == len(times_ns) == assembler.counters.complete

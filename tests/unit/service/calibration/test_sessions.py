@@ -1,0 +1,215 @@
+"""Sessions of calibration, without cameras: the table, the drops, the solution, the restart."""
+
+import time
+from pathlib import Path
+
+import pytest
+from support.calibration_desk import (
+    ARMED,
+    BALL,
+    CONFIGURED,
+    MadeUpSolver,
+    a_drop,
+    accepted,
+    open_desk,
+    other_rig,
+    solve,
+    solved,
+    state_of,
+    until,
+)
+
+from drivers.files.rig_file import read_rig, write_rig
+from pipeline.calibration import Problem
+from pipeline.frames import BundleKind
+from service.api.control import AcquisitionState
+from service.calibration import sessions as calibrations
+from service.calibration.plan import CalibrationPlan
+from service.calibration.states import (
+    OPEN,
+    TRANSITIONS,
+    CalibrationAction,
+    CalibrationConflictError,
+    CalibrationState,
+    next_state,
+)
+from service.calibration.verifications import VerificationPlan
+from service.errors import StoreError
+from service.processing.worker_pool import JobLostError
+
+
+def test_the_table_ends_every_session_and_asks_twice_for_free():
+    for state in CalibrationState:
+        assert (state in OPEN) == ((state, CalibrationAction.CANCEL) in TRANSITIONS and state != "cancelled")
+    for (_, action), following in TRANSITIONS.items():
+        assert next_state("0002", following, action) is following or action is CalibrationAction.SOLVE
+    for state in CalibrationState:
+        for action in CalibrationAction:
+            if (state, action) not in TRANSITIONS:
+                with pytest.raises(CalibrationConflictError, match=f"0002 is {state}: {action}"):
+                    next_state("0002", state, action)
+
+
+@pytest.mark.parametrize(
+    ("diameters_mm", "method"),
+    [
+        ((), "bundle"),
+        ((10.0, 11.0), "bundle"),
+        ((10.0, 15.0, 20.0), "paper"),
+        ((0.1,), "bundle"),
+        ((10.0,), "stones"),
+    ],
+)
+def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
+    with pytest.raises(ValueError, match="ball_diameters_mm"):
+        CalibrationPlan(ball_diameters_mm=diameters_mm, method=method)
+
+
+async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
+    told = []
+    solver = MadeUpSolver()
+    desk = open_desk(tmp_path, solver=solver)
+
+    async def on_activated(rig):
+        told.append(rig.name)
+
+    desk.on_activated = on_activated
+    record = await desk.start(BALL, ARMED)
+    assert desk.wants_balls
+    assert desk.facts().at_work == "calibration 0002 is collecting: what falls is a ball"
+    assert desk.collector is not None
+    await desk.collector.add(a_drop(), {}, None)
+    details = await desk.find(record.id)
+    assert details is not None
+    assert [drop.bundle for drop in details.drops] == ["000001-ball"]
+    assert details.residuals_px == {"c01": 2.0}
+    assert details.coverage.cameras[CONFIGURED.camera_ids[0]].n_drops == 1
+    await solve(desk, record.id)
+    assert solver.jobs[0].initial_path == desk.rig.path
+    before = desk.rig
+    await desk.act(record.id, CalibrationAction.ACCEPT, "the boss")
+    assert desk.rig == before
+    assert not desk.wants_balls
+    await desk.act(record.id, CalibrationAction.ACTIVATE, "an engineer")
+    assert desk.rig.calibration_id == read_rig(desk.rig.path).calibration_id == other_rig().calibration_id
+    assert (desk.activated.id, desk.activated.by) == ("0002", "an engineer")
+    assert (desk.active.by, desk.active.decided_by) == ("an engineer", "the boss")
+    assert open_desk(tmp_path).rig == desk.rig
+    await desk.act("0001", CalibrationAction.ACTIVATE)
+    assert desk.rig == open_desk(tmp_path).rig == before
+    assert told == ["another", "small"]
+
+
+async def test_somebody_is_at_work_already(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    version = await accepted(desk)
+    for state in (AcquisitionState.HELD, AcquisitionState.STOPPING):
+        with pytest.raises(CalibrationConflictError, match=f"acquisition is {state}"):
+            await desk.start(BALL, state)
+    await desk.start(BALL, ARMED)
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting: end it first"):
+        await desk.start(BALL, ARMED)
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting: end it first"):
+        await desk.verify(VerificationPlan(), ARMED)
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting and rests on 0001: end it first"):
+        await desk.act(version, CalibrationAction.ACTIVATE)
+    await desk.act("0003", CalibrationAction.CANCEL)
+    await desk.verify(VerificationPlan(), ARMED)
+    with pytest.raises(CalibrationConflictError, match="verification 0001 waits"):
+        await desk.start(BALL, ARMED)
+
+
+async def test_a_stone_session_leaves_stones_stones(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    await desk.start(CalibrationPlan(method="stones"), ARMED)
+    assert desk.collector is not None
+    assert desk.collector.kind is BundleKind.PARTICLE
+    assert not desk.wants_balls
+
+
+async def test_what_must_not_be_used_is_not_accepted(tmp_path: Path):
+    problem = Problem(code="wrong_diameter", detail="the ball is too small")
+    solver = MadeUpSolver(problems=(problem,))
+    desk = open_desk(tmp_path, solver=solver)
+    name = await solved(desk)
+    with pytest.raises(CalibrationConflictError, match="must not be used: the ball is too small"):
+        await desk.act(name, CalibrationAction.ACCEPT)
+    solver.problems = ()
+    await solve(desk, name)  # more drops, another try
+    await desk.act(name, CalibrationAction.ACCEPT)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        MadeUpSolver(rig=None, problems=(Problem(code="too_few", detail="too few drops"),)),
+        MadeUpSolver(failure=JobLostError("deadline", "too few drops")),
+    ],
+)
+async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: MadeUpSolver):
+    desk = open_desk(tmp_path, solver=solver)
+    name = await solved(desk)
+    details = await desk.find(name)
+    assert details is not None
+    assert details.record.state is CalibrationState.COLLECTING
+    assert "too few drops" in str(details.record.detail)
+    assert desk.wants_balls
+
+
+async def test_a_session_that_was_cancelled_before_it_was_solved_stays_so(tmp_path: Path):
+    solver = MadeUpSolver()
+    desk = open_desk(tmp_path, solver=solver)
+    record = await desk.start(BALL, ARMED)
+    await desk.act(record.id, CalibrationAction.SOLVE)
+    await desk.act(record.id, CalibrationAction.CANCEL)
+    following = await desk.start(BALL, ARMED)
+    await solve(desk, following.id)  # after the one before
+    assert state_of(desk, record.id) is CalibrationState.CANCELLED
+    assert len(solver.jobs) == 1
+
+
+async def test_a_session_survives_a_restart_without_its_unfinished_solution(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    record = await desk.start(BALL, ARMED)
+    assert desk.collector is not None
+    await desk.collector.add(a_drop(), {}, None)
+    await desk.act(record.id, CalibrationAction.SOLVE)
+    again = open_desk(tmp_path)
+    details = await again.find(record.id)
+    assert details is not None
+    assert (details.record.state, len(details.drops)) == (CalibrationState.COLLECTING, 1)
+    await solve(again, record.id)
+    assert state_of(open_desk(tmp_path), record.id) is CalibrationState.SOLVED
+    report = tmp_path / "calibrations" / record.id / "report.json"
+    report.write_text("{")
+    again = open_desk(tmp_path)
+    details = await again.find(record.id)
+    assert details is not None
+    assert (details.record.state, details.record.calibration_id) == (CalibrationState.COLLECTING, None)
+    await solve(again, record.id)
+    write_rig(tmp_path / "calibrations" / record.id / "rig.json", other_rig("not what was solved"))
+    again = open_desk(tmp_path)
+    assert state_of(again, record.id) is CalibrationState.COLLECTING
+    assert await again.find(record.id) is not None
+    changed = open_desk(tmp_path, other_rig())  # what its drops were compared with is not in use any more
+    assert state_of(changed, record.id) is CalibrationState.CANCELLED
+
+
+async def test_an_idle_session_ends_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    desk = open_desk(tmp_path)
+    await desk.start(BALL, ARMED)
+    monkeypatch.setattr(calibrations, "IDLE_CHECK_S", 0.001)
+    start_s = time.monotonic()
+    await until(desk, lambda: time.monotonic() - start_s > 0.02)
+    assert desk.wants_balls
+    monkeypatch.setattr(calibrations, "IDLE_S", 0.0)
+    await until(desk, lambda: not desk.wants_balls)
+    assert "nothing fell" in str(open_desk(tmp_path).all()[0].detail)
+
+
+async def test_a_damaged_drop_is_a_fault_of_the_store(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    record = await desk.start(BALL, ARMED)
+    (tmp_path / "calibrations" / record.id / "drops/00001.json").write_text('{"views": 3}')
+    with pytest.raises(StoreError, match=r"00001\.json"):
+        await desk.find(record.id)

@@ -1,0 +1,141 @@
+import asyncio
+import threading
+import time
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.calibration_desk import a_drop
+
+from service.calibration import verifications
+from service.calibration.verification_limits import VerificationParameters
+from service.calibration.verifications import (
+    VerificationPlan,
+    Verifications,
+    VerificationState,
+    open_verifications,
+)
+
+PLAN = VerificationPlan(diameter_mm=15.0, count=3)
+
+
+def opened(folder: Path, **parameters: float) -> Verifications:
+    return open_verifications(folder, VerificationParameters(**parameters))
+
+
+def record(diameter_mm: float | None, calibration_id: str = "rig") -> dict[str, Any]:
+    detail = "the body leaves the image" if diameter_mm is None else None
+    return {"equivalent_diameter_mm": diameter_mm, "calibration_id": calibration_id, "detail": detail}
+
+
+async def let_fall(
+    desk: Verifications,
+    diameters_mm: list[float | None],
+    uneven_mm: float = 0.01,
+    calibration_id: str = "rig",
+) -> None:
+    for number, diameter_mm in enumerate(diameters_mm):
+        if desk.collector is not None:
+            drop = replace(a_drop(f"{number:06d}"), vertical_minus_horizontal_mm=uneven_mm)
+            await desk.collector.add(drop, record(diameter_mm, calibration_id), None)
+
+
+async def test_a_good_rig_passes_and_rejected_balls_do_not_count(tmp_path: Path):
+    desk = opened(tmp_path)
+    name = (await desk.start(PLAN, "rig")).id
+    await let_fall(desk, [15.02, None, 15.04])
+    assert desk.current is not None
+    await let_fall(desk, [99.0], calibration_id="another")  # was under way with the one before
+    await let_fall(desk, [15.03, 99.0])
+    found = opened(tmp_path).find(name)
+    assert found is not None
+    assert (found.state, len(found.balls), found.problems) == (VerificationState.PASSED, 4, ())
+    assert found.summary is not None
+    assert found.summary.error_mm == pytest.approx(0.03)
+    assert found.summary.sd_mm == pytest.approx(0.01)
+    assert found.summary.vertical_minus_horizontal_mm == pytest.approx(0.01)
+    assert desk.trouble("rig", datetime.now(UTC)) is None
+
+
+@pytest.mark.parametrize(
+    ("diameters_mm", "uneven_mm", "problem"),
+    [
+        ([15.11, 15.11, 15.11], 0.0, r"the diameter is \+0\.110 mm off"),
+        ([14.89, 14.89, 14.89], 0.0, r"the diameter is -0\.110 mm off"),
+        ([14.94, 15.0, 15.06], 0.0, r"scatters by 0\.060 mm"),
+        ([15.0, 15.0, 15.0], -0.06, r"vertical diameter is -0\.060 mm"),
+    ],
+)
+async def test_each_limit_fails_with_a_remedy(tmp_path: Path, diameters_mm, uneven_mm: float, problem: str):
+    desk = opened(tmp_path)
+    await desk.start(PLAN, "rig")
+    await let_fall(desk, diameters_mm, uneven_mm)
+    trouble = opened(tmp_path).trouble("rig", datetime.now(UTC))
+    assert trouble is not None
+    (found,) = desk.all()
+    assert (found.state, len(found.problems)) == (VerificationState.FAILED, 1)
+    with pytest.raises(ValueError, match=problem):
+        raise ValueError(trouble)
+    assert desk.trouble("another", datetime.now(UTC)) is None
+    await desk.start(PLAN, "rig")
+    await let_fall(desk, [15.0, 15.0, 15.0])
+    assert desk.trouble("rig", datetime.now(UTC)) is None
+
+
+async def test_overdue_is_trouble_where_a_verification_is_asked_for(tmp_path: Path):
+    assert opened(tmp_path).trouble("rig", datetime.now(UTC)) is None
+    desk = opened(tmp_path, every_h=8.0)
+    assert "never verified" in str(desk.trouble("rig", datetime.now(UTC)))
+    await desk.start(PLAN, "rig")
+    await let_fall(desk, [15.0, 15.0, 15.0])
+    assert desk.trouble("rig", datetime.now(UTC)) is None
+    assert "9 hours ago" in str(desk.trouble("rig", datetime.now(UTC) + timedelta(hours=9)))
+
+
+async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    desk = opened(tmp_path)
+    first = await desk.start(PLAN, "rig")
+    await let_fall(desk, [15.0])
+    desk = opened(tmp_path)  # the daemon was killed
+    second = await desk.start(PLAN, "rig")
+    await desk.cancel(second.id, "somebody cancelled it")
+    third = await desk.start(PLAN, "rig")
+    await desk.cancel_idle()
+    assert desk.current == third
+    monkeypatch.setattr(verifications, "IDLE_S", 0.0)
+    await desk.cancel_idle()
+    assert [(each.id, each.state, each.problems[0][:12]) for each in opened(tmp_path).all()] == [
+        (third.id, VerificationState.CANCELLED, "no ball fell"),
+        (second.id, VerificationState.CANCELLED, "somebody can"),
+        (first.id, VerificationState.CANCELLED, "the daemon w"),
+    ]
+    assert await desk.cancel("0009", "why") is None
+
+
+async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Both replace the same file by way of the same temporary one."""
+    desk = opened(tmp_path)
+    name = (await desk.start(PLAN, "rig")).id
+    write, is_writing = verifications.write_json, threading.Lock()
+
+    def write_slowly(path: Path, document: Any) -> None:
+        assert is_writing.acquire(blocking=False)
+        time.sleep(0.01)
+        write(path, document)
+        is_writing.release()
+
+    monkeypatch.setattr(verifications, "write_json", write_slowly)
+    await asyncio.gather(let_fall(desk, [15.0]), desk.cancel(name, "somebody cancelled it"))
+    found = opened(tmp_path).find(name)
+    assert found is not None
+    assert (found.state, len(found.balls)) == (VerificationState.CANCELLED, 1)
+
+
+def test_a_damaged_one_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "0001.json").write_text("{}")
+    assert opened(tmp_path).all() == []
+    assert "verification 0001 is not used" in caplog.text

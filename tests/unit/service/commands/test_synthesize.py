@@ -1,0 +1,180 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+import typer
+from support.synthetic_rigs import rig_of
+from typer.testing import CliRunner
+
+from drivers.errors import RecordingError
+from drivers.files.recording import open_recording, read_bundle
+from drivers.files.rig_file import read_rig, write_rig
+from pipeline.fall import speed_mm_s
+from pipeline.frames import BundleKind, CameraId, FrameBundle
+from service.commands.synthesize import command
+from service.errors import UsageError
+
+
+@pytest.fixture
+def rig_path(tmp_path: Path) -> Path:
+    path = tmp_path / "small-rig.json"
+    write_rig(path, rig_of("c02", "c07", binning=8))
+    return path
+
+
+def bundles_of(path: Path) -> list[FrameBundle]:
+    recording = open_recording(path)
+    return [read_bundle(header.path, recording.camera_ids) for header in recording.headers]
+
+
+def same_pixels(a: FrameBundle, b: FrameBundle) -> bool:
+    return all(np.array_equal(a.frames[camera].image, b.frames[camera].image) for camera in a.frames)
+
+
+def test_a_recording_of_known_bodies_with_its_truth(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    command(out, bodies="cube,stones", count=4, seed=7, rig=rig_path, backgrounds=2, size_mm=20)
+    recording = open_recording(out)
+    assert recording.is_simulated
+    assert recording.rig is not None
+    assert recording.rig.calibration_id == read_rig(rig_path).calibration_id
+    names = [header.name for header in recording.headers]
+    assert names == [
+        "000001-background",
+        "000002-background",
+        "000003-cube",
+        "000004-round",
+        "000005-cube",
+        "000006-irregular",
+    ]
+    assert [bundle.kind for bundle in bundles_of(out)[1:3]] == [BundleKind.BACKGROUND, BundleKind.PARTICLE]
+    truths = [json.loads(line) for line in (out / "truth.jsonl").read_text().splitlines()]
+    assert [truth["bundle"] for truth in truths] == names[2:]
+    for truth in truths:
+        mesh = trimesh.load_mesh(out / truth["mesh"])
+        assert mesh.volume == pytest.approx(truth["volume_mm3"], rel=1e-4)
+        np.testing.assert_allclose(mesh.center_mass, truth["center_mm"], atol=1e-3)
+    assert truths[1]["max_feret_mm"] == pytest.approx(20)
+
+
+def test_a_bundle_depends_on_the_seed_and_not_on_the_others(tmp_path: Path, rig_path: Path) -> None:
+    def render(name: str, count: int, seed: int, backgrounds: int) -> list[FrameBundle]:
+        command(
+            tmp_path / name,
+            bodies="stones,cube",
+            count=count,
+            seed=seed,
+            rig=rig_path,
+            backgrounds=backgrounds,
+        )
+        return bundles_of(tmp_path / name)[backgrounds:]
+
+    first, longer = render("first", 2, 1, 1), render("longer", 3, 1, 2)
+    assert all(same_pixels(a, b) for a, b in zip(first, longer, strict=False))
+    other = render("other", 2, 2, 1)
+    assert not same_pixels(first[0], other[0])
+
+
+def test_without_a_rig_the_design_is_built_with_deviations(tmp_path: Path) -> None:
+    out = tmp_path / "recording"
+    command(out, bodies="ball", count=0, seed=4, backgrounds=1)
+    true_rig, design = read_rig(out / "rig.json"), read_rig(out / "rig-nominal.json")
+    assert design.method == "nominal"
+    shifts_mm = [
+        np.linalg.norm(a.center_mm - b.center_mm)
+        for a, b in zip(true_rig.cameras, design.cameras, strict=True)
+    ]
+    np.testing.assert_allclose(shifts_mm, 2)
+    assert "rig-nominal.json" in open_recording(out).document["made_by"]["rig"]
+
+
+def test_a_mesh_file_can_fall(tmp_path: Path, rig_path: Path) -> None:
+    mesh_path = tmp_path / "brick.stl"
+    trimesh.creation.box(extents=[8, 10, 12]).export(mesh_path)
+    command(tmp_path / "recording", bodies=str(mesh_path), count=1, rig=rig_path, backgrounds=0)
+    truth = json.loads((tmp_path / "recording" / "truth.jsonl").read_text())
+    assert truth["bundle"] == "000001-brick"
+    assert truth["min_box_mm"] == pytest.approx([12, 10, 8], rel=1e-3)
+
+
+def test_what_cannot_fall_is_refused_by_name(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    with pytest.raises(typer.BadParameter, match="'pebble' is neither a mesh file nor one of ball"):
+        command(out, bodies="pebble", rig=rig_path)
+    meters = tmp_path / "huge.ply"
+    trimesh.creation.box(extents=[800, 10, 12]).export(meters)
+    with pytest.raises(UsageError, match=r"huge\.ply: reaches 400 mm"):
+        command(out, bodies=str(meters), rig=rig_path)
+    opened = trimesh.creation.box()
+    opened.update_faces(np.arange(11))
+    opened.export(tmp_path / "open.ply")
+    with pytest.raises(UsageError, match=r"open\.ply: .*not closed"):
+        command(out, bodies=str(tmp_path / "open.ply"), rig=rig_path)
+    assert not out.exists(), "nothing half-made is left"
+    assert not list(tmp_path.glob(".recording*"))
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    out.mkdir()
+    (out / "mine.txt").write_text("keep")
+    with pytest.raises(RecordingError, match="exists already"):
+        command(out, bodies="cube", count=1, rig=rig_path)
+    assert [path.name for path in out.iterdir()] == ["mine.txt"]
+
+
+def test_the_command_line(tmp_path: Path, rig_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(command)
+    arguments = [str(tmp_path / "recording"), "--bodies", "cube", "--count", "1", "--rig", str(rig_path)]
+    done = CliRunner().invoke(app, [*arguments, "--backgrounds", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["bodies"] == 1
+    assert CliRunner().invoke(app, [*arguments, "--count", "-1"]).exit_code == 2
+    nothing = [*arguments[:1], "--count", "0", "--backgrounds", "0"]
+    assert CliRunner().invoke(app, nothing).exit_code == 2
+
+
+def truths_of(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (path / "truth.jsonl").read_text().splitlines()]
+
+
+def test_balls_of_two_sizes_are_dropped_across_the_volume(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    command(out, bodies="ball,ball:6", count=10, seed=1, rig=rig_path, backgrounds=0)
+    truths = truths_of(out)
+    assert {truth["body"] for truth in truths} == {truth["kind"] for truth in truths} == {"ball"}
+    assert [truth["equivalent_diameter_mm"] for truth in truths] == pytest.approx([10, 6] * 5)
+    places_mm = np.array([truth["center_mm"] for truth in truths])
+    assert np.abs(places_mm).max() <= 9
+    assert (np.ptp(places_mm, axis=0) > 8).all()
+    with pytest.raises(typer.BadParameter, match="'ball:big': a ball's diameter is 2 to 40 mm"):
+        command(tmp_path / "other", bodies="ball:big", rig=rig_path)
+
+
+def test_a_late_exposure_shows_a_ball_lower(tmp_path: Path, rig_path: Path) -> None:
+    out = tmp_path / "recording"
+    command(
+        out,
+        bodies="ball:4",
+        count=6,
+        rig=rig_path,
+        backgrounds=0,
+        spread_mm=(0.5, 0.5, 0.0),
+        fall_jitter_ms=3.0,
+    )
+    heights_mm = np.array([truth["center_mm"][2] for truth in truths_of(out)])
+    fallen_s = np.array(
+        [
+            (bundle.frames[CameraId("c02")].device_ns - bundle.trigger.device_ns) / 1e9
+            for bundle in bundles_of(out)
+        ]
+    )
+    assert np.ptp(heights_mm) > 3
+    slopes_mm_s = np.diff(heights_mm) / np.diff(fallen_s)
+    np.testing.assert_allclose(slopes_mm_s, -speed_mm_s(300.0), rtol=0.02)
+    with pytest.raises(typer.BadParameter, match="each must be 0 to 100"):
+        command(tmp_path / "other", bodies="ball", rig=rig_path, spread_mm=(1.0, -1.0, 1.0))

@@ -1,0 +1,337 @@
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.recordings import small_rig
+from typer.testing import CliRunner
+
+from drivers.factory import build_devices
+from drivers.files.recording import RecordingWriter
+from drivers.files.rig_file import write_rig
+from drivers.gates.serial_gate import SerialGateSettings
+from pipeline.frames import Frame, FrameBundle, Trigger
+from pipeline.measuring.volume_correction import VolumeModel
+from pipeline.particle import PipelineParameters
+from pipeline.rig.design import nominal_rig
+from service.cli import build_app
+from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.settings import Settings, load_settings, problems
+from service.configuration.volume_models import write_volume_model
+from service.errors import SettingsError
+from service.recording.live_recording import recording_source
+
+DEPLOY = Path(__file__).parents[4] / "deploy"
+
+MINIMAL = """
+[rig]
+recording = "recording"
+[spool]
+dir = "spool"
+[store]
+dir = "/var/lib/somewhere"
+"""
+
+LIVE = (
+    """
+[rig]
+backend = "aravis"
+calibration = "rig.json"
+[rig.gate.serial]
+port = "gate"
+"""
+    + "".join(f'[[rig.cameras]]\nid = "c{i:02d}"\nserial = "SIM{i:04d}"\n' for i in range(1, 17))
+    + """
+[spool]
+dir = "spool"
+[store]
+dir = "store"
+"""
+)
+
+
+def settings_of(folder: Path, text: str) -> Settings:
+    path = folder / "stonefall.toml"
+    path.write_text(text)
+    return load_settings(path)
+
+
+def test_relative_paths_are_beside_the_file_and_absolute_ones_stay(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir("/")
+    settings = settings_of(tmp_path, MINIMAL)
+    assert settings.rig.recording == tmp_path / "recording"
+    assert settings.rig.calibration_path == tmp_path / "recording/rig.json"
+    assert settings.store.dir == Path("/var/lib/somewhere")
+
+
+def test_a_linked_configuration_means_the_files_beside_the_target(tmp_path: Path):
+    (tmp_path / "real").mkdir()
+    settings_of(tmp_path / "real", MINIMAL)
+    (tmp_path / "link.toml").symlink_to(tmp_path / "real/stonefall.toml")
+    assert load_settings(tmp_path / "link.toml").rig.recording == tmp_path / "real/recording"
+
+
+def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
+    offline_only = {"mesher"}  # scikit-image's holds the GIL
+    assert {part.name for part in fields(PipelineParameters)} - offline_only < Settings.model_fields.keys()
+    assert settings_of(tmp_path, MINIMAL).pipeline == PipelineParameters()
+    pipeline = settings_of(tmp_path, MINIMAL + "[carving]\nn = 64\n[measuring]\ndensity_g_cm3 = 2.7").pipeline
+    assert (pipeline.carving.n, pipeline.measuring.density_g_cm3) == (64, 2.7)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaints"),
+    [
+        (
+            MINIMAL + "[carving]\nn = 'many'\n[api]\nport = 70000",
+            ["carving.n: ", "api: port must be in 0..65535"],
+        ),
+        (MINIMAL + "[carvin]\nn = 64", ["carvin: "]),
+        (MINIMAL + "[workers]\nslot = 2", ["workers.slot: "]),
+        (MINIMAL + "[workers]\nslots = 0", ["workers: slots must be in 1..256, not 0"]),
+        (MINIMAL + "[bundling]\nwindow_ms = 150", ["bundling: dead_time_ms must exceed twice window_ms"]),
+        (MINIMAL + "keep_raw = -1", ["store: keep_raw must not be negative, not -1"]),
+        (MINIMAL.replace('dir = "spool"', ""), ["spool.dir: "]),
+        (MINIMAL.replace("[rig]", "[rig]\nspeed = 0.0"), ["rig: speed must be in"]),
+        (MINIMAL.replace("[rig]", '[rig]\npace = "fast"\nspeed = 2.0'), ["rig: speed scales"]),
+        (MINIMAL.replace("[rig]", '[rig]\nbackend = "lidar"'), ["rig: ", "'replay', 'aravis'"]),
+        (MINIMAL.replace("[rig]", '[rig]\nbackend = "aravis"'), ["rig.calibration: ", "rig.cameras: "]),
+        (LIVE.replace("[rig]", "[rig]\nfall_height_mm = 0"), ["rig: fall_height_mm must be in"]),
+        (LIVE.replace("[rig]", "[rig]\ndelay_correction_ms = -250"), ["rig: delay_correction_ms leaves a"]),
+        (LIVE.replace("[rig]", '[rig]\ntrigger = "radio"'), ["rig: trigger must be an input"]),
+        (LIVE.replace("[rig]", "[rig]\nflash_us = 30"), ["rig: flash_us must be in 0.1..exposure_us"]),
+        (LIVE.replace("[rig]", "[rig]\npacket_size_bytes = 12000"), ["camera c01: packet_size_bytes"]),
+        (LIVE.replace('id = "c02"', 'id = "c01"'), ["rig: cameras: id c01 is there twice"]),
+        (LIVE.replace("SIM0002", "SIM0003"), ["rig: cameras: serial SIM0003 is there twice"]),
+        (LIVE.replace('serial = "SIM0002"', ""), ["rig: cameras: camera c02: serial, address or user_name"]),
+        (LIVE.replace("SIM0003", "1").replace('serial = "1"', "serial = 1"), ["rig.cameras.2.serial: "]),
+        (LIVE + '[rig.gate.gpio]\nchip = "/dev/gpiochip0"\nline = 4\n', ["rig.gate: exactly one of"]),
+        (LIVE.replace('port = "gate"', 'port = ""'), ["rig.gate.serial: port must be named"]),
+        (LIVE + "[empty_rig]\nat_start = -1", ["empty_rig: at_start must be in"]),
+        (MINIMAL + "[api]\nkeys = [{name = 'mes', sha256 = 'secret'}]", ["api.keys.0: key 'mes'"]),
+        ("[rig\n", ["line 1"]),
+    ],
+)
+def test_every_wrong_field_is_named_with_the_file(tmp_path: Path, text: str, complaints: list[str]):
+    with pytest.raises(SettingsError) as refused:
+        settings_of(tmp_path, text)
+    message = str(refused.value)
+    assert message.startswith(f"{tmp_path}/stonefall.toml: ")
+    for complaint in complaints:
+        assert complaint in message
+
+
+def test_a_missing_or_binary_file_is_refused(tmp_path: Path):
+    with pytest.raises(SettingsError, match="No such file"):
+        load_settings(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(SettingsError, match=r"binary\.toml"):
+        load_settings(tmp_path / "binary.toml")
+
+
+def write_tiny_recording(path: Path) -> None:
+    rig = nominal_rig()
+    width_px, height_px = rig.cameras[0].image_size_px
+    camera = rig.camera_ids[0]
+    frame = Frame(
+        camera=camera,
+        image=np.zeros((height_px, width_px), np.uint8),
+        frame_id=1,
+        device_ns=0,
+        received_ns=1,
+    )
+    bundle = FrameBundle(
+        trigger=Trigger(sequence=1, received_ns=0, device_ns=0, utc="2026-11-21T04:00:00Z"),
+        frames={camera: frame},
+        missing=dict.fromkeys(rig.camera_ids[1:], "no_frame"),
+    )
+    with RecordingWriter(
+        path,
+        camera_ids=rig.camera_ids,
+        image_size_px=(width_px, height_px),
+        rig=rig,
+        is_simulated=True,
+        made_by={},
+    ) as writer:
+        writer.add(bundle)
+
+
+def test_files_and_folders_the_settings_speak_of_are_checked(tmp_path: Path):
+    minimal = MINIMAL.replace("/var/lib/somewhere", "store")
+    assert list(problems(settings_of(tmp_path, minimal))) == [
+        f"rig.recording: {tmp_path}/recording: is not a recording: it has no recording.json"
+    ]
+    write_tiny_recording(tmp_path / "recording")
+    assert list(problems(settings_of(tmp_path, minimal))) == []
+    (tmp_path / "store").write_text("not a folder")
+    assert list(problems(settings_of(tmp_path, minimal))) == [
+        f"store.dir: cannot write to {tmp_path}/store: Not a directory"
+    ]
+    (tmp_path / "store").unlink()
+    other = minimal.replace("[rig]", '[rig]\ncalibration = "other.json"')
+    (wrong,) = problems(settings_of(tmp_path, other))
+    assert wrong.startswith("rig.calibration: ")
+    assert "other.json" in wrong
+    rig = nominal_rig()
+    write_rig(tmp_path / "other.json", replace(rig, cameras=rig.cameras[:15]))
+    (wrong,) = problems(settings_of(tmp_path, other))
+    assert wrong.startswith("rig.calibration: ")
+    assert rig.camera_ids[15] in wrong
+    write_rig(tmp_path / "other.json", small_rig(rig.camera_ids))
+    (wrong,) = problems(settings_of(tmp_path, other))
+    assert wrong.startswith(f"rig.calibration: {tmp_path}/other.json: camera c01: ")
+    assert "64" in wrong
+
+
+def test_enough_views_must_be_left_to_carve_with(tmp_path: Path):
+    write_tiny_recording(tmp_path / "recording")
+    text = MINIMAL.replace("/var/lib/somewhere", "store") + "[views]\nmin = 3\n[carving]\n"
+    assert list(problems(settings_of(tmp_path, text + "max_disagreeing_views = 1"))) == []
+    assert list(problems(settings_of(tmp_path, text + "max_disagreeing_views = 2"))) == [
+        "views.min: must be at least 4, two more than carving.max_disagreeing_views, not 3"
+    ]
+
+
+def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
+    write_tiny_recording(tmp_path / "recording")
+    text = MINIMAL.replace("/var/lib/somewhere", "store") + '[measuring]\nvolume_model = "basalt.json"'
+    (missing,) = problems(settings_of(tmp_path, text))
+    assert missing == f"measuring.volume_model: {tmp_path}/basalt.json: No such file or directory"
+    write_volume_model(tmp_path / "basalt.json", VolumeModel(id="basalt", gap_share=1.0), {})
+    settings = settings_of(tmp_path, text)
+    assert list(problems(settings)) == []
+    assert settings.pipeline.measuring.volume_model.id == "basalt"
+    (useless,) = problems(settings_of(tmp_path, text + '\n[body]\nkind = "hull"'))
+    assert useless == 'measuring.volume_model: goes by the estimated body, so body.kind must be "estimate"'
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
+    write_tiny_recording(tmp_path / "recording")
+    settings = settings_of(tmp_path, MINIMAL.replace("/var/lib/somewhere", "/proc/stonefall"))
+    (wrong,) = problems(settings)
+    assert wrong.startswith("store.dir: cannot write to /proc: ")
+
+
+def live_problems(folder: Path, *changes: tuple[str, str], text: str = LIVE) -> list[str]:
+    write_rig(folder / "rig.json", nominal_rig())
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return list(problems(settings_of(folder, text)))
+
+
+def test_a_live_rig_is_described_to_its_devices(tmp_path: Path):
+    assert live_problems(tmp_path) == []
+    settings = settings_of(
+        tmp_path, LIVE.replace("[rig]", '[rig]\nstrobe_line = "Line2"\nfeatures = [["A", 1]]')
+    )
+    assert isinstance(settings.rig, AravisRigSettings)
+    backend = settings.rig.backend_for(nominal_rig())
+    camera = backend.cameras[2]
+    assert (camera.id, camera.serial, camera.image_size_px) == ("c03", "SIM0003", (1280, 1024))
+    features = dict(camera.features)
+    assert features["TriggerDelay"] == pytest.approx(247_350, abs=10)  # 0.3 m of free fall
+    assert (features["TriggerSource"], features["ExposureTime"], features["A"]) == ("Line1", 20.0, 1)
+    names = [name for name, _ in camera.features]
+    assert names.index("LineSelector") < names.index("LineSource")
+    assert backend.gate == SerialGateSettings(port=f"{tmp_path}/gate")
+    assert backend.fired_by is None
+
+
+def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: Path):
+    settings = settings_of(tmp_path, LIVE.replace("[rig]", "[rig]\nstart_above_gate_mm = 5"))
+    assert isinstance(settings.rig, AravisRigSettings)
+    devices = build_devices(settings.rig.backend_for(nominal_rig()))
+    source = recording_source(devices, nominal_rig(), settings.model_dump(mode="json")["rig"])
+    assert source.speed_at_gate_mm_s == settings.rig.speed_at_gate_mm_s == pytest.approx(313.2, abs=0.1)
+    assert source.gate_settings["serial"]["port"] == f"{tmp_path}/gate"
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (
+            ("[rig]", "[rig]\nexposure_us = 100"),
+            "rig.exposure_us: 101 us of light and skew blur a stone of 2.43 m/s by",
+        ),
+        (("[rig]", "[rig]\nexposure_us = 100\nflash_us = 10"), None),
+        (("[rig]", "[rig]\ntrigger_skew_us = 60"), "rig.exposure_us: 80 us of light and skew"),
+        (
+            ("[rig]", "[rig]\nfall_height_mm = 600"),
+            "bundling.expected_delay_ms: frames come 349.8 ms after their trigger (fall of 600 mm)",
+        ),
+        (
+            ("[rig]", "[rig]\nuplink_bytes_s = 125e6"),
+            "rig.throughput_limit_bytes_s: 16 cameras send 2000 MB/s at once",
+        ),
+        (
+            ("[rig]", "[rig]\nuplink_bytes_s = 125e6\nthroughput_limit_bytes_s = 7_800_000"),
+            "a frame takes 168 ms",
+        ),
+        (("[rig]", "[rig]\nuplink_bytes_s = 125e6\npacket_delay_ns = 1_000_000"), "a frame takes 170 ms"),
+        (('id = "c07"', 'id = "c17"'), "rig.cameras: c01, c02"),
+        (('"rig.json"', '"none.json"'), "rig.calibration: "),
+    ],
+)
+def test_what_physics_does_not_allow_is_named(tmp_path: Path, change: tuple[str, str], problem: str | None):
+    found = live_problems(tmp_path, change)
+    assert any(problem in each for each in found) if problem else found == []
+
+
+def test_a_gate_without_a_clock_needs_a_dead_time_like_the_cameras(tmp_path: Path):
+    modem = ("[rig.gate.serial]", "[rig.gate.modem_line]")
+    short = ("[spool]", "[bundling]\ndead_time_ms = 205\n[spool]")
+    assert live_problems(tmp_path, short) == []
+    (problem,) = live_problems(tmp_path, modem, short)
+    assert problem.startswith("bundling.dead_time_ms: cameras ignore an edge for 247.4 ms after another")
+
+
+def test_a_shared_gigabit_uplink_needs_throttled_cameras_and_a_wide_window(tmp_path: Path):
+    rig = "[rig]\nuplink_bytes_s = 125e6\nthroughput_limit_bytes_s = 7_800_000"
+    slow = "[bundling]\nwindow_ms = 170\ndead_time_ms = 400\n[spool]"
+    assert live_problems(tmp_path, ("[rig]", rig), ("[spool]", slow)) == []
+
+
+def test_another_camera_than_the_calibrated_one_is_found_before_it_measures(tmp_path: Path):
+    rig = nominal_rig()
+    calibrated = replace(
+        rig, cameras=tuple(replace(camera, serial=f"SIM{i:04d}") for i, camera in enumerate(rig.cameras))
+    )
+    write_rig(tmp_path / "rig.json", calibrated)
+    found = list(problems(settings_of(tmp_path, LIVE)))
+    assert len(found) == 16
+    assert found[0].startswith("rig.cameras: c01 is camera SIM0001, but ")
+    assert "was made with camera SIM0000" in found[0]
+
+
+@pytest.mark.parametrize("name", ["stonefall.toml", "demo.toml", "simulated.toml"])
+def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, tmp_path: Path):
+    text = (DEPLOY / name).read_text()
+    settings = settings_of(tmp_path, text)
+    told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
+    examples = ("density_g_cm3", "volume_model", "[[api.keys]]", "name", "sha256", "scopes")
+    spelled_out = "\n".join(line for line in told if not line.startswith(examples))
+    assert settings_of(tmp_path, spelled_out) == settings
+
+
+def test_check_config_prints_what_a_file_comes_to(tmp_path: Path):
+    path = tmp_path / "stonefall.toml"
+    path.write_text(MINIMAL.replace("/var/lib/somewhere", "store"))
+    write_tiny_recording(tmp_path / "recording")
+    good = CliRunner().invoke(build_app(), ["check-config", str(path)])
+    assert good.exit_code == 0, good.output
+    assert f'recording = "{tmp_path}/recording"' in good.stdout
+    assert "# density_g_cm3 is not set" in good.stdout
+    assert "keep_raw = 200" in good.stdout
+    again = tmp_path / "again.toml"
+    again.write_text(good.stdout)
+    assert load_settings(again) == load_settings(path)
+
+    path.write_text(MINIMAL)
+    (tmp_path / "recording/rig.json").unlink()
+    bad = CliRunner().invoke(build_app(), ["check-config", str(path), "--json"])
+    assert bad.exit_code == 1
+    document = json.loads(bad.stdout)
+    assert document["settings"]["workers"]["slots"] == 2
+    assert "rig.calibration: " in document["problems"][0]

@@ -1,0 +1,140 @@
+import asyncio
+import logging
+import os
+import shutil
+import socket
+import subprocess
+import uuid
+from pathlib import Path
+
+import pytest
+
+from service.daemon.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
+
+UNIT = Path(__file__).parents[4] / "systemd/stonefall.service"
+
+
+@pytest.mark.parametrize("kind", ["path", "abstract"])
+def test_notifications_arrive_as_one_datagram(kind: str, tmp_path: Path):
+    address = str(tmp_path / "notify") if kind == "path" else f"@stonefall-{uuid.uuid4()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(address.replace("@", "\0", 1))
+        listener.settimeout(5)
+        service_manager({"NOTIFY_SOCKET": address}, pid=1).notify("READY=1", "STATUS=armed, 16 cameras")
+        assert listener.recv(4096) == b"READY=1\nSTATUS=armed, 16 cameras"
+
+
+def test_nobody_listens_is_no_failure(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    ServiceManager().notify("READY=1")
+    assert not caplog.records
+    ServiceManager(address=str(tmp_path / "gone")).notify("READY=1")
+    assert "READY=1" in caplog.text
+
+
+async def test_the_watchdog_is_fed_by_progress_alone(tmp_path: Path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.setblocking(False)
+        manager = ServiceManager(address=str(tmp_path / "notify"), watchdog_s=0.003)
+        late: list[str] = []
+        stopping = asyncio.Event()
+        feeding = asyncio.create_task(feed_watchdog(manager, lambda: late, lambda: "armed", stopping))
+        assert await heard(listener) == "WATCHDOG=1\nSTATUS=armed"
+        stopping.set()
+        while "EXTEND_TIMEOUT_USEC=15000000" not in await heard(listener):
+            pass
+        late.append("processing")
+        await asyncio.sleep(0.01)
+        while unheard(listener):
+            pass
+        with pytest.raises(TimeoutError):
+            await heard(listener, timeout_s=0.1)
+        late.clear()
+        assert "WATCHDOG=1" in await heard(listener)
+        feeding.cancel()
+
+
+async def heard(listener: socket.socket, timeout_s: float = 5) -> str:
+    async with asyncio.timeout(timeout_s):
+        return (await asyncio.get_running_loop().sock_recv(listener, 4096)).decode()
+
+
+def unheard(listener: socket.socket) -> bytes:
+    try:
+        return listener.recv(4096)
+    except BlockingIOError:
+        return b""
+
+
+@pytest.mark.parametrize(
+    ("environ", "watchdog_s"),
+    [
+        ({}, None),
+        ({"WATCHDOG_USEC": "20000000"}, 20.0),
+        ({"WATCHDOG_USEC": "20000000", "WATCHDOG_PID": "42"}, 20.0),
+        ({"WATCHDOG_USEC": "20000000", "WATCHDOG_PID": "43"}, None),
+    ],
+)
+def test_the_watchdog_is_ours_only_if_it_names_us(environ: dict[str, str], watchdog_s: float | None):
+    assert service_manager(environ, pid=42).watchdog_s == watchdog_s
+
+
+def test_every_line_for_the_journal_has_its_priority():
+    record = logging.LogRecord("service.x", logging.ERROR, "", 0, "camera %s\nis gone", ("c03",), None)
+    assert JournalFormatter("%(name)s: %(message)s").format(record) == "<3>service.x: camera c03\n<3>is gone"
+
+
+def test_priorities_are_written_only_when_the_journal_reads_stderr():
+    program = (
+        "import os, logging; from service.daemon.systemd import configure_logging;"
+        "status = os.fstat(2);"
+        "configure_logging({'JOURNAL_STREAM': f'{status.st_dev}:{status.st_ino + OFFSET}'});"
+        "logging.getLogger('x').warning('dust')"
+    )
+    for offset, expected in ((0, "<4>x: dust"), (1, "WARNING x: dust")):
+        run = subprocess.run(
+            ["python", "-c", program.replace("OFFSET", str(offset))],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"PYTHONPATH": str(UNIT.parents[1])},
+        )
+        assert expected in run.stderr
+
+
+def systemd_tool(name: str) -> str:
+    """Path of a command of the apt package `systemd`, which the gate installs."""
+    path = shutil.which(name)
+    if path is None and "CI" not in os.environ:
+        pytest.skip(f"{name} is not installed")
+    assert path is not None, f"{name} is missing: apt-get install systemd"
+    return path
+
+
+def test_the_unit_is_valid_and_hardened(tmp_path: Path):
+    unit = tmp_path / UNIT.name
+    # the release folder exists on the plant's machine only
+    unit.write_text(UNIT.read_text().replace("/opt/stonefall/current/bin/stonefall", "/bin/true"))
+    analyze = systemd_tool("systemd-analyze")
+    verified = subprocess.run([analyze, "verify", unit], capture_output=True, text=True)
+    assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
+    subprocess.run(
+        [analyze, "security", "--offline=true", "--threshold=20", unit], check=True, capture_output=True
+    )
+
+
+def test_account_and_folders_are_made_as_the_unit_expects(tmp_path: Path):
+    snippets = UNIT.parent
+    (tmp_path / "etc").mkdir()
+    sysusers = systemd_tool("systemd-sysusers")
+    subprocess.run([sysusers, f"--root={tmp_path}", snippets / "stonefall.sysusers"], check=True)
+    assert "stonefall:" in (tmp_path / "etc/passwd").read_text()
+    groups = (tmp_path / "etc/group").read_text().splitlines()
+    assert any(line.startswith("dialout:") and line.endswith(":stonefall") for line in groups)
+    tmpfiles = systemd_tool("systemd-tmpfiles")
+    if os.geteuid() == 0:
+        subprocess.run(
+            [tmpfiles, f"--root={tmp_path}", "--create", snippets / "stonefall.tmpfiles"], check=True
+        )
+        folder = (tmp_path / "etc/stonefall").stat()
+        assert folder.st_mode & 0o777 == 0o750

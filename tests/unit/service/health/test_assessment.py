@@ -1,0 +1,232 @@
+from dataclasses import replace
+
+import pytest
+
+from pipeline.frames import CameraId
+from pipeline.views.quality import ViewsParameters
+from service.api.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
+from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
+from service.health.optical_watch import OpticalFinding, Severity
+from service.health.rig_watch import Suspicion
+
+
+def cameras(lost: int = 0) -> list[CameraStatus]:
+    return [
+        CameraStatus(
+            id=CameraId(f"c{number:02d}"),
+            state="lost" if number <= lost else "armed",
+            last_error="does not answer" if number <= lost else None,
+        )
+        for number in range(1, 17)
+    ]
+
+
+def rig(state: AcquisitionState, gate: str = "armed", gate_error: str | None = None) -> AcquisitionStatus:
+    return AcquisitionStatus(state=state, gate=gate, gate_error=gate_error)
+
+
+HEALTHY = Facts(
+    acquisition=rig(AcquisitionState.ARMED),
+    blind_triggers=0,
+    loop_ms=3.0,
+    clock_step_s=None,
+    cameras=cameras(),
+    views=ViewsParameters(),
+    waiting=0,
+    max_waiting=16,
+    overflows=0,
+    workers=2,
+    slots=2,
+    worker_restarts=0,
+    late=(),
+    has_background=True,
+    calibration=CalibrationFacts(
+        calibration_id="rig", method="bundle", used_since="2026-11-21T04:00:00.000Z"
+    ),
+    last_seq=7,
+    free_bytes=100 * LOW_DISK_BYTES,
+)
+
+
+def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
+    health = assess(HEALTHY)
+    assert (health.ne107, health.ready, health.reasons) == (Ne107.GOOD, True, ())
+    parts = {
+        "cameras",
+        "trigger_line",
+        "loop",
+        "clock",
+        "gate",
+        "progress",
+        "queue",
+        "workers",
+        "background",
+        "segmentation",
+        "calibration",
+        "store",
+        "disk",
+        "recording",
+        "archive",
+        "rig",
+        "optics",
+    }
+    assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
+    assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
+
+
+@pytest.mark.parametrize(
+    ("lost", "state", "is_ready"),
+    [
+        (2, Ne107.MAINTENANCE_REQUIRED, True),
+        (4, Ne107.MAINTENANCE_REQUIRED, True),
+        (5, Ne107.OUT_OF_SPECIFICATION, True),
+        (8, Ne107.OUT_OF_SPECIFICATION, True),
+        (9, Ne107.FAILURE, False),
+    ],
+)
+def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne107, is_ready: bool):
+    health = assess(replace(HEALTHY, cameras=cameras(lost)))
+    assert (health.ne107, health.ready) == (state, is_ready)
+    assert health.reasons[0] == "camera:c01: does not answer"
+    assert len(health.reasons) == lost
+
+
+@pytest.mark.parametrize(
+    ("change", "state", "is_ready", "reason"),
+    [
+        (
+            {"acquisition": rig(AcquisitionState.DISARMED)},
+            Ne107.CHECK_FUNCTION,
+            False,
+            "acquisition: disarmed",
+        ),
+        (
+            {"acquisition": rig(AcquisitionState.HELD, gate="lost", gate_error="unplugged")},
+            Ne107.FAILURE,
+            False,
+            "gate: unplugged",
+        ),
+        (
+            {
+                "acquisition": replace(
+                    rig(AcquisitionState.ARMED), gate_warnings=("the beam has been closed",)
+                )
+            },
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "gate: the beam has been closed",
+        ),
+        (
+            {"blind_triggers": 3},
+            Ne107.FAILURE,
+            False,
+            "trigger_line: 3 triggers in a row without any image: look at the line from gate to cameras",
+        ),
+        (
+            {"loop_ms": 300.0},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "loop: held up for 300 ms within the last minute",
+        ),
+        (
+            {"clock_step_s": -3600.0},
+            Ne107.OUT_OF_SPECIFICATION,
+            True,
+            "clock: the wall clock was set by -3600.0 s: times of results are in doubt",
+        ),
+        ({"waiting": 9}, Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting, 0 lost"),
+        ({"waiting": 16, "overflows": 3}, Ne107.FAILURE, False, "queue: 16 of 16 waiting, 3 lost"),
+        (
+            {"workers": 1, "worker_restarts": 4},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "workers: 1 of 2 up, 4 restarts",
+        ),
+        ({"workers": 0}, Ne107.FAILURE, False, "workers: 0 of 2 up, 0 restarts"),
+        ({"late": ["processing"]}, Ne107.FAILURE, False, "progress: no progress of processing"),
+        (
+            {"has_background": False},
+            Ne107.OUT_OF_SPECIFICATION,
+            False,
+            "background: the empty rig was not seen yet: let no stone fall for a moment",
+        ),
+        (
+            {"has_background": False, "has_network": True},
+            Ne107.OUT_OF_SPECIFICATION,
+            False,
+            "background: the empty rig was not seen yet: let no stone fall for a moment; until then the network"
+            " alone finds them",
+        ),
+        (
+            {"segmentation_warning": "classical mode: roi.onnx: is damaged"},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "segmentation: classical mode: roi.onnx: is damaged",
+        ),
+        ({"free_bytes": 5 * 10**8}, Ne107.MAINTENANCE_REQUIRED, True, "disk: 0.5 GB free for results"),
+        ({"free_bytes": 10**7}, Ne107.FAILURE, False, "disk: 0.0 GB free for results"),
+    ],
+)
+def test_whatever_is_wrong_is_named(change, state: Ne107, is_ready: bool, reason: str):
+    health = assess(replace(HEALTHY, **change))
+    assert (health.ne107, health.ready) == (state, is_ready)
+    assert reason in health.reasons
+
+
+def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():
+    health = assess(replace(HEALTHY, cameras=cameras(16)))
+    assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
+    (reason,) = health.reasons
+    assert reason.startswith("cameras: all 16 cameras are gone: look at the switch")
+    assert health.checks["camera:c07"].detail == "does not answer"
+
+
+def test_what_a_camera_warns_of_is_maintenance():
+    warned = [replace(camera, warnings=("receive buffer is small",)) for camera in cameras()[:1]]
+    health = assess(replace(HEALTHY, cameras=[*warned, *cameras()[1:]]))
+    assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
+    assert health.reasons == ("camera:c01: receive buffer is small",)
+
+
+def test_cameras_that_answer_and_belong_to_someone_else_are_not_the_switch():
+    taken = [replace(camera, last_error="is in use by another application") for camera in cameras(16)]
+    (reason,) = assess(replace(HEALTHY, cameras=taken)).reasons
+    assert reason == "cameras: all 16 cameras are lost, the first one: is in use by another application"
+
+
+@pytest.mark.parametrize(
+    ("is_dropped", "state"), [(False, Ne107.MAINTENANCE_REQUIRED), (True, Ne107.OUT_OF_SPECIFICATION)]
+)
+def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: Ne107):
+    moved = Suspicion(
+        camera=CameraId("c05"), score_px=0.8, is_dropped=is_dropped, detail="moved: recalibrate"
+    )
+    health = assess(replace(HEALTHY, suspicions=(moved,)))
+    assert (health.ne107, health.ready) == (state, True)
+    assert health.reasons == ("rig: c05: moved: recalibrate",)
+    check = health.checks["rig"]
+    assert (check.status, check.value, check.unit) == (CheckStatus.WARN, 0.8, "px")
+
+
+def test_the_worst_score_of_a_healthy_rig_is_shown():
+    scored = [replace(camera, tangency_px=0.05 + 0.01 * n) for n, camera in enumerate(cameras())]
+    check = assess(replace(HEALTHY, cameras=scored)).checks["rig"]
+    assert (check.status, check.value, check.detail) == (CheckStatus.PASS, 0.2, None)
+
+
+@pytest.mark.parametrize(
+    ("severity", "state"),
+    [
+        (Severity.MAINTENANCE, Ne107.MAINTENANCE_REQUIRED),
+        (Severity.OUT_OF_SPECIFICATION, Ne107.OUT_OF_SPECIFICATION),
+    ],
+)
+def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Severity, state: Ne107):
+    c05, everywhere = CameraId("c05"), tuple(camera.id for camera in HEALTHY.cameras)
+    dusty = OpticalFinding(cameras=(c05,), severity=severity, detail="clean window and lens")
+    health = assess(replace(HEALTHY, optics=(dusty,)))
+    assert (health.ne107, health.ready) == (state, True)
+    assert health.reasons == ("optics: c05: clean window and lens",)
+    assert health.checks["optics"].value == 15
+    weak = OpticalFinding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
+    assert assess(replace(HEALTHY, optics=(weak,))).reasons == ("optics: all: look at the strobes' supply",)

@@ -1,0 +1,151 @@
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.files.recording import read_bundle
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.processing.spool import SPARE_FILES, Loss, Spool, SpooledBundle
+
+CAMERAS = (CameraId("c01"), CameraId("c02"))
+
+
+def bundle_of(sequence: int, cameras: Sequence[CameraId] = CAMERAS, kind: BundleKind = BundleKind.PARTICLE):
+    trigger = Trigger(
+        sequence=sequence, received_ns=sequence, device_ns=0, utc="2026-11-21T04:00:00Z", kind=kind
+    )
+    image = np.full((6, 8), sequence, dtype=np.uint8)
+    frames = {
+        camera: Frame(camera=camera, image=image, frame_id=sequence, device_ns=0, received_ns=sequence)
+        for camera in cameras
+    }
+    missing = {camera: "no frame" for camera in CAMERAS if camera not in cameras}
+    return FrameBundle(trigger=trigger, frames=frames, missing=missing)
+
+
+@asynccontextmanager
+async def writing(spool: Spool) -> AsyncIterator[None]:
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(spool.write())
+        yield
+        spool.finish()
+
+
+async def take_all(spool: Spool) -> list[SpooledBundle]:
+    taken = []
+    while (bundle := await spool.take()) is not None:
+        taken.append(bundle)
+    return taken
+
+
+async def test_bundles_come_out_as_files_in_order_and_unchanged(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=5, camera_ids=CAMERAS)
+    async with writing(spool):
+        for sequence in (1, 2, 3):
+            spool.offer(bundle_of(sequence))
+    taken = await take_all(spool)
+    assert [bundle.trigger.sequence for bundle in taken] == [1, 2, 3]
+    for bundle in taken:
+        read = await asyncio.to_thread(read_bundle, bundle.content, CAMERAS)
+        assert read.trigger == bundle.trigger
+        assert (read.frames[CAMERAS[0]].image == bundle.trigger.sequence).all()
+
+
+async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
+    released = []
+    spool = Spool(tmp_path, max_bundles=2, camera_ids=CAMERAS)
+    spool.on_release = lambda: released.append(1)
+    async with writing(spool):
+        for sequence in (1, 2, 3):
+            spool.offer(bundle_of(sequence))
+        first = await spool.take()
+        assert first is not None
+        await spool.release(first)
+        assert released == [1]
+        spool.offer(bundle_of(4))
+    rest = await take_all(spool)
+    assert [bundle.trigger.sequence for bundle in rest] == [2, 3, 4]
+    lost = rest[1].content
+    assert isinstance(lost, Loss)
+    assert lost.reason == "queue_full"
+    assert spool.overflows == 1
+    for bundle in rest:
+        await spool.release(bundle)
+    assert spool.held == 0
+
+
+async def test_lost_exposures_of_the_empty_rig_are_no_lost_stones(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    for sequence in (1, 2):
+        spool.offer(bundle_of(sequence, kind=BundleKind.BACKGROUND))
+    assert (spool.held, spool.overflows) == (1, 0)
+    spool.offer(bundle_of(3))
+    assert spool.overflows == 1
+
+
+async def test_no_stone_waits_for_what_others_have_done_in_threads(tmp_path: Path):
+    answered = threading.Event()
+    others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
+    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    async with writing(spool):
+        spool.offer(bundle_of(1))
+        assert await asyncio.wait_for(spool.take(), 10) is not None
+    answered.set()
+    await asyncio.gather(*others)
+
+
+async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=20, camera_ids=CAMERAS)
+    async with writing(spool):
+        for first in (1, 11):
+            for sequence in range(first, first + 10):
+                spool.offer(bundle_of(sequence))
+            taken = [await spool.take() for _ in range(10)]
+            for sequence, bundle in enumerate(taken, start=first):
+                assert bundle is not None
+                assert isinstance(bundle.content, Path)
+                read = await asyncio.to_thread(read_bundle, bundle.content, CAMERAS, mapped=True)
+                assert (read.frames[CAMERAS[0]].image == sequence).all()
+                await spool.release(bundle)
+            assert len(file_names(tmp_path)) == SPARE_FILES
+
+
+async def test_a_bundle_without_any_frame_is_lost_and_takes_no_room(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    async with writing(spool):
+        spool.offer(bundle_of(1, cameras=()))
+        spool.offer(bundle_of(2))
+    first, second = await take_all(spool)
+    assert first.content == Loss(reason="no_frames", detail="no frame")
+    assert isinstance(second.content, Path)
+
+
+async def test_equal_sequences_do_not_overwrite_each_other(tmp_path: Path):
+    spool = Spool(tmp_path, max_bundles=2, camera_ids=CAMERAS)
+    async with writing(spool):
+        spool.offer(bundle_of(1, kind=BundleKind.BACKGROUND))
+        spool.offer(bundle_of(1))
+    assert [bundle.is_background for bundle in await take_all(spool)] == [True, False]
+    assert len(file_names(tmp_path)) == 2
+
+
+async def test_a_spool_that_cannot_be_written_loses_bundles_not_the_daemon(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    spool = Spool(tmp_path / "gone", max_bundles=1, camera_ids=CAMERAS)
+    async with writing(spool):
+        spool.offer(bundle_of(1))
+    (bundle,) = await take_all(spool)
+    assert isinstance(bundle.content, Loss)
+    assert bundle.content.reason == "queue_full"
+    assert "No such file" in bundle.content.detail
+    assert spool.held == 0
+    assert "cannot be written" in caplog.text
+
+
+def file_names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())

@@ -1,0 +1,210 @@
+import asyncio
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from support.worker_jobs import (
+    TRACEBACK,
+    Stumble,
+    greeting_and_pid,
+    prepare,
+    share,
+    stay,
+    stumble,
+    wait_for,
+)
+
+from service.processing.measure_job import step_back
+from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError, run_apart
+
+
+@asynccontextmanager
+async def pool_of(slots: int, deadline_s: float = 10.0) -> AsyncIterator[WorkerPool]:
+    pool = WorkerPool(slots=slots, deadline_s=deadline_s, prepare=prepare, context="hello")
+    await pool.start()
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+async def test_each_slot_is_one_warm_process_of_its_own():
+    async with pool_of(2) as pool:
+        answers = await asyncio.gather(*(pool.run(greeting_and_pid, f"job {i}") for i in range(6)))
+        assert [text for text, _ in answers] == [f"hello job {i}" for i in range(6)]
+        assert {pid for _, pid in answers} == set(pool.pids)
+        assert len(set(pool.pids)) == 2
+        assert os.getpid() not in pool.pids
+
+
+@pytest.mark.parametrize("way", ["kill", "hang", "raise"])
+async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
+    async with pool_of(1, deadline_s=0.5) as pool:
+        (before,) = pool.pids
+        assert await pool.run(stumble, Stumble(tmp_path, way, failures=1)) == "done"
+        first, second = noted_pids(tmp_path)
+        assert first == before
+        assert [second] == pool.pids
+        assert pool.restarts == 1
+        assert not process_exists(first)
+
+
+@pytest.mark.parametrize(
+    ("way", "reason"), [("kill", "worker_crash"), ("hang", "deadline"), ("raise", "worker_crash")]
+)
+async def test_the_second_failure_loses_this_job_alone(way: str, reason: str, tmp_path: Path):
+    async with pool_of(1, deadline_s=0.5) as pool:
+        with pytest.raises(JobLostError) as lost:
+            await pool.run(stumble, Stumble(tmp_path, way, failures=9))
+        assert lost.value.reason == reason
+        assert len(noted_pids(tmp_path)) == 2
+        text, _ = await pool.run(greeting_and_pid, "again")
+        assert text == "hello again"
+
+
+async def test_the_traceback_is_for_the_journal_and_its_last_line_for_clients(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    async with pool_of(1) as pool:
+        with pytest.raises(JobLostError) as lost:
+            await pool.run(stumble, Stumble(tmp_path, "raise", failures=2))
+    assert lost.value.detail == "FileNotFoundError: 3 mm/s: 'mesh.ply'"
+    assert [TRACEBACK in entry.message for entry in caplog.records if entry.levelname == "ERROR"] == [
+        True
+    ] * 2
+
+
+async def test_a_worker_killed_while_idle_is_replaced():
+    async with pool_of(1) as pool:
+        (pid,) = pool.pids
+        os.kill(pid, signal.SIGKILL)
+        text, other = await pool.run(greeting_and_pid, "still here")
+        assert text == "hello still here"
+        assert other != pid
+
+
+async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_job_comes(tmp_path: Path):
+    pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
+    await pool.start()
+    before = pool.pids
+    (tmp_path / "hold").touch()
+    renewing = asyncio.create_task(pool.renew(calm_s=0))
+    while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - nobody signals it
+        await asyncio.sleep(0.01)
+    job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
+    await asyncio.sleep(0.1)
+    (tmp_path / "hold").unlink()
+    await asyncio.sleep(0.1)
+    assert pool.pids == before
+    (tmp_path / "go").touch()
+    assert await job in before
+    await renewing
+    assert len(pool.pids) == 2
+    assert not set(before) & set(pool.pids)
+    pool.close()
+
+
+async def test_a_process_is_renewed_when_there_is_nothing_to_measure(tmp_path: Path):
+    pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
+    await pool.start()
+    before = pool.pids
+    renewing = asyncio.create_task(pool.renew(calm_s=0.2))
+    (tmp_path / "go").touch()
+    for _ in range(8):  # closer than calm
+        await pool.run(wait_for, tmp_path / "go")
+        await asyncio.sleep(0.1)
+        assert len(multiprocessing.active_children()) == 2
+    assert pool.pids == before
+    await renewing
+    assert not set(before) & set(pool.pids)
+    pool.close()
+
+
+async def test_a_worker_that_cannot_be_renewed_stays(tmp_path: Path):
+    pool = WorkerPool(slots=1, deadline_s=10.0, prepare=share, context=tmp_path)
+    await pool.start()
+    before = pool.pids
+    (tmp_path / "broken").touch()
+    (tmp_path / "go").touch()
+    await pool.renew(calm_s=0)
+    assert [await pool.run(wait_for, tmp_path / "go")] == before
+    pool.close()
+
+
+def test_what_workers_are_forked_with_has_no_thread():
+    code = "import os, sys, pipeline.particle; sys.exit(len(os.listdir('/proc/self/task')))"
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 1
+
+
+async def test_a_worker_that_cannot_start_is_fatal():
+    pool = WorkerPool(slots=1, deadline_s=5, prepare=prepare, context="die")
+    with pytest.raises(WorkerStartError):
+        await pool.start()
+
+
+async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
+    assert await run_apart(stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, prepare=step_back) == "done"
+    (pid,) = noted_pids(tmp_path)
+    assert pid != os.getpid()
+    others = set(multiprocessing.active_children())
+    staying = asyncio.create_task(run_apart(stay, None, deadline_s=60.0, prepare=step_back))
+    while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - nobody signals it
+        await asyncio.sleep(0.01)
+    staying.cancel()
+    await asyncio.wait([staying])
+    async with asyncio.timeout(5):
+        while any(process_exists(each) for each in [pid, *(process.pid for process in started)]):  # noqa: ASYNC110 - as above
+            await asyncio.sleep(0.01)
+
+
+DAEMON = """
+import asyncio, sys
+from service.processing.worker_pool import WorkerPool
+from support.worker_jobs import prepare, stay
+
+async def main():
+    pool = WorkerPool(slots=2, deadline_s=60, prepare=prepare, context="hello")
+    await pool.start()
+    print(*pool.pids, flush=True)
+    await pool.run(stay, None)
+
+if __name__ == "__main__":
+    asyncio.run(main())
+"""
+
+
+def test_no_worker_outlives_a_killed_daemon(tmp_path: Path):
+    script = tmp_path / "fake_daemon.py"
+    script.write_text(DAEMON)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, env=environment) as daemon:
+        assert daemon.stdout is not None
+        pids = [int(pid) for pid in daemon.stdout.readline().split()]
+        assert len(pids) == 2
+        assert all(process_exists(pid) for pid in pids)
+        daemon.kill()
+    deadline = time.monotonic() + 10
+    while any(process_exists(pid) for pid in pids):
+        assert time.monotonic() < deadline, "orphaned workers"
+        time.sleep(0.01)
+
+
+def noted_pids(notes: Path) -> list[int]:
+    """Who attempted, in order."""
+    return [int(note.name.split("-")[1]) for note in sorted(notes.iterdir())]
+
+
+def process_exists(pid: int) -> bool:
+    """Whether it runs; a zombie nobody has reaped yet does not."""
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rsplit(") ", 1)[1][0] != "Z"
+    except FileNotFoundError:
+        return False

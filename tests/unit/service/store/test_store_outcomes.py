@@ -1,0 +1,285 @@
+"""Every trigger ends in exactly one outcome, numbered without gaps, durable before it is visible."""
+
+import asyncio
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+from support.rest import add, measured, particle_files, rejected, trigger
+
+from pipeline.frames import BundleKind
+from service.api.schemas import Result
+from service.errors import StoreError
+from service.processing.result_record import ALGORITHM_VERSION
+from service.store import ParticleFilter, Store, open_store, rfc3339_ms
+from service.store.store import NOTE_EVERY
+
+
+async def seqs(store: Store) -> list[int]:
+    return [record["seq"] for record in (await store.results_after(0, 1000)).items]
+
+
+async def test_concurrent_finishes_are_numbered_without_gaps(store: Store, session: int) -> None:
+    numbers = await asyncio.gather(*(add(store, session, i, measured()) for i in range(40)))
+    assert sorted(numbers) == list(range(1, 41)) == await seqs(store)
+    assert store.last_seq == 40
+
+
+async def test_a_second_outcome_is_refused(store: Store, session: int, tmp_path: Path) -> None:
+    await store.record_triggers(session, {"a": trigger(1)})
+    first, second = await asyncio.gather(
+        store.finish(session, "a", measured(volume_mm3=1.5)),
+        store.finish(session, "a", rejected("empty"), particle_files(tmp_path / "out")),
+    )
+    assert first == second == 1
+    record = await store.particle(1)
+    assert record is not None
+    assert (record["outcome"], record["volume_mm3"], record["mesh"]) == ("measured", 1.5, None)
+    assert (tmp_path / "out" / "mesh.ply").exists()  # not taken, because not used
+    assert await add(store, session, 2, measured()) == 2
+
+
+async def test_files_move_to_the_particle(
+    store: Store, session: int, state_dir: Path, tmp_path: Path
+) -> None:
+    files = particle_files(tmp_path / "out")
+    content = {path.name: path.read_bytes() for path in (tmp_path / "out").rglob("*.*")}
+    await add(store, session, 1, measured(), files)
+    record = await store.particle(1)
+    assert record is not None
+    folder = state_dir / "particles" / record["id"]
+    assert record["mesh"] == f"particles/{record['id']}/mesh.ply"
+    assert {path.name: path.read_bytes() for path in folder.rglob("*.*")} == content
+    assert not any(path.exists() for path in files.values())
+
+
+async def test_a_failed_write_changes_nothing_and_can_be_repeated(
+    store: Store, session: int, state_dir: Path, tmp_path: Path
+) -> None:
+    files = particle_files(tmp_path / "out")
+    with pytest.raises(StoreError, match=r"gone\.tiff"):
+        await add(store, session, 1, measured(), {**files, "bundle.tiff": tmp_path / "gone.tiff"})
+    assert await seqs(store) == []
+    assert (await store.accounting()).in_progress == 1
+    assert await store.finish(session, "00000001", measured(), files) == 1
+    (folder,) = (state_dir / "particles").iterdir()
+    assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes.tiff"]
+
+
+async def add_raw(store: Store, session: int, sequence: int, folder: Path) -> int:
+    """One stone with its frames."""
+    raw = folder / f"{sequence}.tiff"
+    raw.write_bytes(b"frames")
+    return await add(store, session, sequence, measured(), {"bundle.tiff": raw})
+
+
+def seqs_with_raw(state_dir: Path) -> list[int]:
+    return sorted(int(path.parent.name[-8:]) for path in (state_dir / "particles").glob("*/bundle.tiff"))
+
+
+async def test_only_the_newest_raw_frames_are_kept(state_dir: Path, tmp_path: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=4) as store:
+        old = await store.begin_session({})
+        for sequence in range(6):
+            await add_raw(store, old, sequence, tmp_path)
+        assert seqs_with_raw(state_dir) == [3, 4, 5, 6]
+        await store.record_triggers(old, {"open": trigger(6)})
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
+        new = await store.begin_session({})
+        assert seqs_with_raw(state_dir) == [5, 6]
+        assert await store.lose_open("crash", "killed") == 1
+        assert seqs_with_raw(state_dir) == [6]
+        assert await add_raw(store, new, 7, tmp_path) == 8
+        await add(store, new, 8, measured())
+        assert seqs_with_raw(state_dir) == [8]
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=0) as store:
+        session = await store.begin_session({})
+        await add_raw(store, session, 9, tmp_path)
+        assert seqs_with_raw(state_dir) == []
+
+
+async def test_a_start_does_not_look_for_what_was_removed(state_dir: Path, tmp_path: Path) -> None:
+    n = NOTE_EVERY + 20
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
+        session = await store.begin_session({})
+        for sequence in range(n):
+            await add_raw(store, session, sequence, tmp_path)
+        newest = store.raw_path(n)
+        unfinished = newest.with_name("bundle.tiff.tmp")  # of a daemon that was killed
+        await asyncio.to_thread(unfinished.touch)
+        again = store.raw_path(1)
+        await asyncio.to_thread(again.touch)
+    with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
+        session = await store.begin_session({})
+        assert seqs_with_raw(state_dir) == [1, n - 1, n]
+        for sequence in range(2):
+            await add_raw(store, session, sequence, tmp_path)
+        assert seqs_with_raw(state_dir) == [1, n + 1, n + 2]
+        assert not unfinished.exists()
+
+
+async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        await add(store, session, 1, measured(sieve_size_mm=12.0))
+        await add(store, session, 2, rejected("empty"))
+    database = sqlite3.connect(state_dir / "results.sqlite")
+    database.executescript(
+        """DROP TRIGGER list_result; DROP TRIGGER unlist_result; DROP TABLE listed;
+        ALTER TABLE store DROP COLUMN first_raw;
+        CREATE INDEX results_by_outcome ON results (session, outcome, reason, quality);
+        CREATE INDEX results_by_time ON results (captured_at);
+        PRAGMA user_version = 1"""
+    )
+    database.close()
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        await add(store, session, 3, measured(sieve_size_mm=30.0))
+        large = await store.particles(ParticleFilter(min_sieve_size_mm=10.0), None, 10)
+        assert [record["seq"] for record in large] == [3, 1]
+        counts = await store.accounting()
+        assert (counts.triggers, counts.measured, counts.by_reason) == (3, 2, {"empty": 1})
+
+
+async def test_readers_have_threads_of_their_own(store: Store, session: int) -> None:
+    answered = threading.Event()
+    others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
+    async with asyncio.timeout(10):
+        assert (await store.accounting()).triggers == 0
+    answered.set()
+    await asyncio.gather(*others)
+
+
+def test_the_folder_of_the_particles_is_durable_from_the_beginning(
+    state_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[set[Path]] = []
+    monkeypatch.setattr("service.store.store.sync", lambda folder: synced.append({folder, *folder.iterdir()}))
+    open_store(state_dir).close()
+    assert synced == [{state_dir, state_dir / "particles"}]
+
+
+async def test_what_a_crash_left_under_the_next_number_is_removed(
+    store: Store, session: int, state_dir: Path
+) -> None:
+    stale = state_dir / "particles" / f"{store.instance_id[:8]}-00000001" / "mesh.ply"
+    stale.parent.mkdir(parents=True)
+    stale.write_bytes(b"of another stone")
+    await add(store, session, 1, rejected("empty"))
+    assert not stale.exists()
+
+
+async def test_a_cancelled_caller_loses_no_outcome_and_wakes_readers(store: Store, session: int) -> None:
+    await store.record_triggers(session, {"a": trigger(1)})
+    waiting = asyncio.create_task(store.wait_beyond(0))
+    finishing = asyncio.create_task(store.finish(session, "a", measured()))
+    await asyncio.sleep(0)
+    finishing.cancel()
+    await asyncio.wait_for(waiting, 5)
+    assert finishing.cancelled()
+    assert await seqs(store) == [1]
+
+
+async def test_extra_keys_survive_and_the_trigger_has_the_last_word(store: Store, session: int) -> None:
+    await add(store, session, 1, measured(roughness_um=3.25, sequence=99, seq=7, captured_at="whenever"))
+    record = await store.particle(1)
+    assert record is not None
+    assert (record["roughness_um"], record["sequence"]) == (3.25, 1)
+    assert record["captured_at"] == "2026-02-28T23:01:00.000Z"
+    assert record == await store.particle(record["id"])
+
+
+async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        old = await store.begin_session({"calibration_id": "0123", "is_simulated": True})
+        await add(store, old, 1, measured())
+        for sequence in (2, 3):
+            await store.record_triggers(old, {f"{sequence}": trigger(sequence)})
+        instance_id = store.instance_id
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        new = await store.begin_session({})
+        await store.record_triggers(new, {"1": trigger(1)})  # has its life before it
+        assert await store.lose_open("worker_crash", "the daemon was killed") == 2
+        assert await store.lose_open("worker_crash", "") == 0
+        assert store.instance_id == instance_id
+        items = (await store.results_after(1, 10)).items
+        assert [(item["seq"], item["bundle"], item["outcome"], item["reason"]) for item in items] == [
+            (2, "2", "lost", "worker_crash"),
+            (3, "3", "lost", "worker_crash"),
+        ]
+        result = Result.model_validate(items[0], strict=True)  # complete: no field is absent
+        assert (result.is_simulated, result.calibration_id) == (True, "0123")
+        assert result.algorithm_version == ALGORITHM_VERSION
+        everything, current = await store.accounting(), await store.accounting(new)
+    assert (everything.triggers, everything.measured, everything.lost, everything.in_progress) == (4, 1, 2, 1)
+    assert (current.triggers, current.lost, current.in_progress) == (1, 0, 1)
+    assert everything.is_balanced
+    assert current.is_balanced
+
+
+async def test_accounting_adds_up_and_counts_backgrounds_apart(store: Store, session: int) -> None:
+    await store.record_triggers(session, {"empty rig": trigger(1, BundleKind.BACKGROUND)})
+    await store.record_triggers(session, {"ball": trigger(2, BundleKind.BALL)})
+    await add(store, session, 3, measured())
+    await add(store, session, 4, measured(quality="reduced"))
+    await add(store, session, 5, rejected("clipped"))
+    await add(store, session, 6, {"outcome": "lost", "reason": "queue_full"})
+    counts = await store.accounting()
+    assert (counts.triggers, counts.measured, counts.rejected, counts.lost, counts.in_progress) == (
+        5,
+        2,
+        1,
+        1,
+        1,
+    )
+    assert counts.backgrounds == 1
+    assert counts.by_quality == {"good": 1, "reduced": 1}
+    assert counts.by_reason == {"clipped": 1, "queue_full": 1}
+    assert counts.is_balanced
+
+
+async def test_misuse_is_refused_by_name(store: Store, session: int) -> None:
+    with pytest.raises(StoreError, match="bundle x: no such trigger"):
+        await store.finish(session, "x", measured())
+    await store.record_triggers(session, {"b": trigger(1, BundleKind.BACKGROUND)})
+    with pytest.raises(StoreError, match="background has no outcome"):
+        await store.finish(session, "b", measured())
+    with pytest.raises(StoreError, match="UNIQUE"):
+        await store.record_triggers(session, {"b": trigger(2)})
+    await store.record_triggers(session, {"c": trigger(3)})
+    with pytest.raises(StoreError, match="CHECK"):
+        await store.finish(session, "c", measured(outcome="guessed"))
+    with pytest.raises(ValueError, match="JSON"):
+        await store.finish(session, "c", measured(volume_mm3=float("nan")))
+    assert await seqs(store) == []
+    assert await store.finish(session, "c", measured()) == 1
+
+
+def test_only_one_process_has_the_store(store: Store, state_dir: Path) -> None:
+    with pytest.raises(StoreError, match="another process"):
+        open_store(state_dir)
+
+
+def test_a_newer_schema_and_a_foreign_file_are_refused(tmp_path: Path) -> None:
+    open_store(tmp_path / "newer").close()
+    connection = sqlite3.connect(tmp_path / "newer" / "results.sqlite")
+    connection.execute("PRAGMA user_version = 99")
+    connection.close()
+    with pytest.raises(StoreError, match="schema 99 was written by a newer program"):
+        open_store(tmp_path / "newer")
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "results.sqlite").write_bytes(b"this is a diary, not a database " * 100)
+    with pytest.raises(StoreError, match="not a database"):
+        open_store(tmp_path / "foreign")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(StoreError, match="file"):
+        open_store(tmp_path / "file")
+
+
+def test_times_are_written_in_one_way() -> None:
+    assert rfc3339_ms("2026-03-01T01:00:00.123456+01:00") == "2026-03-01T00:00:00.123Z"
+    assert rfc3339_ms("2026-03-01T00:00:00Z") == "2026-03-01T00:00:00.000Z"
+    for wrong in ("2026-03-01T00:00:00", "yesterday", "0001-01-01T00:00:00+14:00"):
+        with pytest.raises(ValueError, match=r".+"):
+            rfc3339_ms(wrong)
