@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from service.compiled_code import keep_apart
+from service.compiled_code import isolate_numba_cache
 
 COMMANDS = {
     "serve": "service.commands.serve",
@@ -59,7 +59,7 @@ def main() -> None:
     from pipeline.errors import PipelineError
     from service.errors import ServiceError
 
-    keep_apart()
+    isolate_numba_cache()
     wanted = [name for name in sys.argv[1:2] if name in COMMANDS]
     try:
         build_app(wanted or COMMANDS)()

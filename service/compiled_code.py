@@ -1,37 +1,144 @@
-"""Where compiled loops are kept: a folder for every state of the sources.
+"""Where numba keeps compiled loops: a folder for every state of the code that they are compiled from.
 
 numba asks whether the file of a function has changed, not those of what the function calls, whose old code it would
-go on using after an update; and what it keeps may name classes that are gone.
+go on using after an update. Here the code of a module counts together with that of all modules of the pipeline that
+it imports, and nothing else: a changed comment or docstring compiles nothing anew, nor does another path.
 """
 
+import ast
 import hashlib
+import json
 import os
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-from service.user_cache import user_cache
+from service.paths import user_cache
 
 FOLDER = "NUMBA_CACHE_DIR"
+LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 SOURCES = Path(__file__).parents[1] / "pipeline"
 
 
-def keep_apart() -> None:
-    """Lead numba into the folder of these sources within `NUMBA_CACHE_DIR`, for this process and those it starts.
+def isolate_numba_cache() -> None:
+    """Have numba keep what it compiles by the state of the code, for this process and those it starts.
 
-    To be called before numba is imported. Without the variable the folder is beside the sources; where that cannot be
-    written, in the user's cache. For a user without a home numba finds a place of its own.
+    To be called before numba is imported. Without `NUMBA_CACHE_DIR` the folder is beside the sources; where that cannot
+    be written, in the user's cache. For a user without a home numba finds a place of its own.
     """
-    if given := os.environ.get(FOLDER):
-        folder = Path(given)
-    elif os.access(SOURCES, os.W_OK):
-        folder = SOURCES / "__pycache__"
-    else:
+    if FOLDER not in os.environ:
         try:
-            folder = user_cache() / "numba"
+            folder = SOURCES / "__pycache__" if os.access(SOURCES, os.W_OK) else user_cache() / "numba"
         except RuntimeError:
             return
-    digest = hashlib.sha256()
-    for path in sorted(SOURCES.rglob("*.py")):
-        digest.update(path.read_bytes())
-    name = digest.hexdigest()[:12]
-    if folder.name != name:
-        os.environ[FOLDER] = str(folder / name)
+        os.environ[FOLDER] = str(folder)
+    os.environ[LOCATORS] = f"{__name__}.CodeLocator"
+
+
+class CodeLocator:
+    """Tells numba where the compiled code of one function lies; numba makes one for each that it compiles."""
+
+    def __init__(self, folder: Path, digest: str) -> None:
+        self._folder = folder
+        self._digest = digest
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> "CodeLocator | None":
+        """Return the locator of a function of the pipeline; None where nothing can be kept."""
+        source = Path(file)
+        if not source.is_relative_to(SOURCES):
+            return None
+        root = Path(os.environ[FOLDER])
+        try:
+            digest = code_digests(root)[source.relative_to(SOURCES).as_posix()]
+            locator = cls(root / f"{source.stem}-{digest}", digest)
+            locator.ensure_cache_path()
+        except OSError:
+            return None
+        return locator
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder; `OSError` when nothing can be written there."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=self._folder).close()
+
+    def get_cache_path(self) -> str:
+        """Return the folder of the function."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return what must be equal for compiled code to be used again."""
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        """Return nothing: no module has two functions of one name, and line numbers change with comments."""
+        return ""
+
+
+@cache
+def code_digests(root: Path) -> Mapping[str, str]:
+    """Return, by file of the pipeline, the digest of its code and of all that it imports from the pipeline.
+
+    What was found for the same bytes before is read from `root`: to parse all files takes a second.
+    """
+    sources = {path.relative_to(SOURCES).as_posix(): path.read_bytes() for path in SOURCES.rglob("*.py")}
+    state = hashlib.sha256(b"".join(name.encode() + sources[name] for name in sorted(sources)))
+    kept = root / f"state-{state.hexdigest()[:16]}.json"
+    try:
+        digests: dict[str, str] = json.loads(kept.read_text())
+    except (OSError, ValueError):
+        digests = _digests({name: ast.parse(text) for name, text in sources.items()})
+        root.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=root, delete=False) as file:
+            json.dump(digests, file)
+        Path(file.name).replace(kept)
+    return digests
+
+
+def _digests(trees: Mapping[str, ast.Module]) -> dict[str, str]:
+    own = {name: hashlib.sha256(_code(tree).encode()).hexdigest() for name, tree in trees.items()}
+    imports = {name: _imported(tree) & trees.keys() for name, tree in trees.items()}
+    digests = {}
+    for name in trees:
+        reached, found = {name}, [name]
+        while found:
+            new = imports[found.pop()] - reached
+            reached |= new
+            found.extend(new)
+        digests[name] = hashlib.sha256("".join(own[each] for each in sorted(reached)).encode()).hexdigest()[
+            :16
+        ]
+    return digests
+
+
+def _code(tree: ast.Module) -> str:
+    """Return the code without line numbers, comments and docstrings, those of constants and attributes included."""
+    for node in ast.walk(tree):
+        for block in ("body", "orelse", "finalbody"):
+            if isinstance(statements := getattr(node, block, None), list):
+                setattr(node, block, [each for each in statements if not _is_text(each)])
+    return ast.dump(tree)
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _imported(tree: ast.Module) -> set[str]:
+    """Return the files of the pipeline that a module may import, those of packages included."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {each.name for each in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{each.name}" for each in node.names)}
+    paths = {
+        name.removeprefix("pipeline.").replace(".", "/") for name in names if name.startswith("pipeline.")
+    }
+    return {f"{path}.py" for path in paths} | {f"{path}/__init__.py" for path in paths}

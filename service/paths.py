@@ -1,16 +1,16 @@
-"""Paths in a configuration file are relative to its folder."""
+"""Where files lie: beside the configuration that names them, or in the user's cache."""
 
 import os
 from pathlib import Path
-from typing import Annotated
-
-from pydantic import AfterValidator, ValidationInfo
 
 
-def beside_the_file(path: Path, info: ValidationInfo) -> Path:
-    """Return an absolute path."""
-    folder: Path = (info.context or {})["folder"]
-    return Path(os.path.normpath(folder / path))
+def user_cache() -> Path:
+    """Return the folder for what can be fetched or made again (XDG Base Directory Specification).
 
-
-ConfiguredPath = Annotated[Path, AfterValidator(beside_the_file)]
+    Raises
+    ------
+    RuntimeError
+        The user has no home.
+    """
+    cache = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(cache) if Path(cache).is_absolute() else Path.home() / ".cache") / "stonefall"

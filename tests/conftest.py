@@ -11,11 +11,11 @@ from collections.abc import Generator, Iterator
 import hypothesis
 import pytest
 
-from service.compiled_code import keep_apart
+from service.compiled_code import isolate_numba_cache
 
 # as systemd/stonefall.service has it; before NumPy is imported: its threads only spin on matrices as small as ours
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-keep_apart()  # before numba is; with the daemons that the tests start
+isolate_numba_cache()  # before numba is; with the daemons that the tests start
 
 pytest_plugins = ["support.stores"]
 

@@ -30,8 +30,8 @@ from pipeline.fall import fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
+from service.configuration.paths import ConfiguredPath, resolve_path
 from service.configuration.rig_checks import blur_problems, timing_problems, transfer_problems
-from service.paths import ConfiguredPath, beside_the_file
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
 
@@ -91,16 +91,16 @@ class CameraPlace:
     features: tuple[Feature, ...] = ()  # for this camera alone, after those of all
 
 
-def _port_beside_the_file(gate: PortGate, info: ValidationInfo) -> PortGate:
-    return replace(gate, port=str(beside_the_file(Path(gate.port), info)))
+def _resolve_port(gate: PortGate, info: ValidationInfo) -> PortGate:
+    return replace(gate, port=str(resolve_path(Path(gate.port), info)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateSettings:
     """The light gate: exactly one of the three kinds."""
 
-    serial: Annotated[SerialGateSettings, AfterValidator(_port_beside_the_file)] | None = None
-    modem_line: Annotated[ModemLineSettings, AfterValidator(_port_beside_the_file)] | None = None
+    serial: Annotated[SerialGateSettings, AfterValidator(_resolve_port)] | None = None
+    modem_line: Annotated[ModemLineSettings, AfterValidator(_resolve_port)] | None = None
     gpio: GpioGateSettings | None = None
 
     def __post_init__(self) -> None:

@@ -10,15 +10,15 @@ from pydantic import AfterValidator, ValidationInfo
 from pipeline.errors import ModelError
 from pipeline.segmentation.choice import Wanted
 from pipeline.segmentation.subtraction import SegmentationParameters
+from service.configuration.paths import resolve_path
 from service.models.networks import load_model, read_model
-from service.paths import beside_the_file
 from service.processing.segmenters import SegmenterPlan
 
 
-def _path_beside_the_file(model: str, info: ValidationInfo) -> str:
+def _resolve_model(model: str, info: ValidationInfo) -> str:
     """A path relative to the configuration's folder; names of models stay as they are."""
     is_path = model.endswith(".onnx") or "/" in model
-    return str(beside_the_file(Path(model), info)) if is_path else model
+    return str(resolve_path(Path(model), info)) if is_path else model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,9 +26,7 @@ class SegmentationSettings(SegmentationParameters):
     """The parameters of the pipeline, and which segmenter is asked."""
 
     segmenter: Wanted = "auto"
-    model: Annotated[str, AfterValidator(_path_beside_the_file)] = (
-        ""  # built-in; the name of a fetched one; a path
-    )
+    model: Annotated[str, AfterValidator(_resolve_model)] = ""  # built-in; the name of a fetched one; a path
     providers: tuple[str, ...] = ()  # of onnxruntime, the first that works; CUDA where there is, else the CPU
 
     @property

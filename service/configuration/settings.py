@@ -21,12 +21,12 @@ from service.acquisition.empty_rig import EmptyRigParameters
 from service.api.settings import ApiSettings
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
+from service.configuration.paths import ConfiguredPath
 from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
 from service.errors import SettingsError, VolumeModelError
 from service.health.optical_watch import OpticalParameters
-from service.paths import ConfiguredPath
 from service.recording.recordings import RecordingsSettings
 from service.store import KEEP_RAW
 

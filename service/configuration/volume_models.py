@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.particle import MeasuringParameters
+from service.configuration.paths import ConfiguredPath
 from service.errors import VolumeModelError
-from service.paths import ConfiguredPath
 
 FORMAT = "stonefall-volume/1"
 

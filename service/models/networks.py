@@ -22,7 +22,7 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Network, load_network
-from service.user_cache import user_cache
+from service.paths import user_cache
 
 BUILT_IN = "roi_network"
 
