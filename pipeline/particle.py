@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 
 from pipeline.carving import CarvingParameters, carve
-from pipeline.each import Each
 from pipeline.errors import MeshError, RejectedError, RejectReason
 from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.frames import CameraId, FrameBundle
@@ -20,6 +19,7 @@ from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
+from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.quality import Quality, ViewsParameters, judge_views, quality_of
 
@@ -123,7 +123,7 @@ def measure_bundle(
     segmenter: Segmenter,
     parameters: PipelineParameters,
     on_stage: Callable[[str], None] = lambda stage: None,
-    each: Each = map,
+    each: ViewMapper = map,
 ) -> ParticleResult:
     """Measure the particle of one bundle; a bundle that shows none is a result with a `rejection`.
 

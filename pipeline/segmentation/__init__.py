@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from pipeline.each import Each
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import BackgroundModel
 from pipeline.segmentation.silhouette import Silhouette, SilhouetteSet, ViewStatus
+from pipeline.view_mapper import ViewMapper
 
 
 class Segmenter(Protocol):
@@ -18,7 +18,10 @@ class Segmenter(Protocol):
 
 
 def segment_all(
-    frames: Mapping[CameraId, Frame], background: BackgroundModel, segmenter: Segmenter, each: Each = map
+    frames: Mapping[CameraId, Frame],
+    background: BackgroundModel,
+    segmenter: Segmenter,
+    each: ViewMapper = map,
 ) -> SilhouetteSet:
     """One silhouette per frame, in the order of the frames; `each` may segment several at a time."""
     silhouettes = each(lambda frame: segmenter(frame, background), frames.values())

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled
-from pipeline.each import Each
 from pipeline.frames import CameraId, Frame, Image
 from pipeline.segmentation.background import COARSE, SLOWEST_WEIGHT, BackgroundModel, CameraBackground
 from pipeline.segmentation.edge_profile import edge_profile
 from pipeline.segmentation.light import LIT
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
+from pipeline.view_mapper import ViewMapper
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -66,7 +66,7 @@ def observe_all(
     frames: Mapping[CameraId, Frame],
     background: BackgroundModel,
     silhouettes: Mapping[CameraId, Silhouette] = MappingProxyType({}),
-    each: Each = map,
+    each: ViewMapper = map,
 ) -> dict[CameraId, ViewOptics]:
     """Of every frame that has a background to compare with, unless bodies were seen whose place is not known.
 

@@ -32,7 +32,7 @@ from drivers.files.recording import (
 from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import read_silhouettes
 from pipeline.frames import BundleKind
-from pipeline.gradation import gradation
+from pipeline.gradation.passing import gradation
 from pipeline.particle import BodyParameters, PipelineParameters
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings

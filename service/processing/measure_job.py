@@ -24,7 +24,6 @@ from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline import carving, estimate, measuring, meshing
-from pipeline.each import Each
 from pipeline.frames import CameraId
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
@@ -32,6 +31,7 @@ from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
 from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.optics import observe_all
+from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.errors import WorkerFailure
 from service.processing.background_files import read_background, write_background
@@ -217,7 +217,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
 
 
 @contextmanager
-def several(n: int) -> Iterator[Each]:
+def several(n: int) -> Iterator[ViewMapper]:
     """How to work on `n` views at a time."""
     if n == 1:
         yield map

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.gradation import gradation, quantile_mm
+from pipeline.gradation.passing import gradation, quantile_mm
 
 STONES = st.lists(st.tuples(st.floats(1, 40), st.floats(1, 5e4)), min_size=1, max_size=40)
 

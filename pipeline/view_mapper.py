@@ -7,9 +7,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class Each(Protocol):
-    """`map`, or a thread pool's."""
+class ViewMapper(Protocol):
+    """A serial `map`, or that of a thread pool."""
 
     def __call__(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterable[Result]:
-        """What the function makes of each item, in their order."""
+        """Return the result of `function` for each item, in the order of the items."""
         ...
