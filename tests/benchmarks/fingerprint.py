@@ -1,0 +1,57 @@
+#!/usr/bin/env python3
+"""Print digests of what `stonefall measure` wrote, so that two versions can be shown to agree bit for bit.
+
+    python tests/benchmarks/fingerprint.py OUT [OUT ...]
+
+Results are digested field by field without the timings, which differ from run to run; meshes, silhouettes and the
+gradation byte by byte. Equal lines are equal files. Recordings and machine must be the same for both versions.
+"""
+
+import argparse
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+TIMED = "timings_ms"
+
+
+def digest(texts: list[bytes]) -> str:
+    """Return the first 16 hexadecimal digits of the sha256 of all texts."""
+    return hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
+
+
+def fields_digest(results: Path) -> tuple[int, str]:
+    """Return the number of results and the digest of their fields, in the order in which they are written."""
+    records = [json.loads(line) for line in results.read_text().splitlines()]
+    for record in records:
+        del record[TIMED]
+    return len(records), digest([json.dumps(record).encode() for record in records])
+
+
+def files_digest(folder: Path, pattern: str) -> tuple[int, str]:
+    """Return the number of files below a folder and the digest of their names and bytes."""
+    files = sorted(folder.rglob(pattern))
+    return len(files), digest(
+        [each for path in files for each in (str(path.relative_to(folder)).encode(), path.read_bytes())]
+    )
+
+
+def main() -> None:
+    """Print a line for each kind of file of each folder."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("out", type=Path, nargs="+", help="a folder that `stonefall measure` wrote")
+    for out in parser.parse_args().out:
+        for kind, (count, value) in {
+            "results": fields_digest(out / "results.jsonl"),
+            "meshes": files_digest(out / "meshes", "*.ply"),
+            "silhouettes": files_digest(out / "silhouettes", "*.png"),
+            "gradation": files_digest(out, "gradation.json"),
+        }.items():
+            sys.stdout.write(f"{out}  {kind:11}  {count:4}  {value}\n")
+
+
+if __name__ == "__main__":
+    main()
