@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from drivers.errors import GateUnavailableError
 from drivers.interfaces import DeviceEvent, EventSink, GateLost
 from drivers.outlet import Outlet
-from pipeline.frames import BundleKind, Trigger
+from pipeline.frames import BundleKind, Trigger, rfc3339
 
 
 def trigger_at(
@@ -17,7 +17,7 @@ def trigger_at(
 ) -> Trigger:
     """Return the trigger of an edge at `received_ns` of the host's clock; a gate without clock has `device_ns` 0."""
     age = timedelta(microseconds=(time.monotonic_ns() - received_ns) / 1000)
-    utc = (datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    utc = rfc3339(datetime.now(UTC) - age)
     return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
 
 

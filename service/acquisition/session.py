@@ -17,7 +17,7 @@ from typing import Protocol
 from drivers.factory import Devices
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
-from pipeline.frames import BundleKind, FrameBundle, Trigger
+from pipeline.frames import BundleKind, FrameBundle, Trigger, rfc3339
 from service.acquisition.device_keeper import Keeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.rig_cameras import RigCameras
@@ -281,9 +281,7 @@ class Acquisition:
 
     def _dated(self, trigger: Trigger) -> Trigger:
         age = timedelta(microseconds=(self._devices.clock() - trigger.received_ns) / 1e3)
-        return replace(
-            trigger, utc=(datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        )
+        return replace(trigger, utc=rfc3339(datetime.now(UTC) - age))
 
     async def _recorded(self, triggers: Sequence[Trigger]) -> list[Trigger]:
         """Make triggers durable, at once: the gate may have counted thousands while it was away."""

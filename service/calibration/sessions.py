@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
+from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
 from service.api.control import AcquisitionState
@@ -35,7 +36,6 @@ from service.calibration.verifications import Verification, VerificationPlan, Ve
 from service.errors import StoreError
 from service.health.assessment import CalibrationFacts
 from service.processing.processing import DropCollector
-from service.store import utc_now
 
 log = logging.getLogger(__name__)
 

@@ -4,12 +4,12 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import cast
 
+from drivers.files.times import utc_now
 from service.calibration.drop_files import outline_paths
 from service.calibration.drop_jobs import Method, Solution, SolveJob, solve
 from service.calibration.files import CalibrationFiles, CalibrationRecord
 from service.processing.measure_job import RigFile, step_back
 from service.processing.worker_pool import JobLostError, WorkerStartError, run_apart
-from service.store import utc_now
 
 SOLVE_DEADLINE_S = 300.0
 """The paper's method takes half a minute of a core."""

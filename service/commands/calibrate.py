@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -29,6 +28,7 @@ from drivers.files.recording import (
     require_rig_of,
 )
 from drivers.files.rig_file import read_rig, write_rig
+from drivers.files.times import utc_now
 from pipeline.calibration import (
     BallDrop,
     CalibrationError,
@@ -121,7 +121,7 @@ def command(
             with_diameters(drops, start, diameters_mm),
             start,
             method="paper" if method is Method.PAPER else "bundle",
-            created_at=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            created_at=utc_now("seconds"),
             name=out.stem,
         )
     except CalibrationError as err:

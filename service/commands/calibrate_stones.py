@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 
 import typer
@@ -11,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.files.rig_file import write_rig
+from drivers.files.times import utc_now
 from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.views.epipolar_tangency import ALARM_PX, Outlines
@@ -35,7 +35,7 @@ def calibrate_from_stones(
     UsageError
         The cameras still contradict one another, and the rig is not forced.
     """
-    created_at = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    created_at = utc_now("seconds")
     found = recalibrate(stones, initial, created_at=created_at, name=out.stem)
     if as_json:
         typer.echo(json.dumps(_document(found, unreadable), indent=2))

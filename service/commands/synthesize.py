@@ -14,7 +14,7 @@ from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, speed_mm_s
-from pipeline.frames import BundleKind
+from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
@@ -93,7 +93,7 @@ def command(
         raise typer.BadParameter(
             f"{spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
         )
-    design = nominal_rig(created_at=FIRST_UTC.isoformat().replace("+00:00", "Z"))
+    design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
     true_rig = as_built(design, seed) if rig is None else read_rig(rig)
     names = [name.strip() for name in bodies.split(",")]
     writer = RecordingWriter(

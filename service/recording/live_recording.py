@@ -11,7 +11,6 @@ import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from drivers.factory import Devices
 from drivers.files.bundle_file import Compression
 from drivers.files.durable import read_json, write_json
 from drivers.files.recording import RecordingWriter
+from drivers.files.times import utc_now
 from pipeline.fall import speed_mm_s
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
@@ -146,7 +146,7 @@ class LiveRecording:
         self.failure: str | None = None
         self.closed = asyncio.Event()
         self._made_by = dict(made_by)
-        self._created_at = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+        self._created_at = utc_now("seconds")
         self._writer = RecordingWriter(
             path,
             camera_ids=source.camera_ids,
