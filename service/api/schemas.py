@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.config import JsonDict
 
-from service.api.control import AcquisitionState, AcquisitionTarget, CheckStatus, Ne107
+from service.status import AcquisitionStatus, AcquisitionTarget, CameraStatus, CheckStatus, HealthCheck, Ne107
 
 TIME: JsonDict = {"format": "date-time"}
 
@@ -167,31 +167,8 @@ class AccountingDocument(BaseModel):
     by_quality: dict[str, int] = Field(description="Measured, by quality")
 
 
-class Acquisition(BaseModel):
+class Acquisition(AcquisitionStatus):
     """Where the rig stands; counters are of the time since it was last armed."""
-
-    state: AcquisitionState
-    trouble: str | None = Field(description="Why it is held; null when it is not")
-    activity: Literal["idle", "measuring", "suspended"] = Field(
-        description="Suspended: armed, and no stone for a minute"
-    )
-    cameras_armed: int
-    cameras: int
-    gate: str = Field(description="closed, armed or lost")
-    gate_error: str | None
-    gate_warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
-    last_stone_age_s: float | None = Field(description="Seconds since the last stone; null before the first")
-    triggers: int = Field(description="Since the rig was armed, exposures of the empty rig among them")
-    orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
-    unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
-    in_dead_time: int = Field(description="Triggers too soon after another; lost")
-    triggers_ignored: int = Field(
-        description="Bounces and doubles of one stone, merged by the gate, and orphans announced after all"
-    )
-    triggers_lost: int = Field(
-        description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen"
-    )
-    events_refused: int = Field(description="Frames that the daemon was too slow for")
 
 
 class AcquisitionRequest(BaseModel):
@@ -202,86 +179,14 @@ class AcquisitionRequest(BaseModel):
     state: AcquisitionTarget
 
 
-class CameraOptics(BaseModel):
-    """How well a camera sees: medians of the latest 20 exposures, null before the fifth.
-
-    Compared with the rig when it was clean: the first exposures with these optical settings, as long as the
-    background is kept.
-    """
-
-    brightness: float | None = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
-    gradient_u: float | None = Field(description="The same, from the left border to the right one")
-    gradient_v: float | None = Field(description="The same, from the upper border to the lower one")
-    flicker: float | None = Field(description="Its standard deviation from exposure to exposure")
-    dust: float | None = Field(description="Share of the light lost in patches, 0..1")
-    spots_share: float | None = Field(description="Share of the view darker than its surroundings, 0..1")
-    saturated_share: float | None = Field(description="Share of all pixels that are saturated, 0..1")
-    noise_grey: float | None = Field(description="Noise of a pixel, grey levels")
-    edge_width_px: float | None = Field(description="Width of outlines from 10 to 90 %, px")
-    contrast: float | None = Field(description="Of stone and wall at the outline, share of the wall's level")
-
-
-class Camera(BaseModel):
+class Camera(CameraStatus):
     """State of one camera, and its counters since the daemon started."""
-
-    id: str
-    state: str = Field(description="closed, armed or lost")
-    last_error: str | None
-    recoveries: int = Field(description="How often it came back from a loss")
-    serial: str | None
-    model: str | None
-    address: str | None
-    frames: int = Field(description="Frames that arrived whole")
-    fps: float = Field(description="Frames per second over the last ten seconds")
-    lost: int = Field(description="Frames reported lost")
-    late: int = Field(description="Frames that came after their bundle was closed")
-    duplicates: int = Field(description="Frames that came twice")
-    missing: int = Field(description="Bundles without a frame of this camera")
-    strays: int = Field(description="Frames without a trigger")
-    not_exposed: int = Field(description="Triggers that its frame ids did not count")
-    unannounced: int = Field(description="Exposures without a trigger, by its frame ids")
-    failed_frames: int = Field(description="Frames received in part, since it was opened")
-    missing_packets: int = Field(description="Packets that never came, since it was opened")
-    resent_packets: int = Field(description="Packets that came at the second request, since it was opened")
-    receive_buffer_bytes: int | None = Field(description="Of its socket, as the kernel granted it")
-    temperature_c: float | None
-    ptp_offset_ns: int | None = Field(description="From the PTP master's clock; null without PTP")
-    latency_ms: float | None = Field(description="From trigger to arrival, mean of the latest 64 bundles")
-    latency_min_ms: float | None
-    latency_max_ms: float | None
-    last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
-    skew_us: float | None = Field(
-        description="How far its exposures lie beside those of the others; 20 us are a pixel of fall"
-    )
-    tangency_px: float | None = Field(
-        description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved"
-    )
-    tangency_drift_px: float | None = Field(
-        description="The same against the first 20 stones since the start, or since this calibration was activated"
-    )
-    residual_px: float | None = Field(
-        description="By how much its outlines leave the hull of the other views, median of the latest 20 stones"
-    )
-    residual_drift_px: float | None = Field(
-        description="The same against the first 20 stones since the start, or since this calibration was activated"
-    )
-    optics: CameraOptics | None = Field(description="How well it sees")
-    warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 
 
 class Cameras(BaseModel):
     """All cameras of the rig."""
 
     items: list[Camera]
-
-
-class HealthCheck(BaseModel):
-    """One thing that was looked at."""
-
-    status: CheckStatus
-    observed_value: float | int | str | bool | None
-    observed_unit: str | None
-    detail: str | None
 
 
 class HealthDocument(BaseModel):

@@ -20,11 +20,11 @@ from drivers.files.durable import require_unused
 from drivers.files.rig_file import read_rig
 from pipeline.frames import Trigger
 from service.acquisition.session import INBOX_TRIGGERS, Acquisition
-from service.api.control import AcquisitionState, AcquisitionTarget
 from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording, recording_source
 from service.recording.recordings import require_room
+from service.status import AcquisitionState, AcquisitionTarget
 
 TURN_S = 0.1
 """How often it is looked whether something has ended."""

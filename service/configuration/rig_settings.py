@@ -3,7 +3,6 @@
 When the cameras expose follows from the height of the fall, not from a number somebody typed.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -19,10 +18,7 @@ from drivers.cameras.genicam import (
     trigger_features,
 )
 from drivers.cameras.host_trigger import ActionKeys
-from drivers.errors import RecordingError
 from drivers.factory import AravisBackend, GateDevice, ReplayBackend
-from drivers.files.recording import open_recording, require_rig_of
-from drivers.files.rig_file import read_rig
 from drivers.gates.gpio import GpioGateSettings
 from drivers.gates.modem_line import ModemLineSettings
 from drivers.gates.serial_gate import SerialGateSettings
@@ -31,7 +27,6 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
 from service.configuration.paths import ConfiguredPath, resolve_path
-from service.configuration.rig_checks import blur_problems, timing_problems, transfer_problems
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
 
@@ -66,18 +61,6 @@ class ReplayRigSettings:
     def describe(self) -> dict[str, Any]:
         """What a session was run on, for the store."""
         return {"recording": str(self.recording)}
-
-    def problems(self, bundling: BundlingParameters) -> Iterator[str]:
-        """Say what the settings refer to and cannot be used."""
-        try:
-            recording = open_recording(self.recording)
-        except RecordingError as err:
-            yield f"rig.recording: {err}"
-            return
-        try:
-            require_rig_of(recording, read_rig(self.calibration_path), self.calibration_path)
-        except RecordingError as err:
-            yield f"rig.calibration: {err}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,31 +202,6 @@ class AravisRigSettings:
     def describe(self) -> dict[str, Any]:
         """What a session was run on, for the store."""
         return {"cameras": [camera.id for camera in self.cameras], "gate": type(self.gate.device).__name__}
-
-    def problems(self, bundling: BundlingParameters) -> Iterator[str]:
-        """Say what cannot work, with the physics of it."""
-        yield from timing_problems(self, bundling)
-        try:
-            calibration = read_rig(self.calibration)
-        except RecordingError as err:
-            yield f"rig.calibration: {err}"
-            return
-        calibrated = {camera.id: camera for camera in calibration.cameras}
-        if calibrated.keys() != {camera.id for camera in self.cameras}:
-            yield (
-                f"rig.cameras: {', '.join(sorted(camera.id for camera in self.cameras))} are not the cameras of"
-                f" {self.calibration}: {', '.join(sorted(calibrated))}"
-            )
-            return
-        for place in self.cameras:
-            serial = calibrated[place.id].serial
-            if place.serial and serial and place.serial != serial:
-                yield (
-                    f"rig.cameras: {place.id} is camera {place.serial},"
-                    f" but {self.calibration} was made with camera {serial} in its place"
-                )
-        yield from blur_problems(self, calibration)
-        yield from transfer_problems(self, calibration, bundling)
 
     @property
     def _fired_by(self) -> ActionKeys | Literal["software"] | None:

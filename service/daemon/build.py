@@ -19,7 +19,6 @@ from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.session import Acquisition
 from service.api.app import create_app
-from service.api.control import AcquisitionTarget
 from service.api.server import server_config
 from service.calibration.files import image_sizes_px
 from service.calibration.sessions import Calibrations
@@ -33,10 +32,11 @@ from service.daemon.running_daemon import Daemon
 from service.daemon.stopping import StopRequests, finish
 from service.daemon.systemd import ServiceManager, feed_watchdog
 from service.health.optical_watch import OpticalWatch
-from service.health.rig_watch import RigWatch, WatchedResults
+from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.background_keeping import KeptBackground
 from service.processing.measure_job import WorkerContext, prepare
+from service.processing.observers import WatchedResults
 from service.processing.process_memory import keep_freed_memory, spare_collections
 from service.processing.processing import Processing, ProcessingContext
 from service.processing.result_record import ALGORITHM_VERSION
@@ -46,6 +46,7 @@ from service.recording.live_recording import recording_source
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import open_recordings
 from service.rest_server import RestServer, listen
+from service.status import AcquisitionTarget
 from service.store import Store, open_store
 
 log = logging.getLogger(__name__)

@@ -3,12 +3,11 @@
 import logging
 import shutil
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pipeline.frames import CameraId
 from service.acquisition.session import Acquisition
-from service.api.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.calibration.sessions import Calibrations
 from service.configuration.settings import Settings
 from service.daemon.heartbeats import Heartbeats
@@ -23,6 +22,7 @@ from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
+from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.store import Store
 
 log = logging.getLogger(__name__)
@@ -61,7 +61,9 @@ class Daemon:
     def cameras(self) -> list[CameraStatus]:
         scores, optics = self.rig_watch.scores(), self.optical_watch.optics()
         return [
-            replace(status, **asdict(scores.get(status.id, CameraScore())), optics=optics.get(status.id))
+            status.model_copy(
+                update=asdict(scores.get(status.id, CameraScore())) | {"optics": optics.get(status.id)}
+            )
             for status in self.rig.cameras.statuses()
         ]
 

@@ -22,7 +22,6 @@ from support.calibration_desk import (
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import Problem
 from pipeline.frames import BundleKind
-from service.api.control import AcquisitionState
 from service.calibration import sessions as calibrations
 from service.calibration.plan import CalibrationPlan
 from service.calibration.states import (
@@ -36,6 +35,7 @@ from service.calibration.states import (
 from service.calibration.verifications import VerificationPlan
 from service.errors import StoreError
 from service.processing.worker_pool import JobLostError
+from service.status import AcquisitionState
 
 
 def test_the_table_ends_every_session_and_asks_twice_for_free():

@@ -4,10 +4,10 @@ import pytest
 
 from pipeline.frames import CameraId
 from pipeline.views.quality import ViewsParameters
-from service.api.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
+from service.status import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 
 
 def cameras(lost: int = 0) -> list[CameraStatus]:
