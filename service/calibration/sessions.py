@@ -18,6 +18,7 @@ from drivers.errors import RecordingError
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
+from service.calibration.collecting import DropCollector
 from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
@@ -33,7 +34,6 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationPlan, Verifications
 from service.errors import StoreError
-from service.processing.processing import DropCollector
 from service.status import AcquisitionState, CalibrationFacts
 
 log = logging.getLogger(__name__)

@@ -19,7 +19,7 @@ from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.session import Acquisition
 from service.api.app import create_app
-from service.api.server import server_config
+from service.api.server import RestServer, listen, server_config
 from service.calibration.files import image_sizes_px
 from service.calibration.sessions import Calibrations
 from service.calibration.startup import find_calibrations
@@ -45,7 +45,6 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import recording_source
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import open_recordings
-from service.rest_server import RestServer, listen
 from service.status import AcquisitionTarget
 from service.store import Store, open_store
 
