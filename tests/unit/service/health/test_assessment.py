@@ -209,7 +209,7 @@ def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: N
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("rig: c05: moved: recalibrate",)
     check = health.checks["rig"]
-    assert (check.status, check.observed_value, check.unit) == (CheckStatus.WARN, 0.8, "px")
+    assert (check.status, check.observed_value, check.observed_unit) == (CheckStatus.WARN, 0.8, "px")
 
 
 def test_the_worst_score_of_a_healthy_rig_is_shown():
