@@ -94,6 +94,16 @@ class ParticleMeasurement:
         """Diameter of the sphere of the corrected volume."""
         return _sphere_diameter_mm(self.volume_mm3)
 
+    @property
+    def volume_raw_mm3(self) -> float:
+        """Volume of the visual hull, uncorrected."""
+        return self.hull.volume_mm3
+
+    @property
+    def equivalent_diameter_raw_mm(self) -> float:
+        """Diameter of the sphere of the hull's volume."""
+        return self.hull.equivalent_diameter_mm
+
 
 def _sphere_diameter_mm(volume_mm3: float) -> float:
     return float(np.cbrt(6 * volume_mm3 / np.pi))

@@ -39,12 +39,12 @@ from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
 from service.processing.process_memory import keep_freed_memory, spare_collections
 from service.processing.processing import Processing, ProcessingContext
-from service.processing.result_record import ALGORITHM_VERSION
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import recording_source
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import open_recordings
+from service.results.record import ALGORITHM_VERSION
 from service.status import AcquisitionTarget
 from service.store import Store, open_store
 

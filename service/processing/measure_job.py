@@ -36,9 +36,9 @@ from pipeline.views import consistency
 from service.errors import WorkerFailure
 from service.processing.background_files import read_background, write_background
 from service.processing.process_memory import keep_freed_memory
-from service.processing.result_record import optics_record, result_record
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.processing.worker_process import WarmUp, worker_boundary
+from service.results.record import optics_record, result_record
 
 MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
 """Files of a result."""

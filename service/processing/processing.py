@@ -26,9 +26,9 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
-from service.processing.result_record import lost_record
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, WorkerPool
+from service.results.record import lost_record
 
 log = logging.getLogger(__name__)
 

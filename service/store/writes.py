@@ -13,7 +13,7 @@ from typing import Any
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, Trigger, rfc3339
 from service.errors import StoreError
-from service.processing.result_record import lost_record
+from service.results.record import lost_record
 from service.store.particle_files import drop_sources, keep_files, particle_id
 from service.store.schema import transaction
 

@@ -19,7 +19,8 @@ from service.api.routes import particle_files as pictures
 from service.api.routes.cameras import CameraName
 from service.api.routes.particle_files import MeshFormat, NotKeptError
 from service.api.routes.results import MAX_SEQ
-from service.api.schemas import ParticlesPage, Result, result_document
+from service.api.schemas import ParticlesPage
+from service.results.fields import Result, completed
 from service.store import ParticleFilter, Record
 
 router = APIRouter(prefix="/particles", tags=["particles"])
@@ -83,7 +84,7 @@ async def particles(
 @router.get("/{particle_id}", response_model=Result, responses=documented(404))
 async def particle(context: Context, particle_id: ParticleKey) -> JSONResponse:
     """One result."""
-    return JSONResponse(result_document(await _record(context, particle_id)))
+    return JSONResponse(completed(await _record(context, particle_id)))
 
 
 @router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **documented(404, 406)})

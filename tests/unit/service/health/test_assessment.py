@@ -213,7 +213,9 @@ def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: N
 
 
 def test_the_worst_score_of_a_healthy_rig_is_shown():
-    scored = [replace(camera, tangency_px=0.05 + 0.01 * n) for n, camera in enumerate(cameras())]
+    scored = [
+        camera.model_copy(update={"tangency_px": 0.05 + 0.01 * n}) for n, camera in enumerate(cameras())
+    ]
     check = assess(replace(HEALTHY, cameras=scored)).checks["rig"]
     assert (check.status, check.observed_value, check.detail) == (CheckStatus.PASS, 0.2, None)
 

@@ -1,43 +1,17 @@
 """The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Any
 
 from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import CameraId, Trigger
-from pipeline.particle import ParticleMeasurement, ParticleResult
+from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation.optics import ViewOptics
+from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull
 
 ALGORITHM_VERSION = "9"
 """Raised by every change that may change a result."""
-
-MEASURED_FIELDS = (
-    "body",
-    "volume_mm3",
-    "volume_raw_mm3",
-    "volume_estimate_mm3",
-    "volume_model",
-    "surface_area_mm2",
-    "length_mm",
-    "width_mm",
-    "thickness_mm",
-    "max_feret_mm",
-    "min_feret_mm",
-    "min_box_mm",
-    "sieve_size_mm",
-    "equivalent_diameter_mm",
-    "equivalent_diameter_raw_mm",
-    "sphericity",
-    "convexity",
-    "elongation_ratio",
-    "flatness_ratio",
-    "zingg_class",
-    "angularity",
-    "mass_g",
-    "center_mm",
-    "hull",
-)
-"""Fields that are null unless the outcome is `measured`."""
 
 
 def result_record(
@@ -52,7 +26,7 @@ def result_record(
 ) -> dict[str, Any]:
     """The record of a bundle that was looked at: `measured`, or `rejected` with the reason."""
     measurement, rejection = result.measurement, result.rejection
-    record = _frame(trigger, bundle, calibration_id, is_simulated)
+    record = _base(trigger, bundle, calibration_id, is_simulated)
     record |= {
         "outcome": "rejected" if measurement is None else "measured",
         "reason": None if rejection is None else str(rejection.reason),
@@ -108,34 +82,18 @@ def lost_record(
     trigger: Trigger | None, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
 ) -> dict[str, Any]:
     """The record of a trigger whose bundle was never looked at; `None` when even its header cannot be read."""
-    record = _frame(trigger, bundle, calibration_id, is_simulated)
+    record = _base(trigger, bundle, calibration_id, is_simulated)
     return record | {"outcome": "lost", "reason": reason, "detail": detail}
 
 
-def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
-    """What every record has, with everything measured still null, in the order of the contract."""
-    return {
+def _base(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
+    """Every field but those of the store, with everything measured still null, in the order of the contract."""
+    empty = {name: value for name, value in EMPTY.items() if name not in STORED_FIELDS}
+    return empty | {
         "bundle": bundle,
         "sequence": None if trigger is None else trigger.sequence,
         "kind": None if trigger is None else str(trigger.kind),
         "captured_at": None if trigger is None else trigger.utc,
-        "outcome": None,
-        "reason": None,
-        "detail": None,
-        "quality": None,
-        "views": [],
-        "dropped_views": {},
-        "segmenters": {},
-        "segmentation_flags": {},
-        **dict.fromkeys(MEASURED_FIELDS),
-        "gate_extent_mm": None,
-        "gate_extent_is_plausible": None,
-        "mesh": None,
-        "view_residuals_px": {},
-        "tangency_px": {},
-        "image_shifts_px": {},
-        "optics": {},
-        "timings_ms": {},
         "calibration_id": calibration_id,
         "algorithm_version": ALGORITHM_VERSION,
         "is_simulated": is_simulated,
@@ -143,37 +101,23 @@ def _frame(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulat
 
 
 def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
-    shape, hull = measurement.shape, measurement.hull
+    """The measured fields: attributes of the particle, else of its shape."""
     return {
-        "body": measurement.body,
-        "volume_mm3": measurement.volume_mm3,
-        "volume_raw_mm3": hull.volume_mm3,
-        "volume_estimate_mm3": measurement.volume_estimate_mm3,
-        "volume_model": measurement.volume_model,
-        "surface_area_mm2": shape.surface_area_mm2,
-        "length_mm": shape.length_mm,
-        "width_mm": shape.width_mm,
-        "thickness_mm": shape.thickness_mm,
-        "max_feret_mm": shape.max_feret_mm,
-        "min_feret_mm": shape.min_feret_mm,
-        "min_box_mm": list(shape.min_box_mm),
-        "sieve_size_mm": shape.sieve_size_mm,
-        "equivalent_diameter_mm": measurement.equivalent_diameter_mm,
-        "equivalent_diameter_raw_mm": hull.equivalent_diameter_mm,
-        "sphericity": shape.sphericity,
-        "convexity": shape.convexity,
-        "elongation_ratio": shape.elongation_ratio,
-        "flatness_ratio": shape.flatness_ratio,
-        "zingg_class": str(shape.zingg_class),
-        "angularity": measurement.angularity,
-        "mass_g": measurement.mass_g,
-        "center_mm": list(shape.center_mm),
-        "hull": {
-            "volume_mm3": hull.volume_mm3,
-            "surface_area_mm2": hull.surface_area_mm2,
-            "equivalent_diameter_mm": hull.equivalent_diameter_mm,
-        },
+        name: _plain(getattr(measurement if hasattr(measurement, name) else measurement.shape, name))
+        for name in MEASURED_FIELDS
     }
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON has it."""
+    match value:
+        case HullMeasurement():
+            return {name: getattr(value, name) for name in Hull.model_fields}
+        case tuple():
+            return list(value)
+        case StrEnum():
+            return str(value)
+    return value
 
 
 def _at_the_gate(
