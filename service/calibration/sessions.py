@@ -22,7 +22,7 @@ from service.calibration.collecting import DropCollector
 from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
-from service.calibration.plan import CalibrationPlan
+from service.calibration.plan import CalibrationPlan, Method
 from service.calibration.solving import Solver, attempt, solve_apart
 from service.calibration.startup import CalibrationsFound
 from service.calibration.states import (
@@ -85,7 +85,7 @@ class Calibrations:
         async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
             await self._add(session.id, drop, outlines)
 
-        kind = BundleKind.PARTICLE if session.method == "stones" else BundleKind.BALL
+        kind = BundleKind.PARTICLE if session.method == Method.STONES else BundleKind.BALL
         return DropCollector(kind=kind, diameters_mm=session.ball_diameters_mm, add=add)
 
     @property

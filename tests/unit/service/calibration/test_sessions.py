@@ -23,7 +23,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import Problem
 from pipeline.frames import BundleKind
 from service.calibration import sessions as calibrations
-from service.calibration.plan import CalibrationPlan
+from service.calibration.plan import CalibrationPlan, Method
 from service.calibration.states import (
     OPEN,
     TRANSITIONS,
@@ -53,11 +53,11 @@ def test_the_table_ends_every_session_and_asks_twice_for_free():
 @pytest.mark.parametrize(
     ("diameters_mm", "method"),
     [
-        ((), "bundle"),
-        ((10.0, 11.0), "bundle"),
-        ((10.0, 15.0, 20.0), "paper"),
-        ((0.1,), "bundle"),
-        ((10.0,), "stones"),
+        ((), Method.BUNDLE),
+        ((10.0, 11.0), Method.BUNDLE),
+        ((10.0, 15.0, 20.0), Method.PAPER),
+        ((0.1,), Method.BUNDLE),
+        ((10.0,), Method.STONES),
     ],
 )
 def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
@@ -121,7 +121,7 @@ async def test_somebody_is_at_work_already(tmp_path: Path):
 
 async def test_a_stone_session_leaves_stones_stones(tmp_path: Path):
     desk = open_desk(tmp_path)
-    await desk.start(CalibrationPlan(method="stones"), ARMED)
+    await desk.start(CalibrationPlan(method=Method.STONES), ARMED)
     assert desk.collector is not None
     assert desk.collector.kind is BundleKind.PARTICLE
     assert not desk.wants_balls
