@@ -12,10 +12,15 @@ Drag is left out. After 0.3 m a sphere of 4, 15 or 40 mm (2.65 g/cm3, drag coeff
 the mean of it goes into the correction of the delay that is measured in the rig.
 """
 
+from dataclasses import dataclass
 from math import sqrt
 
 GRAVITY_MM_S2 = 9806.65
 """Standard gravity; from 9780 at the equator to 9832 at the poles, 0.65 ms in the delay of 0.3 m."""
+
+
+FALL_HEIGHT_MM = 300.0
+"""From the beam of the light gate to the rig's centre, where nothing else is said."""
 
 
 def speed_mm_s(height_mm: float, speed_at_gate_mm_s: float = 0.0) -> float:
@@ -81,3 +86,18 @@ def _require_positive(**values: float) -> None:
     for name, value in values.items():
         if not value > 0:
             raise ValueError(f"{name} must be positive, not {value:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fall:
+    """How stones fall in one rig."""
+
+    height_mm: float = FALL_HEIGHT_MM
+    """From the beam of the light gate to the rig's centre."""
+    speed_at_gate_mm_s: float = 0.0
+    """As the beam closes."""
+
+    @property
+    def speed_at_center_mm_s(self) -> float:
+        """Speed at the rig's centre, where the cameras expose."""
+        return speed_mm_s(self.height_mm, self.speed_at_gate_mm_s)

@@ -49,8 +49,14 @@ class Calibrations:
     """Called on the loop; `run` is its task."""
 
     def __init__(
-        self, found: CalibrationsFound, verifications: Verifications, solver: Solver = solve_apart
+        self,
+        found: CalibrationsFound,
+        verifications: Verifications,
+        *,
+        on_activated: Callable[[RigCalibration], Awaitable[None]],
+        solver: Solver = solve_apart,
     ) -> None:
+        """Go on with what was found; `on_activated` is awaited before the first bundle of another calibration."""
         self._files = found.files
         self._records = found.records
         self._activations = found.activations
@@ -65,8 +71,7 @@ class Calibrations:
         self.rig = found.files.rig_file(found.active)
         """What the next bundle is measured with."""
         self._trouble = found.trouble
-        self.on_activated: Callable[[RigCalibration], Awaitable[None]] = _nobody
-        """Awaited before the first bundle is measured with another calibration."""
+        self._on_activated = on_activated
 
     # --- what is ---
 
@@ -271,7 +276,7 @@ class Calibrations:
         self._activations = activations
         if (verification := self.verifications.current) is not None:
             await self.verifications.cancel(verification.id, f"calibration {record.id} was activated")
-        await self.on_activated(rig)
+        await self._on_activated(rig)
         self.active, self.calibration, self.rig, self._trouble = record, rig, rig_file, None
         log.info("calibration in use calibration=%s id=%s by=%s", record.id, rig_file.calibration_id, by)
 
@@ -289,7 +294,3 @@ class Calibrations:
         await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
         if drop.views:
             self._touched_s = time.monotonic()
-
-
-async def _nobody(rig: RigCalibration) -> None:
-    pass

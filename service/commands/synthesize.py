@@ -13,7 +13,7 @@ from rich.progress import track
 from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
-from pipeline.fall import GRAVITY_MM_S2, speed_mm_s
+from pipeline.fall import GRAVITY_MM_S2, Fall
 from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
@@ -38,8 +38,6 @@ MAX_RADIUS_MM = 100.0
 BALL_DIAMETERS_MM = (2.0, 40.0)
 MAX_FALL_JITTER_MS = 6.0
 """More, and the ball falls past the field of view."""
-DROP_MM = 300.0
-"""From the light gate to the centre of the rig."""
 
 HOUSING, BACKGROUND, PARTICLE = range(3)
 """Keys of the random streams: what a bundle shows does not depend on how many others there are."""
@@ -167,7 +165,7 @@ def command(
 def _fallen_mm(late_ms: float) -> float:
     """How far a body falls from when it is expected to `late_ms` later."""
     late_s = late_ms / 1e3
-    return speed_mm_s(DROP_MM) * late_s + GRAVITY_MM_S2 / 2 * late_s**2
+    return Fall().speed_at_center_mm_s * late_s + GRAVITY_MM_S2 / 2 * late_s**2
 
 
 def _turn(name: str, size_mm: float | None) -> Turn:

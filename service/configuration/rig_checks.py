@@ -7,7 +7,7 @@ import numpy as np
 from drivers.errors import RecordingError
 from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
-from pipeline.fall import blur_px, longest_exposure_us, speed_mm_s
+from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
@@ -82,7 +82,7 @@ def timing_problems(rig: AravisRigSettings, bundling: BundlingParameters) -> Ite
 def blur_problems(rig: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
     """Say whether a stone moves too far while it is lit."""
     lit_us = (rig.flash_us or rig.exposure_us) + rig.trigger_skew_us
-    speed = speed_mm_s(rig.fall_height_mm, rig.speed_at_gate_mm_s)
+    speed = rig.fall.speed_at_center_mm_s
     pixel_mm = min(
         float(np.linalg.norm(camera.center_mm)) / float(camera.K[1, 1]) for camera in calibration.cameras
     )

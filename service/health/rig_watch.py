@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.fall import speed_mm_s
+from pipeline.fall import Fall
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
@@ -104,8 +104,8 @@ class _Camera:
 class RigWatch:
     """`feed` it the records of all stones, in the order of their triggers; `suspicions` are for people."""
 
-    def __init__(self, rig: RigCalibration, speed_mm_s: float = speed_mm_s(300.0)) -> None:
-        self._speed_mm_s = speed_mm_s
+    def __init__(self, rig: RigCalibration, fall: Fall = Fall()) -> None:  # noqa: B008 - frozen
+        self._speed_mm_s = fall.speed_at_center_mm_s
         self.restart(rig)
 
     def restart(self, rig: RigCalibration) -> None:

@@ -58,7 +58,7 @@ class FakeControl:
     snapshots: dict[str, bytes] = field(default_factory=dict)
     calibrations: Calibrations | None = None
 
-    def acquisition(self) -> AcquisitionStatus:
+    def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:

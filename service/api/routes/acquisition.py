@@ -17,7 +17,7 @@ router = APIRouter(prefix="/acquisition", tags=["acquisition"])
 )
 async def acquisition(context: Context) -> AcquisitionStatus:
     """Whether stones are being measured."""
-    return context.control.acquisition()
+    return context.control.acquisition_status()
 
 
 @router.put(
@@ -26,4 +26,4 @@ async def acquisition(context: Context) -> AcquisitionStatus:
 async def set_acquisition(context: Context, wanted: AcquisitionRequest) -> AcquisitionStatus:
     """Arm or disarm; repeating a request changes nothing, 409 when the current state forbids it."""
     await context.control.set_acquisition(wanted.state)
-    return context.control.acquisition()
+    return context.control.acquisition_status()

@@ -99,7 +99,7 @@ async def start_verification(
     """
     control = context.control
     plan = VerificationPlan(**wanted.model_dump())
-    verification = await control.calibrations.verify(plan, control.acquisition().state)
+    verification = await control.calibrations.verify(plan, control.acquisition_status().state)
     response.headers["Location"] = f"{BASE}/verifications/{verification.id}"
     return _document(verification)
 

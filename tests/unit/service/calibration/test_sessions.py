@@ -68,12 +68,11 @@ def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
 async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
     told = []
     solver = MadeUpSolver()
-    desk = open_desk(tmp_path, solver=solver)
 
     async def on_activated(rig):
         told.append(rig.name)
 
-    desk.on_activated = on_activated
+    desk = open_desk(tmp_path, solver=solver, on_activated=on_activated)
     record = await desk.start(BALL, ARMED)
     assert desk.wants_balls
     assert desk.facts().at_work == "calibration 0002 is collecting: what falls is a ball"
