@@ -12,12 +12,12 @@
 Wrong arguments of a public function are plain `ValueError`.
 """
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pipeline.calibration.problem import Problem
+from pipeline.frames import CameraId
 
 
 class RejectReason(StrEnum):
@@ -39,6 +39,55 @@ class RejectReason(StrEnum):
     """The hull has no closed surface or no volume."""
 
 
+class ProblemCode(StrEnum):
+    """What is wrong with a calibration. The word is part of the REST contract and of the report files."""
+
+    # the drops, before anything is solved
+    TOO_FEW_DROPS = "too_few_drops"
+    FEW_DROPS = "few_drops"
+    CAMERA_SAW_TOO_FEW = "camera_saw_too_few"
+    AMBIGUOUS_SIZES = "ambiguous_sizes"
+    """Balls of two diameters were entered, but the drops do not show two sizes."""
+    MIXED_SIZES = "mixed_sizes"
+    """Balls entered with one diameter differ in size."""
+    WRONG_DIAMETER = "wrong_diameter"
+    THIN_COLUMN = "thin_column"
+    """The drops do not spread through the measuring volume."""
+    CAMERAS_SWAPPED = "cameras_swapped"
+    CAMERA_OUT_OF_PLACE = "camera_out_of_place"
+    # the solution
+    NO_CAMERA = "no_camera"
+    """The paper's method leads to a projection matrix that no camera has."""
+    IMPLAUSIBLE_RIG = "implausible_rig"
+    MANY_DROPS_LEFT_OUT = "many_drops_left_out"
+    CAMERA_MOVED = "camera_moved"
+    CAMERA_MOVED_DURING_DROPS = "camera_moved_during_drops"
+    CAMERA_CONTRADICTS = "camera_contradicts"
+    """Most views of a camera contradict the other cameras and were left out."""
+    SCALE_NOT_OBSERVABLE = "scale_not_observable"
+    FOCAL_LENGTH = "focal_length"
+    FOCAL_LENGTH_OR_DIAMETER = "focal_length_or_diameter"
+    LARGE_RESIDUAL = "large_residual"
+    LARGE_HELD_OUT_RESIDUAL = "large_held_out_residual"
+    UNCERTAIN_LENGTHS = "uncertain_lengths"
+    LARGE_EDGE_OFFSET = "large_edge_offset"
+    # a recalibration from stones
+    TOO_FEW_STONES = "too_few_stones"
+    UNKNOWN_CAMERA = "unknown_camera"
+    CONTRADICTION = "contradiction"
+    """A camera still contradicts the others afterwards."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """One finding about a calibration; a fatal one forbids its use."""
+
+    code: ProblemCode
+    detail: str  # for people: what is wrong and the remedy
+    camera: CameraId | None = None
+    is_fatal: bool = True
+
+
 class PipelineError(Exception):
     """Root of what the pipeline raises on purpose."""
 
@@ -54,6 +103,12 @@ class RigError(PipelineError):
         self.field = field
         self.problem = problem
 
+    @property
+    def camera_index(self) -> int | None:
+        """Index among the document's cameras of the one that the field belongs to; `None` of any other field."""
+        entry = re.match(r"cameras\[(\d+)\]", self.field)
+        return int(entry[1]) if entry else None
+
     def __str__(self) -> str:
         return f"{self.field}: {self.problem}"
 
@@ -65,7 +120,7 @@ class MeshError(PipelineError):
 class CalibrationError(PipelineError):
     """Nothing can be solved from these drops; `problems` say why and what to do."""
 
-    def __init__(self, problems: "Sequence[Problem]") -> None:
+    def __init__(self, problems: Sequence[Problem]) -> None:
         super().__init__(tuple(problems))
         self.problems = tuple(problems)
 

@@ -3,9 +3,8 @@
 from pipeline.calibration.ball_outline import observe_ball
 from pipeline.calibration.calibration import calibrate
 from pipeline.calibration.drops import BallDrop, BallView
-from pipeline.calibration.problem import Problem
 from pipeline.calibration.report import CalibrationReport, report_document
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, Problem
 
 __all__ = [
     "BallDrop",

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from pipeline.calibration.problem import Problem
+from pipeline.errors import Problem
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 

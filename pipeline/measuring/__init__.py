@@ -2,7 +2,6 @@
 
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
-from pipeline.measuring.shape import ShapeMeasurement, measure_shape
-from pipeline.measuring.warming import warm_up
+from pipeline.measuring.shape import ShapeMeasurement, measure_shape, warm_up
 
 __all__ = ["ShapeMeasurement", "gradient_angularity", "measure_shape", "sphere_hull_excess", "warm_up"]

@@ -17,6 +17,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pipeline.geometry.icosphere import icosphere
+from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.boxes import smallest_around_mm
 from pipeline.measuring.calipers import extents_across, max_feret, min_feret_mm
 from pipeline.measuring.convex import convex_body
@@ -24,6 +26,7 @@ from pipeline.measuring.solid import solid_of
 
 ZinggClass = Literal["equant", "disc", "rod", "blade"]
 ZINGG_LIMIT = 2 / 3
+WARM_UP_RADIUS_MM = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,3 +119,11 @@ def zingg_class(elongation_ratio: float, flatness_ratio: float) -> ZinggClass:
     if elongation_ratio > ZINGG_LIMIT:
         return "equant" if flatness_ratio > ZINGG_LIMIT else "disc"
     return "rod" if flatness_ratio > ZINGG_LIMIT else "blade"
+
+
+def warm_up() -> ShapeMeasurement:
+    """Measure a coarse ball and a circle, which compiles the loops of this package before the first stone."""
+    directions, faces = icosphere(subdivisions=2)
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    gradient_angularity(np.column_stack([np.cos(angle), np.sin(angle)]))
+    return measure_shape(WARM_UP_RADIUS_MM * directions, faces)

@@ -8,8 +8,8 @@ import skimage  # what is used of it is imported then
 from numpy.typing import NDArray
 
 from pipeline.carving import VisualHull, all_leaves
+from pipeline.meshing.connected_surfaces import largest_surface
 from pipeline.meshing.cubes import march
-from pipeline.meshing.parts import largest_part
 
 Mesher = Literal["leaves", "skimage"]
 """Our own marching cubes, or scikit-image's over the whole field, which holds the GIL and is slower."""
@@ -34,7 +34,7 @@ def mesh_hull(hull: VisualHull, mesher: Mesher = "leaves") -> ParticleMesh | Non
         vertices, faces = march(hull.field, hull.level, hull.leaves)
     if len(faces) == 0:
         return None
-    vertices, faces = largest_part(vertices, faces)
+    vertices, faces = largest_surface(vertices, faces)
     for axis, column in enumerate(vertices.T):  # whole columns at a time take a third of the time
         column *= hull.pitch_mm
         column += hull.origin_mm[axis]

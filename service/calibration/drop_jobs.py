@@ -22,6 +22,7 @@ from pipeline.calibration import (
 from pipeline.calibration.ball_fit import fit_ball
 from pipeline.calibration.ball_sizes import apparent_diameter_mm, with_diameters
 from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
+from pipeline.errors import ProblemCode
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
@@ -193,7 +194,7 @@ def _stone_problems(found: StoneCalibration) -> tuple[Problem, ...]:
         f"camera {worst} still contradicts the others by {found.scores_after_px[worst]:.2f} px: let more stones fall,"
         " or drop the ball"
     )
-    return (Problem(code="contradiction", detail=detail, camera=worst),)
+    return (Problem(code=ProblemCode.CONTRADICTION, detail=detail, camera=worst),)
 
 
 def _stone_document(

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
-def largest_part(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+def largest_surface(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Vertices (N, 3) and faces (M, 3) of the connected surface with most faces: islands are left out."""
     part_of = np.arange(len(vertices), dtype=np.int32)
     _unite(part_of, faces)
