@@ -9,7 +9,7 @@ from pipeline.calibration.ball_sizes import either_wrong, ratio_per_edge_px
 from pipeline.calibration.bundle_adjustment import Tolerances
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.movement import image_changes_px, steps
-from pipeline.calibration.report import CalibrationReport, Estimate
+from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource
 from pipeline.calibration.robust import adjust
 from pipeline.calibration.uncertainty import common_factors, covariance
 from pipeline.errors import Problem, ProblemCode, RigError
@@ -106,14 +106,14 @@ def scale_problems(
     A ball entered 5 percent too large makes the whole rig 5 percent larger, a longer lens only enlarges its images:
     perspective tells one from the other.
     """
-    if report.scale != "ball_diameter":
+    if report.scale is not ScaleSource.BALL_DIAMETER:
         yield Problem(
             code=ProblemCode.SCALE_NOT_OBSERVABLE,
             detail="the scale cannot be observed without the diameter of a ball: lengths are those of the initial rig, "
             "some tenths of a percent off as built, 9 percent if its focal length is only the lens's name",
             is_fatal=False,
         )
-    if report.scale != "ball_diameter" or report.rig.method == "paper":
+    if report.scale is not ScaleSource.BALL_DIAMETER or report.rig.method == "paper":
         return
     distance, focal = factors_by_balls(drops, report.initial)
     distance_percent, focal_percent = 100 * (distance.value - 1), 100 * (focal.value - 1)
@@ -205,7 +205,7 @@ def residual_problems(report: CalibrationReport, limits: AcceptanceLimits) -> It
 def uncertainty_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
     if report.uncertainty is not None:
         percent = report.uncertainty.length_sd_percent
-        if report.scale == "ball_diameter" and percent > limits.good_length_percent:
+        if report.scale is ScaleSource.BALL_DIAMETER and percent > limits.good_length_percent:
             yield Problem(
                 code=ProblemCode.UNCERTAIN_LENGTHS,
                 detail=f"lengths are known to {percent:.2f} percent only, {limits.good_length_percent:g} is sound: "

@@ -1,7 +1,7 @@
 """From the hull's field to a closed triangle mesh (marching cubes, the paper's eq. (11))."""
 
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
 
 import numpy as np
 import skimage  # what is used of it is imported then
@@ -11,8 +11,14 @@ from pipeline.carving import VisualHull, all_leaves
 from pipeline.meshing.connected_surfaces import largest_surface
 from pipeline.meshing.cubes import march
 
-Mesher = Literal["leaves", "skimage"]
-"""Our own marching cubes, or scikit-image's over the whole field, which holds the GIL and is slower."""
+
+class Mesher(StrEnum):
+    """Implementation of marching cubes; the words are those of `stonefall measure --mesher`."""
+
+    LEAVES = "leaves"
+    """Our own, over the octree's leaves."""
+    SKIMAGE = "skimage"
+    """scikit-image's over the whole field, the reference: slower, and it holds the GIL."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,12 +29,12 @@ class ParticleMesh:
     faces: NDArray[np.int64]  # (M, 3)
 
 
-def mesh_hull(hull: VisualHull, mesher: Mesher = "leaves") -> ParticleMesh | None:
+def mesh_hull(hull: VisualHull, mesher: Mesher = Mesher.LEAVES) -> ParticleMesh | None:
     """Surface of the hull's largest part, or `None` when the hull is empty.
 
     Where the hull meets the border of the grid the surface closes there; `hull.touches_border` tells.
     """
-    if mesher == "skimage":
+    if mesher is Mesher.SKIMAGE:
         vertices, faces = _skimage_surface(hull)
     else:
         vertices, faces = march(hull.field, hull.level, hull.leaves)

@@ -34,6 +34,7 @@ from pipeline.calibration import (
     CalibrationError,
     CalibrationReport,
     Problem,
+    ScaleSource,
     calibrate,
     observe_ball,
     report_document,
@@ -250,7 +251,7 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
     yield f"drops: {len(report.drops_used)} across {extent} mm; wanted: {covered.missing or 'nothing'}"
     if report.held_out_px is not None:
         yield f"drops not used in the fit: {report.held_out_px:.3f} px rms"
-    if report.scale == "ball_diameter":
+    if report.scale is ScaleSource.BALL_DIAMETER:
         yield "scale: from the diameter of the ball"
     else:
         yield "scale: not observable; lengths are those of the initial rig"

@@ -48,8 +48,8 @@ ROWS = {
     "elongation_ratio": "elongation b/a",
     "flatness_ratio": "flatness c/b",
     "zingg_class": "Zingg class",
-    "krumbein": "Krumbein",
-    "corey": "Corey",
+    "krumbein_sphericity": "sphericity (Krumbein)",
+    "corey_shape_factor": "shape factor (Corey)",
     "center_mm": "centre of mass, mm",
 }
 

@@ -123,8 +123,8 @@ def test_known_body_in_a_random_pose(name: str, seed: int) -> None:
         assert shape.min_box_mm == pytest.approx((a, b, c), rel=1e-3)
         assert shape.elongation_ratio == pytest.approx(b / a, rel=1e-3)
         assert shape.flatness_ratio == pytest.approx(c / b, rel=1e-3)
-        assert shape.krumbein == pytest.approx(krumbein, abs=1e-3)
-        assert shape.corey == pytest.approx(corey, abs=1e-3)
+        assert shape.krumbein_sphericity == pytest.approx(krumbein, abs=1e-3)
+        assert shape.corey_shape_factor == pytest.approx(corey, abs=1e-3)
         assert shape.zingg_class == zingg
 
 
