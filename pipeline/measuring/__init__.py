@@ -1,4 +1,4 @@
-"""What the product says about one stone: sizes, form, angularity, and the bias of the method."""
+"""Measure one stone: volume, sizes, form and angularity, and how much too large its visual hull is."""
 
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess

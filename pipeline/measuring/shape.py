@@ -91,7 +91,7 @@ class ShapeMeasurement:
 
 
 def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
-    """Measure a closed mesh with vertices (N, 3) and faces (M, 3); deterministic.
+    """Measure a closed mesh with vertices (N, 3) in mm and faces (M, 3); deterministic.
 
     Volume and area are exactly those of the polyhedron. All else is taken from its convex hull, without points
     that stand out by less than 3e-5 of the extent (`quickhull.TOLERANCE`): of that hull the D4791 triple is exact,
