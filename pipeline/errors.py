@@ -1,13 +1,13 @@
-"""What the pipeline refuses.
+"""The pipeline's errors, and why a bundle or a calibration is refused.
 
 ::
 
     PipelineError
-    ├── RigError            a rig document that cannot be a rig; names the field
-    ├── MeshError           a mesh that has no volume to measure; names the defect
-    ├── CalibrationError    drops that no calibration can be made from; carries the problems
-    ├── ModelError          a segmentation network that cannot be had or used; says what was expected
-    └── RejectedError       this bundle shows no measurable stone; the reason becomes the outcome
+    ├── RigError            a rig document is invalid; names the field
+    ├── MeshError           a mesh bounds no volume; names the defect
+    ├── CalibrationError    no calibration can be solved; carries the problems
+    ├── ModelError          a segmentation network is missing or unusable; says what was expected
+    └── RejectedError       a bundle shows no measurable stone; the reason becomes the outcome
 
 Wrong arguments of a public function are plain `ValueError`.
 """
@@ -28,15 +28,15 @@ class RejectReason(StrEnum):
     MULTIPLE = "multiple"
     """Several views show more than one body."""
     CLIPPED = "clipped"
-    """The body leaves the image in several views, or the carved volume."""
+    """The body leaves the image in several views, or it leaves the carved volume."""
     INSUFFICIENT_VIEWS = "insufficient_views"
-    """Too few usable views, or a whole hemisphere of them is gone."""
+    """Too few views are usable, or those of a whole hemisphere are missing."""
     INCONSISTENT = "inconsistent"
-    """More views contradict the others than may be dropped: not one rigid body seen at one instant."""
+    """More views contradict the others than may be dropped: they do not show one rigid body at one instant."""
     NO_BACKGROUND = "no_background"
-    """The empty rig was never seen, so nothing can be told from it."""
+    """The empty rig was never photographed, so the views have no reference."""
     IMPLAUSIBLE = "implausible"
-    """The hull has no closed surface or no volume."""
+    """The visual hull has no closed surface or no volume."""
 
 
 class ProblemCode(StrEnum):
@@ -89,17 +89,17 @@ class Problem:
 
 
 class PipelineError(Exception):
-    """Root of what the pipeline raises on purpose."""
+    """Base class of the pipeline's errors."""
 
 
 class RigError(PipelineError):
     """A rig document is damaged, incomplete or geometrically impossible.
 
-    `field` is the path of the first wrong field, such as `cameras[3].K`.
+    `field` is the path of the first wrong field, such as `cameras[3].K`, `problem` what is wrong with it.
     """
 
     def __init__(self, field: str, problem: str) -> None:
-        super().__init__(field, problem)  # as given: workers send errors home pickled
+        super().__init__(field, problem)  # the arguments as given, since workers pickle errors
         self.field = field
         self.problem = problem
 
@@ -118,7 +118,7 @@ class MeshError(PipelineError):
 
 
 class CalibrationError(PipelineError):
-    """Nothing can be solved from these drops; `problems` say why and what to do."""
+    """No calibration can be solved from these drops or stones; `problems` say why and what to do."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         super().__init__(tuple(problems))
@@ -129,11 +129,11 @@ class CalibrationError(PipelineError):
 
 
 class ModelError(PipelineError):
-    """A segmentation model is missing, damaged, another than it claims to be, or of a shape nobody can use."""
+    """A segmentation model is missing, damaged, another than expected, or of an unusable shape."""
 
 
 class RejectedError(PipelineError):
-    """No measurable stone in this bundle, for this reason."""
+    """A bundle shows no measurable stone; `detail` says why in words."""
 
     def __init__(self, reason: RejectReason, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")

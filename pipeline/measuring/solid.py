@@ -13,7 +13,7 @@ from pipeline.arrays import Faces, Flags, Matrix33, PointsMM, Values, Vector
 from pipeline.compiled import compiled, whole
 from pipeline.errors import MeshError
 
-MIN_FILLING = 1e-9
+MIN_COMPACTNESS = 1e-9
 """Least volume / area^(3/2) of a solid; below it the volume consists of rounding errors."""
 MISSING = "the mesh has faces whose vertices are missing"
 MIX_1, MIX_2, MIX_3 = (
@@ -64,7 +64,7 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
         raise MeshError("the mesh has vertices that are not finite numbers")
     if kind == OPEN:
         raise MeshError(_defect(corners, len(points_mm)))
-    if not abs(volume_mm3) > MIN_FILLING * area_mm2**1.5:
+    if not abs(volume_mm3) > MIN_COMPACTNESS * area_mm2**1.5:
         raise MeshError("the mesh encloses no volume")
     center_mm = sums[2:5] / volume_mm3
     second_mm5 = sums[SECOND] - volume_mm3 * np.outer(center_mm, center_mm)

@@ -1,12 +1,12 @@
-"""From the hull's field to a closed triangle mesh (marching cubes, the paper's eq. (11))."""
+"""Closed triangle mesh of the visual hull, by marching cubes over its field (the paper's eq. (11))."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import skimage  # what is used of it is imported then
-from numpy.typing import NDArray
+import skimage  # imports its submodules on use
 
+from pipeline.arrays import Faces, PointsMM
 from pipeline.carving import VisualHull, all_leaves
 from pipeline.meshing.connected_surfaces import largest_surface
 from pipeline.meshing.cubes import march
@@ -25,14 +25,14 @@ class Mesher(StrEnum):
 class ParticleMesh:
     """Closed surface in the world frame; faces counter-clockwise seen from outside."""
 
-    vertices_mm: NDArray[np.float64]  # (N, 3)
-    faces: NDArray[np.int64]  # (M, 3)
+    vertices_mm: PointsMM
+    faces: Faces
 
 
 def mesh_hull(hull: VisualHull, mesher: Mesher = Mesher.LEAVES) -> ParticleMesh | None:
-    """Surface of the hull's largest part, or `None` when the hull is empty.
+    """Return the largest connected surface of the hull, in mm, or `None` if the hull is empty.
 
-    Where the hull meets the border of the grid the surface closes there; `hull.touches_border` tells.
+    Where the hull reaches the border of the grid (`hull.touches_border`) the surface is closed along it.
     """
     if mesher is Mesher.SKIMAGE:
         vertices, faces = _skimage_surface(hull)
@@ -41,13 +41,13 @@ def mesh_hull(hull: VisualHull, mesher: Mesher = Mesher.LEAVES) -> ParticleMesh 
     if len(faces) == 0:
         return None
     vertices, faces = largest_surface(vertices, faces)
-    for axis, column in enumerate(vertices.T):  # whole columns at a time take a third of the time
+    for axis, column in enumerate(vertices.T):  # column by column takes a third of the time
         column *= hull.pitch_mm
         column += hull.origin_mm[axis]
     return ParticleMesh(vertices, faces)
 
 
-def _skimage_surface(hull: VisualHull) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _skimage_surface(hull: VisualHull) -> tuple[PointsMM, Faces]:
     if not (hull.field > hull.level).any():
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces, _, _ = skimage.measure.marching_cubes(
@@ -57,7 +57,7 @@ def _skimage_surface(hull: VisualHull) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def warm_up() -> ParticleMesh | None:
-    """Compile what meshing needs, by meshing a small ball."""
+    """Mesh a small ball, which compiles the loops of this package before the first stone."""
     samples = np.indices((8, 8, 8))
     return mesh_hull(
         VisualHull(
