@@ -53,7 +53,7 @@ class PipelineParameters:
     views: ViewsParameters = field(default_factory=ViewsParameters)
     consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     carving: CarvingParameters = field(default_factory=CarvingParameters)
-    mesher: Mesher = "leaves"
+    mesher: Mesher = Mesher.LEAVES
     body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
 

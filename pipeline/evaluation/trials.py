@@ -50,6 +50,7 @@ class ShapeErrors:
     area_percent: float
     max_feret_mm: float
     min_feret_mm: float
+    thickness_mm: float
     sieve_size_mm: float
 
 
@@ -163,6 +164,7 @@ def _errors(measured: Measured, true: ShapeMeasurement) -> ShapeErrors:
         area_percent=100 * (shape.surface_area_mm2 / true.surface_area_mm2 - 1),
         max_feret_mm=shape.max_feret_mm - true.max_feret_mm,
         min_feret_mm=shape.min_feret_mm - true.min_feret_mm,
+        thickness_mm=shape.thickness_mm - true.thickness_mm,
         sieve_size_mm=shape.sieve_size_mm - true.sieve_size_mm,
     )
 

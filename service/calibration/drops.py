@@ -17,6 +17,7 @@ from pipeline.calibration import (
 )
 from pipeline.calibration.ball_sizes import with_diameters
 from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
+from pipeline.errors import ProblemCode
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
@@ -104,7 +105,7 @@ def _contradictions(found: StoneCalibration) -> tuple[Problem, ...]:
         f"camera {worst} still contradicts the others by {found.scores_after_px[worst]:.2f} px: let more stones fall,"
         " or drop the ball"
     )
-    return (Problem(code="contradiction", detail=detail, camera=worst),)
+    return (Problem(code=ProblemCode.CONTRADICTION, detail=detail, camera=worst),)
 
 
 def _stone_report(

@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.calibration import CalibrationReport, Problem
+from pipeline.calibration import CalibrationReport, Problem, ScaleSource
 from pipeline.calibration.coverage import Coverage
 from pipeline.calibration.self_calibration import StoneCalibration
 
@@ -77,7 +77,7 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
     yield f"drops: {len(report.drops_used)} across {extent} mm; wanted: {covered.missing or 'nothing'}"
     if report.held_out_px is not None:
         yield f"drops not used in the fit: {report.held_out_px:.3f} px rms"
-    if report.scale == "ball_diameter":
+    if report.scale is ScaleSource.BALL_DIAMETER:
         yield "scale: from the diameter of the ball"
     else:
         yield "scale: not observable; lengths are those of the initial rig"

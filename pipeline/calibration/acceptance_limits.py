@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationLimits:
+class AcceptanceLimits:
     """`good_...`: beyond it a warning; `min_...` and `max_...`: beyond it a refusal; the others say which it is."""
 
     min_views: int = 3  # of a drop: two rays always nearly meet, the third one checks
