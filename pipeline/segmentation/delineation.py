@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.frames import Frame
-from pipeline.segmentation.edge import Edge
-from pipeline.segmentation.grey_levels import GreyLevels, cross, decided
+from pipeline.segmentation.edge_refinement import N_NOTES, to_steepest
+from pipeline.segmentation.local_threshold import GreyLevels, cross, decided
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
-from pipeline.segmentation.steepest import N_NOTES, to_steepest
+from pipeline.segmentation.subpixel_edge import Edge
 
 Grey = NDArray[np.uint8]
 Contours = Sequence[NDArray[np.int32]]

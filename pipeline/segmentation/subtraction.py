@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
-from pipeline.segmentation.comparison import DIFFERS, Thresholds, compare, limits_around, sampled
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
 from pipeline.segmentation.light import EVEN_SHARE, uneven_light
+from pipeline.segmentation.pixel_comparison import DIFFERS, Thresholds, compare, limits_around, sampled
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
 Grey = NDArray[np.uint8]

@@ -8,7 +8,7 @@ import onnxruntime
 from pydantic import AfterValidator, ValidationInfo
 
 from pipeline.errors import ModelError
-from pipeline.segmentation.choice import Wanted
+from pipeline.segmentation.segmenter_choice import Wanted
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.configuration.paths import resolve_path
 from service.models.networks import load_model, read_model

@@ -11,11 +11,11 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import choice
+from pipeline.segmentation import segmenter_choice
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.choice import ChoosingSegmenter, Wanted
 from pipeline.segmentation.network import available_providers, load_network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, Wanted
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 
 log = logging.getLogger(__name__)
@@ -63,7 +63,7 @@ def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> Network
 
 def warm_up(segmenter: ChoosingSegmenter) -> None:
     """Have everything compiled and allocated that the first stone would wait for: segment squares."""
-    choice.warm_up()
+    segmenter_choice.warm_up()
     if segmenter.network is None:
         return
     wall = np.full((256, 320), 200, np.float32)

@@ -27,7 +27,7 @@ from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
 
-from pipeline.segmentation.choice import Wanted
+from pipeline.segmentation.segmenter_choice import Wanted
 from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 
 N_STONES = 20

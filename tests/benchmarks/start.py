@@ -28,7 +28,7 @@ from support.daemon_process import DaemonProcess, descendants_of
 from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
-from pipeline.segmentation.choice import Wanted
+from pipeline.segmentation.segmenter_choice import Wanted
 from service.benchmarks.performance import worker_context
 from service.processing.measure_job import initialize
 

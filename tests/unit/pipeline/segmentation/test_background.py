@@ -19,8 +19,8 @@ from pipeline.segmentation.background import (
     coarsen,
     learn_background,
 )
-from pipeline.segmentation.comparison import sampled
 from pipeline.segmentation.light import flash_gain
+from pipeline.segmentation.pixel_comparison import sampled
 from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView, empty_view
 
 C02 = CameraId("c02")

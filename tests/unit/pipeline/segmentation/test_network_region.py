@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.segmentation.background import COARSE
-from pipeline.segmentation.behind import Behind
-from pipeline.segmentation.region import Region, rectangle_around, whole
+from pipeline.segmentation.lit_background import Behind
+from pipeline.segmentation.network_region import Region, rectangle_around, whole
 
 
 def test_squares_hold_what_is_looked_at() -> None:

@@ -31,7 +31,7 @@ from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance, dimmed_sector, dust, flicker
-from pipeline.synthesis.optics import ExposureParameters
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph, simulate_rig
 
 C05 = CameraId("c05")

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pipeline.segmentation.background import COARSE, coarsen
-from pipeline.segmentation.comparison import (
+from pipeline.segmentation.light import EVEN, LIT, UNLIKE
+from pipeline.segmentation.local_threshold import OPEN, GreyLevels, decided, limits_from
+from pipeline.segmentation.pixel_comparison import (
     DARK,
     DIFFERS,
     NOISE_GREY,
@@ -16,8 +18,6 @@ from pipeline.segmentation.comparison import (
     limits_around,
     sampled,
 )
-from pipeline.segmentation.grey_levels import OPEN, GreyLevels, decided, limits_from
-from pipeline.segmentation.light import EVEN, LIT, UNLIKE
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 THRESHOLDS = Thresholds(gain=np.float32(0.9), min_contrast=np.float32(0.12), dark=np.uint8(100))

@@ -16,8 +16,8 @@ from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.delineation import delineate
-from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.light import flash_gain
+from pipeline.segmentation.local_threshold import limits_from
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere

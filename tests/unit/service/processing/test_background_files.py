@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import SETTLED, BackgroundModel, CameraBackground, learn_background
-from pipeline.segmentation.choice import ChoosingSegmenter, warm_up
 from pipeline.segmentation.optics import observe_optics
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, warm_up
 from pipeline.segmentation.silhouette import ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.processing.background_files import FOLLOWING, read_background, write_background

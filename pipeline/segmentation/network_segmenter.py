@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 
 from pipeline.frames import Frame
-from pipeline.segmentation.answer import BLUR, EDGE_PX, Answer, ask, dilated, eroded
 from pipeline.segmentation.background import COARSE, BackgroundModel
-from pipeline.segmentation.behind import Behind
-from pipeline.segmentation.comparison import sampled
 from pipeline.segmentation.delineation import Delineation, delineate, no_body, silhouette_of
-from pipeline.segmentation.grey_levels import limits_from
-from pipeline.segmentation.ground import Ground, carried, ground_of
-from pipeline.segmentation.limits import (
+from pipeline.segmentation.expected_view import Ground, carried, ground_of
+from pipeline.segmentation.lit_background import Behind
+from pipeline.segmentation.local_threshold import limits_from
+from pipeline.segmentation.network import Network
+from pipeline.segmentation.network_region import Array, Bits, Box, Region, rectangle_around, whole
+from pipeline.segmentation.network_trimap import (
     CORE,
     HALO_CONTRAST,
     POSSIBLE,
@@ -28,8 +28,8 @@ from pipeline.segmentation.limits import (
     halo_of,
     limits_of,
 )
-from pipeline.segmentation.network import Network
-from pipeline.segmentation.region import Array, Bits, Box, Region, rectangle_around, whole
+from pipeline.segmentation.pixel_comparison import sampled
+from pipeline.segmentation.prediction import BLUR, EDGE_PX, Answer, ask, dilated, eroded
 from pipeline.segmentation.silhouette import INSIDE, MARGIN_PX, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import SegmentationParameters
 

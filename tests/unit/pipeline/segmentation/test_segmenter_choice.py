@@ -15,9 +15,9 @@ from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.particle import PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Silhouette, ViewStatus
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.choice import ChoosingSegmenter, Wanted, unseen_share
 from pipeline.segmentation.network import load_network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, Wanted, unseen_share
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.segmentation.ground import Ground
-from pipeline.segmentation.limits import SURE, SURELY_NOT
+from pipeline.segmentation.expected_view import Ground
 from pipeline.segmentation.network import MAX_RELATIVE, Network
-from pipeline.segmentation.region import Array, Bits, Box, Region
+from pipeline.segmentation.network_region import Array, Bits, Box, Region
+from pipeline.segmentation.network_trimap import SURE, SURELY_NOT
 from pipeline.segmentation.silhouette import MARGIN_PX, ViewStatus
 from pipeline.segmentation.subtraction import SegmentationParameters
 

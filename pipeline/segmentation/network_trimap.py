@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.segmentation.behind import LEAST_SIDE_PX, Behind
+from pipeline.segmentation.lit_background import LEAST_SIDE_PX, Behind
 
 Array = NDArray[np.float32]
 Bits = NDArray[np.uint8]

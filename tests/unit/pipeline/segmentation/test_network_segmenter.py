@@ -18,15 +18,15 @@ from pipeline.segmentation import (
     Segmenter,
     Silhouette,
     ViewStatus,
-    edge,
-    grey_levels,
-    steepest,
+    edge_refinement,
+    local_threshold,
+    subpixel_edge,
 )
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.choice import ChoosingSegmenter
-from pipeline.segmentation.ground import carried
+from pipeline.segmentation.expected_view import carried
 from pipeline.segmentation.network import load_network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from service.processing.segmenters import warm_up
@@ -235,7 +235,12 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [grey_levels._decide, steepest.to_steepest, edge._between, edge._keep_nearest]
+    kernels = [
+        local_threshold._decide,
+        edge_refinement.to_steepest,
+        subpixel_edge._between,
+        subpixel_edge._keep_nearest,
+    ]
     segmenter = network_segmenter()
     warm_up(ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter))
     compiled = [len(kernel.signatures) for kernel in kernels]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, compiled_within, whole
-from pipeline.segmentation.edge import along
-from pipeline.segmentation.grey_levels import GreyLevels
+from pipeline.segmentation.local_threshold import GreyLevels
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
+from pipeline.segmentation.subpixel_edge import along
 
 Grey = NDArray[np.uint8]
 Array = NDArray[np.float32]

@@ -19,9 +19,9 @@ from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.background import BackgroundModel, CameraBackground
 from pipeline.segmentation.optics import observe_optics
+from pipeline.segmentation.outline_bands import Views, shares_beside
 from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView
-from pipeline.segmentation.surroundings import Views, shares_beside
 
 Grey = NDArray[np.uint8]
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from pipeline.compiled import compiled, compiled_within
 from pipeline.segmentation.background import COARSE
-from pipeline.segmentation.grey_levels import FINE, OPEN
 from pipeline.segmentation.light import EVEN, LIT, UNLIKE
+from pipeline.segmentation.local_threshold import FINE, OPEN
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 Grey = NDArray[np.uint8]

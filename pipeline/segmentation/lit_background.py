@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.segmentation.light import EVEN, EVEN_SHARE
-from pipeline.segmentation.region import Region
+from pipeline.segmentation.network_region import Region
 
 Array = NDArray[np.float32]
 Bits = NDArray[np.uint8]

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from pipeline.segmentation.outline_bands import Views, shares_beside
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
-from pipeline.segmentation.surroundings import Views, shares_beside
 
 Bits = NDArray[np.uint8]
 
