@@ -1,6 +1,7 @@
-"""Grey levels beside a body's edge: its own, carried outwards from the core, and what they say of each pixel.
+"""Local thresholding of a body, half-way between its grey level and the background's, and the crossings of its edge.
 
-Only the cells between core and possible are visited, and the levels of the blocks around them.
+The body's level is extrapolated outwards from its core. Only the open cells of the trimap are visited, and the
+blocks around them.
 """
 
 from typing import NamedTuple
@@ -8,72 +9,70 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import FloatImage, GreyImage, Mask, PointsUV
 from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
-Grey = NDArray[np.uint8]
-Array = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-
 OPEN = np.uint8(64)
-"""Beside INSIDE, UNKNOWN and OUTSIDE: what is to be decided."""
-FINE = 2
-"""Edge of the cells, in pixels, of which something is known or is to be decided."""
-CELLS = 2
-BLOCK_PX = CELLS * FINE
-"""The body's grey level is the same for the pixels of a block of this edge: the mean of the core in it and its
-eight neighbours."""
-NOT_ASKED = np.float32(-1)
-"""The level of a block that nothing is decided beside."""
-FAR, FAR_STEP = 15, whole(5)
-"""Slivers too thin for a core, and edges beside the unknown, ask so many cells around, every so many-th of them."""
-FIRST, EACH = whole(0), whole(1)
-LEAST_COVERAGE = 0.025
-"""Coverages are cut off here and at one less this before their probit is taken."""
+"""State of a trimap's cell, beside INSIDE, UNKNOWN and OUTSIDE: grey levels decide."""
+CELL_PX = 2
+"""Edge of a trimap's cells."""
+CELLS_PER_BLOCK = 2
+BLOCK_PX = CELLS_PER_BLOCK * CELL_PX
+"""Edge of the blocks within which the body's grey level is constant: the mean of the core in the block and its eight
+neighbours."""
+NOT_COMPUTED = np.float32(-1)
+"""Level of a block without an open cell beside it."""
+FAR_CELLS, FAR_STEP = 15, whole(5)
+"""Half width of the window, and step in it, from which slivers too thin for a core, and edges beside unknown cells,
+take the body's level; in cells."""
+ZERO, ONE = whole(0), whole(1)
+MIN_COVERAGE = 0.025
+"""Coverages are clipped to this and to one less this before their probit is taken."""
 
 
-class GreyLevels(NamedTuple):
-    """What decides in a region of an image between core and possible."""
+class RegionLevels(NamedTuple):
+    """A region of an image, what it would show without the body, and where grey levels decide."""
 
-    image: Grey  # (h, w)
-    expected: Grey  # (h, w) without a body
+    image: GreyImage  # (h, w)
+    expected: GreyImage  # (h, w) without a body
     gain: np.float32  # factor on `expected`
-    limits: Grey  # (h / 2, w / 2) of cells, rounded up: INSIDE, UNKNOWN, OUTSIDE, or OPEN
+    trimap: GreyImage  # (h / 2, w / 2) of cells, rounded up: INSIDE, UNKNOWN, OUTSIDE, or OPEN
 
 
-def limits_from(core: Mask, possible: Mask, unknown: Mask) -> Grey:
-    """INSIDE the core, elsewhere UNKNOWN, elsewhere OPEN if possible, else OUTSIDE: of masks (h / 2, w / 2)."""
+def trimap_of(core: Mask, possible: Mask, unknown: Mask) -> GreyImage:
+    """Return the trimap of masks (h / 2, w / 2): INSIDE the core, else UNKNOWN, else OPEN if possible, else OUTSIDE."""
     return np.where(core, INSIDE, np.where(unknown, UNKNOWN, np.where(possible, OPEN, OUTSIDE)))
 
 
-def decided(view: GreyLevels, min_contrast: float) -> tuple[Grey, Array, bool]:
-    """Labels (h, w), levels of the body in blocks (h / 4, w / 4), and whether anything is inside.
+def threshold(region: RegionLevels, min_contrast: float) -> tuple[GreyImage, FloatImage, bool]:
+    """Return labels (h, w), levels of the body in blocks (h / 4, w / 4), and whether anything is inside.
 
-    Where the body's contrast is less than a share of what is expected, pixels are unknown.
+    Where the body's contrast is less than `min_contrast`, a share of what is expected, pixels are unknown.
     """
-    height, width = view.image.shape
-    n_rows, n_columns = view.limits.shape
-    twice = np.empty((FINE * n_rows, n_columns), np.uint16)
-    levels = np.empty((n_rows // CELLS + 1, n_columns // CELLS + 1), np.float32)
+    height, width = region.image.shape
+    n_rows, n_columns = region.trimap.shape
+    twice = np.empty((CELL_PX * n_rows, n_columns), np.uint16)
+    levels = np.empty((n_rows // CELLS_PER_BLOCK + 1, n_columns // CELLS_PER_BLOCK + 1), np.float32)
     eights = np.zeros(n_columns // 8 + 1, np.uint64)
     labels, is_open = twice.view(np.uint8), eights.view(np.uint8)
-    is_inside = _decide(view, np.float32(min_contrast), levels, twice, labels, eights, is_open)
-    return np.ascontiguousarray(labels[:height, :width]), levels, is_inside or bool(INSIDE in view.limits)
+    is_inside = _label_cells(region, np.float32(min_contrast), levels, twice, labels, eights, is_open)
+    return np.ascontiguousarray(labels[:height, :width]), levels, is_inside or bool(INSIDE in region.trimap)
 
 
 @compiled
-def _decide(
-    view: GreyLevels,
+def _label_cells(
+    region: RegionLevels,
     min_contrast: np.float32,
-    levels: Array,
+    levels: FloatImage,
     twice: NDArray[np.uint16],
-    labels: Grey,
+    labels: GreyImage,
     eights: NDArray[np.uint64],
-    is_open: Grey,
+    is_open: GreyImage,
 ) -> bool:
-    """Label cells (h, w); whether any that is open is inside.
+    """Label the pixels of all cells (h, w); return whether any in an open one is inside.
 
-    The levels of the blocks of what is open are found, and of those next to them, between which the edge may run.
+    Levels are computed for the blocks of open cells, and for those next to them, between which the edge may run.
 
     Parameters
     ----------
@@ -82,21 +81,21 @@ def _decide(
     eights, is_open
         Zeros for the cells of a row: the same memory, eight at a time and one. Few are open.
     """
-    image, expected, limits = view.image, view.expected, view.limits
+    image, expected, trimap = region.image, region.expected, region.trimap
     height, width = image.shape
-    n_rows, n_columns = limits.shape
+    n_rows, n_columns = trimap.shape
     open_columns = np.empty(n_columns + 8, np.int64)
-    typical, is_inside = NOT_ASKED, False
+    typical, is_inside = NOT_COMPUTED, False
     for y in range(len(levels)):
         for x in range(len(levels[0])):
-            levels[y, x] = NOT_ASKED
+            levels[y, x] = NOT_COMPUTED
     for row in range(n_rows):
-        here, upper, lower = limits[row], twice[FINE * row], twice[FINE * row + 1]
-        for column in range(n_columns):  # vectorized, but only one after the other
+        here, upper, lower = trimap[row], twice[CELL_PX * row], twice[CELL_PX * row + 1]
+        for column in range(n_columns):  # two loops: each is vectorized
             upper[column] = here[column] * np.uint16(0x0101)
         for column in range(n_columns):
             lower[column] = upper[column]
-        n_open, first_y = 0, max(row - 1, 0) // CELLS
+        n_open, first_y = 0, max(row - 1, 0) // CELLS_PER_BLOCK
         for column in range(n_columns):
             is_open[column] = here[column] == OPEN
         for eight in range(len(eights)):
@@ -106,24 +105,26 @@ def _decide(
                     n_open += is_open[column]
         for i in range(n_open):
             column = open_columns[i]
-            for y in range(first_y, (row + 1) // CELLS + 1):
-                for x in range(max(column - 1, 0) // CELLS, (column + 1) // CELLS + 1):
-                    if levels[y, x] == NOT_ASKED:
-                        levels[y, x] = _level(image, limits, y, x)
-                        if np.isnan(levels[y, x]):  # no core far and wide: what may be body, edge included
-                            if typical == NOT_ASKED:
-                                typical = _mean(image, limits, OPEN, FIRST, FIRST, height, width, EACH)
+            for y in range(first_y, (row + 1) // CELLS_PER_BLOCK + 1):
+                for x in range(max(column - 1, 0) // CELLS_PER_BLOCK, (column + 1) // CELLS_PER_BLOCK + 1):
+                    if levels[y, x] == NOT_COMPUTED:
+                        levels[y, x] = _level(image, trimap, y, x)
+                        if np.isnan(
+                            levels[y, x]
+                        ):  # no core nearby: the mean of all that is open, edge included
+                            if typical == NOT_COMPUTED:
+                                typical = _mean(image, trimap, OPEN, ZERO, ZERO, height, width, ONE)
                             levels[y, x] = typical
-            level = levels[row // CELLS, column // CELLS]
-            for place in range(FINE * FINE):  # as many in each cell: a loop that is unrolled
-                # those beyond the border are in it once more
-                v = min(FINE * row + place // FINE, height - 1)
-                u = min(FINE * column + place % FINE, width - 1)
-                behind = view.gain * np.float32(expected[v, u])
-                contrast = behind - level
-                covered = behind - np.float32(image[v, u])
+            level = levels[row // CELLS_PER_BLOCK, column // CELLS_PER_BLOCK]
+            for place in range(CELL_PX * CELL_PX):  # as many in each cell: a loop that is unrolled
+                # pixels beyond the border repeat it
+                v = min(CELL_PX * row + place // CELL_PX, height - 1)
+                u = min(CELL_PX * column + place % CELL_PX, width - 1)
+                background = region.gain * np.float32(expected[v, u])
+                contrast = background - level
+                covered = background - np.float32(image[v, u])
                 is_body = (covered - np.float32(0.5) * contrast) * contrast > 0
-                is_clear = abs(contrast) >= min_contrast * behind
+                is_clear = abs(contrast) >= min_contrast * background
                 label = INSIDE if is_body else OUTSIDE
                 labels[v, u] = label if is_clear else UNKNOWN
                 is_inside |= is_body & is_clear
@@ -131,34 +132,45 @@ def _decide(
 
 
 @compiled_within
-def _level(image: Grey, limits: Grey, y: int, x: int) -> np.float32:
-    """Grey level of the body in a block: of the core near it, or else far; NaN of none."""
-    row, column, end = CELLS * y, CELLS * x, 2 * CELLS
-    level = _mean(image, limits, INSIDE, row - CELLS, column - CELLS, row + end, column + end, EACH)
+def _level(image: GreyImage, trimap: GreyImage, y: int, x: int) -> np.float32:
+    """Return the grey level of the body in a block, from the core near it or else further away; NaN without a core."""
+    row, column, end = CELLS_PER_BLOCK * y, CELLS_PER_BLOCK * x, 2 * CELLS_PER_BLOCK
+    level = _mean(
+        image, trimap, INSIDE, row - CELLS_PER_BLOCK, column - CELLS_PER_BLOCK, row + end, column + end, ONE
+    )
     if np.isnan(level):
-        row, column, end = row + CELLS // 2, column + CELLS // 2, FAR + 1
-        level = _mean(image, limits, INSIDE, row - FAR, column - FAR, row + end, column + end, FAR_STEP)
+        row, column, end = row + CELLS_PER_BLOCK // 2, column + CELLS_PER_BLOCK // 2, FAR_CELLS + 1
+        level = _mean(
+            image, trimap, INSIDE, row - FAR_CELLS, column - FAR_CELLS, row + end, column + end, FAR_STEP
+        )
     return level
 
 
 @compiled_within
 def _mean(
-    image: Grey, limits: Grey, limit: np.uint8, top: int, left: int, bottom: int, right: int, step: int
+    image: GreyImage,
+    trimap: GreyImage,
+    state: np.uint8,
+    top: int,
+    left: int,
+    bottom: int,
+    right: int,
+    step: int,
 ) -> np.float32:
-    """Mean grey level of the cells that have a limit, of every so many-th in a window; NaN of none."""
+    """Return the mean grey level of the cells in a state, of every `step`-th in a window; NaN if there is none."""
     while top < 0:
         top += step
     while left < 0:
         left += step
-    bottom, right = min(bottom, limits.shape[0]), min(right, limits.shape[1])
+    bottom, right = min(bottom, trimap.shape[0]), min(right, trimap.shape[1])
     total = n = 0
     row = top
     while row < bottom:  # a range of unknown step costs a division
-        limits_here, pixels = limits[row], image[FINE * row]
+        states, pixels = trimap[row], image[CELL_PX * row]
         column = left
         while column < right:
-            if limits_here[column] == limit:
-                total += pixels[FINE * column]
+            if states[column] == state:
+                total += pixels[CELL_PX * column]
                 n += 1
             column += step
         row += step
@@ -166,18 +178,19 @@ def _mean(
 
 
 @compiled
-def cross(
-    view: GreyLevels,
-    levels: Array,
-    body: Grey,
-    labels: Grey,
+def find_crossings(
+    region: RegionLevels,
+    levels: FloatImage,
+    body: GreyImage,
+    labels: GreyImage,
     pixels_uv: NDArray[np.int32],
-    points_uv: NDArray[np.float64],
-    seen: Grey,
+    points_uv: PointsUV,
+    seen: GreyImage,
 ) -> None:
-    """Write points (N, 2): the mean crossing of the edge beside each pixel (N, 2), and whether it was seen (N,).
+    """Write the mean crossing of the edge beside each of `pixels_uv` (N, 2) into `points_uv`, and whether it is `seen`.
 
-    Under a Gaussian blur of any width the probit of the coverage is linear across the edge.
+    The crossing is interpolated between neighbouring pixels in the probit of their coverage, which is linear across
+    the edge under a Gaussian blur of any width.
     """
     height, width = body.shape
     for i in range(len(pixels_uv)):
@@ -193,11 +206,11 @@ def cross(
                 if not (0 <= x < width and 0 <= y < height) or body[y, x]:
                     continue
             coverage = 1.0
-            if view.limits[y // FINE, x // FINE] != INSIDE:
-                behind = view.gain * np.float32(view.expected[y, x])
-                covered = behind - np.float32(view.image[y, x])
-                coverage = float(covered / (behind - levels[y // BLOCK_PX, x // BLOCK_PX]))
-            probit = _probit(min(max(coverage, LEAST_COVERAGE), 1 - LEAST_COVERAGE))
+            if region.trimap[y // CELL_PX, x // CELL_PX] != INSIDE:
+                background = region.gain * np.float32(region.expected[y, x])
+                covered = background - np.float32(region.image[y, x])
+                coverage = float(covered / (background - levels[y // BLOCK_PX, x // BLOCK_PX]))
+            probit = _probit(min(max(coverage, MIN_COVERAGE), 1 - MIN_COVERAGE))
             if labels[y, x] == UNKNOWN:
                 seen[i] = 0
             if neighbour < 0:
@@ -209,14 +222,14 @@ def cross(
             sum_u += share * (x - u)
             sum_v += share * (y - v)
             n += 1
-        if n == 0:  # at the border of the region
+        if n == 0:  # no neighbour outside the body: at the border of the region
             seen[i] = 0
         points_uv[i, 0], points_uv[i, 1] = u + sum_u / max(n, 1), v + sum_v / max(n, 1)
 
 
 @compiled_within
 def _probit(coverage: float) -> float:
-    """Quantile of the normal distribution for 0.025..0.975, the middle of P. J. Acklam's approximation (1e-8)."""
+    """Return the normal quantile of 0.025..0.975, by the central part of P. J. Acklam's approximation (1e-8)."""
     q = coverage - 0.5
     r = q * q
     above = (

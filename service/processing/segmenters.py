@@ -15,7 +15,7 @@ from pipeline.segmentation import segmenter_choice
 from pipeline.segmentation.background import CameraBackground
 from pipeline.segmentation.network import available_providers, load_network
 from pipeline.segmentation.network_segmenter import NetworkSegmenter
-from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, Wanted
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, SegmenterKind
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 
 log = logging.getLogger(__name__)
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 class SegmenterPlan:
     """What a worker builds its segmenter from; the default is the background's alone."""
 
-    wanted: Wanted = "background"
+    wanted: SegmenterKind = "background"
     model: bytes | None = None  # content of an ONNX file
     providers: tuple[str, ...] = ()
     trouble: str | None = None  # why there is no model

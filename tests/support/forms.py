@@ -10,7 +10,7 @@ from pipeline.carving import CarvingParameters, carve
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.segmentation.delineation import delineate
-from pipeline.segmentation.local_threshold import limits_from
+from pipeline.segmentation.local_threshold import trimap_of
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, SilhouetteSet, ViewStatus
 from pipeline.synthesis import pixel_coverage
 from pipeline.synthesis.bodies import Body, body_from_mesh, cylinder
@@ -83,8 +83,8 @@ def _silhouette(
     image = np.rint(WALL + covered * (BODY - WALL)).astype(np.uint8)
     core = cv2.erode((covered > 0.5).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     possible = cv2.dilate((covered > 0.1).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    limits = limits_from(core[::2, ::2], possible[::2, ::2], np.zeros_like(core[::2, ::2]))
-    found = delineate(image, np.full_like(image, WALL), limits)
+    trimap = trimap_of(core[::2, ::2], possible[::2, ::2], np.zeros_like(core[::2, ::2]))
+    found = delineate(image, np.full_like(image, WALL), trimap)
     assert found.edge is not None
     return Silhouette(
         camera=camera.id,

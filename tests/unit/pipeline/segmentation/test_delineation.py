@@ -17,7 +17,7 @@ from support.flat_delineation import flat_delineation
 
 from pipeline.segmentation import edge_refinement, local_threshold, subpixel_edge
 from pipeline.segmentation.delineation import Delineation, delineate
-from pipeline.segmentation.local_threshold import limits_from
+from pipeline.segmentation.local_threshold import trimap_of
 from pipeline.segmentation.segmenter_choice import warm_up
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 
@@ -54,7 +54,7 @@ def blocky(mask: Mask) -> Mask:
 
 
 def halved(*masks: Mask) -> NDArray[np.uint8]:
-    return limits_from(*(mask[::2, ::2] for mask in masks))
+    return trimap_of(*(mask[::2, ::2] for mask in masks))
 
 
 def wall() -> NDArray[np.uint8]:
@@ -200,10 +200,10 @@ def test_nothing_inside_is_no_edge() -> None:
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
-        local_threshold._decide,
-        local_threshold.cross,
-        edge_refinement.to_steepest,
-        subpixel_edge._between,
+        local_threshold._label_cells,
+        local_threshold.find_crossings,
+        edge_refinement.refine_edge_points,
+        subpixel_edge._interpolated,
         subpixel_edge._keep_nearest,
     ]
     warm_up()
