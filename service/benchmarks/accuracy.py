@@ -22,9 +22,9 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.calibration import BallDrop, CalibrationReport, calibrate
 from pipeline.errors import CalibrationError
-from pipeline.evaluation.comparison import Surface
 from pipeline.evaluation.distance_picture import distance_picture
 from pipeline.evaluation.scene import Scene, build_scene, drop_ball
+from pipeline.evaluation.surface_distances import Surface
 from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_body, try_body
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig

@@ -17,7 +17,7 @@ from pipeline.evaluation.scene import rig_error
 from pipeline.evaluation.trials import METHODS, STANDARDS
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, body_from_mesh
-from pipeline.synthesis.irregular import IRREGULAR_FORMS
+from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
 from service.benchmarks.accuracy import (
     CALIBRATIONS,

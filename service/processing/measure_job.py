@@ -29,8 +29,8 @@ from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
-from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.optics import observe_all
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.errors import WorkerFailure

@@ -34,7 +34,7 @@ def result_record(
         "quality": None if result.quality is None else str(result.quality),
         "views": list(result.views),
         "dropped_views": dict(result.dropped),
-        "segmenters": {camera: seen.found_by for camera, seen in result.silhouettes.items()},
+        "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
         "segmentation_flags": {
             camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
         },

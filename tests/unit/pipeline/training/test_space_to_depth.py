@@ -6,7 +6,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from pipeline.segmentation.network import start_session
-from pipeline.training.blocks import in_blocks
+from pipeline.training.space_to_depth import in_blocks
 
 SIZE_PX = 32
 

@@ -1,4 +1,4 @@
-"""The region of an image that a network sees, and the way between its pixels and the image's."""
+"""The region of an image that a network sees, and the mapping between its pixels and the image's."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -7,31 +7,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import FloatImage, GreyImage
 from pipeline.segmentation.background import COARSE
 
-Array = NDArray[np.float32]
-Bits = NDArray[np.uint8]
 Value = TypeVar("Value", np.uint8, np.float32)
 Box = tuple[int, int, int, int]
-"""x, y, width, height."""
-ROOM = 8
-"""So many pixels of its own a region is wider on each side than it must be: near its border a network sees less."""
+"""Left, top, width, height."""
+CONTEXT = 8
+"""Further pixels of the network on each side of a region: near its border a network sees less."""
 ALIGNED = 4
-"""Parts of a region are multiples of so many pixels: means over blocks are far quicker then."""
+"""Parts of a region are multiples of this many pixels: means over blocks are far quicker then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
-    """A rectangle that may reach beyond the image, whose border goes on there."""
+    """A rectangle that may reach beyond the image, whose border pixels are repeated there."""
 
-    left: int
+    left: int  # in image pixels
     top: int
     scale: int  # image pixels along a pixel of the network
     width: int  # in the network's pixels
     height: int
 
     def within(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
-        """Rows and columns of an image (H, W) that are in the region."""
+        """Return the rows and columns of an image (H, W) that are in the region."""
         bottom, right = self.top + self.scale * self.height, self.left + self.scale * self.width
         return (
             slice(max(self.top, 0), min(bottom, shape[0])),
@@ -39,9 +38,10 @@ class Region:
         )
 
     def part(self, box: Box, margin: int) -> "tuple[Region, tuple[slice, slice]]":
-        """The part around a box, both in the network's pixels, and where in arrays (height, width) it is.
+        """Return the part around a box, and its rows and columns in arrays (height, width) of the region.
 
-        It is widened to multiples of `ALIGNED`, where the region itself is one.
+        Box and margin are in the network's pixels. The part is widened to multiples of `ALIGNED`, where the region
+        itself is one.
         """
         x, y, width, height = box
         rows, columns = (
@@ -60,15 +60,18 @@ class Region:
         )
         return region, (rows, columns)
 
-    def reduce(self, image: Bits, factor: float, means: Array) -> None:
-        """Write means (height, width) of an image (H, W), whose border goes on outside of it, times a factor."""
+    def reduce(self, image: GreyImage, factor: float, means: FloatImage) -> None:
+        """Write the means (height, width) of an image (H, W) over the region's pixels, times a factor.
+
+        Outside of the image its border is repeated.
+        """
         cut = _replicated(image, self.left, self.top, self.scale * self.width, self.scale * self.height)
         size = (self.width, self.height)
         cv2.resize(cut.astype(np.float32), size, dst=means, interpolation=cv2.INTER_AREA)
         means *= np.float32(factor)
 
-    def sample(self, coarse: Array, factor: float, means: Array) -> None:
-        """Write the same of a smooth image, of which block means (H/4, W/4) are enough."""
+    def sample(self, coarse: FloatImage, factor: float, means: FloatImage) -> None:
+        """Write the same as `reduce` for a smooth image, of which block means (H/4, W/4) are enough."""
         left, top, width, height = (
             size // COARSE
             for size in (self.left, self.top, self.scale * self.width, self.scale * self.height)
@@ -77,8 +80,10 @@ class Region:
         cv2.resize(cut, (self.width, self.height), dst=means, interpolation=cv2.INTER_LINEAR)
         means *= np.float32(factor)
 
-    def enlarged(self, values: Array, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Array:
-        """Values (height, width) interpolated for the pixels `within` an image (H, W)."""
+    def enlarged(
+        self, values: FloatImage, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR
+    ) -> FloatImage:
+        """Return values (height, width) interpolated for the pixels `within` an image (H, W)."""
         size = (self.scale * self.width, self.scale * self.height)
         fine = np.asarray(cv2.resize(values, size, interpolation=interpolation), values.dtype)
         rows, columns = self.within(shape)
@@ -86,8 +91,8 @@ class Region:
             rows.start - self.top : rows.stop - self.top, columns.start - self.left : columns.stop - self.left
         ]
 
-    def halved(self, mask: Bits, shape: tuple[int, ...]) -> Bits:
-        """A mask (height, width) for blocks of 2 x 2 of the pixels `within` an image (H, W)."""
+    def halved(self, mask: GreyImage, shape: tuple[int, ...]) -> GreyImage:
+        """Return a mask (height, width) resampled to blocks of 2 x 2 of the pixels `within` an image (H, W)."""
         rows, columns = (
             slice((at.start - first) // 2, (at.stop - first + 1) // 2)
             for at, first in zip(self.within(shape), (self.top, self.left), strict=True)
@@ -95,12 +100,15 @@ class Region:
         size = (self.scale * self.width // 2, self.scale * self.height // 2)
         return np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)[rows, columns]
 
-    def middles(self, fine: Bits, shape: tuple[int, ...]) -> Bits:
-        """Of pixels (h, w) `within` an image (H, W) those in the middle of the region's (height, width); else 0."""
+    def at_centres(self, fine: GreyImage, shape: tuple[int, ...]) -> GreyImage:
+        """Return, of pixels (h, w) `within` an image (H, W), those at the centres of the region's, else 0."""
         return self.sampled(fine, shape, self.scale // 2)
 
     def sampled(self, fine: NDArray[Value], shape: tuple[int, ...], offset: int) -> NDArray[Value]:
-        """Of the first pixels (h, w) `within` an image (H, W) those at an offset in the region's; else 0."""
+        """Return, for each of the region's pixels (height, width), the image pixel at an offset within it, else 0.
+
+        `fine` (h, w) are the first pixels `within` an image (H, W).
+        """
         result = np.zeros((self.height, self.width), fine.dtype)
         place, chosen = [], []
         for at, first, length in zip(self.within(shape), (self.top, self.left), fine.shape, strict=True):
@@ -113,7 +121,7 @@ class Region:
 
 
 def _replicated(image: NDArray[Value], left: int, top: int, width: int, height: int) -> NDArray[Value]:
-    """A rectangle (height, width) of an image (H, W), whose border goes on where it reaches beyond."""
+    """Return a rectangle (height, width) of an image (H, W), whose border is repeated where it reaches beyond."""
     cut = image[max(top, 0) : top + height, max(left, 0) : left + width]
     bottom, right = height - len(cut) - max(-top, 0), width - cut.shape[1] - max(-left, 0)
     if len(cut) == height and cut.shape[1] == width:
@@ -123,22 +131,22 @@ def _replicated(image: NDArray[Value], left: int, top: int, width: int, height: 
     )
 
 
-def rectangle_around(box: Box, margin_px: int, shape: tuple[int, ...], largest: int, step: int) -> Region:
-    """The finest region that holds a box and its margin, inside of the image (H, W) if it can be.
+def region_around(box: Box, margin_px: int, shape: tuple[int, ...], largest: int, step: int) -> Region:
+    """Return the finest region that holds a box and its margin, inside of the image (H, W) where possible.
 
-    Its edges are multiples of `step`, at most `largest`. It begins with a coarse block, so that the margin is up to
-    half of one narrower.
+    Width and height are multiples of `step`, at most `largest`. The region begins with a coarse block, so that the
+    margin is up to half a block narrower.
     """
     x, y, width, height = box
     scale = -(-(max(width, height) + 2 * margin_px) // largest)
     columns, rows = (
-        min(-(-((length + 2 * margin_px) // scale + 2 * ROOM) // step) * step, largest)
+        min(-(-((length + 2 * margin_px) // scale + 2 * CONTEXT) // step) * step, largest)
         for length in (width, height)
     )
     left, top = (
-        # in an image too small for it, in the middle
-        (min(max(first, 0), room - side_px) if side_px <= room else (room - side_px) // 2) // COARSE * COARSE
-        for first, side_px, room in (
+        # centred in an image too small for it
+        (min(max(first, 0), size - side_px) if side_px <= size else (size - side_px) // 2) // COARSE * COARSE
+        for first, side_px, size in (
             (x + width // 2 - scale * columns // 2 + COARSE // 2, scale * columns, shape[1]),
             (y + height // 2 - scale * rows // 2 + COARSE // 2, scale * rows, shape[0]),
         )
@@ -146,6 +154,6 @@ def rectangle_around(box: Box, margin_px: int, shape: tuple[int, ...], largest: 
     return Region(left=left, top=top, scale=scale, width=columns, height=rows)
 
 
-def whole(shape: tuple[int, ...], largest: int, step: int) -> Region:
-    """The region that holds an image of this shape (H, W)."""
-    return rectangle_around((0, 0, shape[1], shape[0]), 0, shape, largest, step)
+def whole_image_region(shape: tuple[int, ...], largest: int, step: int) -> Region:
+    """Return the region that holds an image of this shape (H, W)."""
+    return region_around((0, 0, shape[1], shape[0]), 0, shape, largest, step)

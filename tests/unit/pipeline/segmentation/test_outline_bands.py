@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
-from pipeline.segmentation.surroundings import Views, shares_beside
 
 Bits = NDArray[np.uint8]
 
@@ -32,9 +32,11 @@ def test_the_wall_beside_a_body_and_its_rim_are_compared(
     )
     body = cv2.blur(rng.random((height, width), np.float32), (9, 9))
     labels = np.where(body > 0.53, INSIDE, np.where(body > 0.5, UNKNOWN, OUTSIDE))
-    views = Views(seen=seen, empty=empty, gain=np.float32(0.9), clean=wall, least=np.uint8(90))
+    images = BandImages(
+        seen=seen, expected=empty, gain=np.float32(0.9), empty_rig=wall, min_wall_grey=np.uint8(90)
+    )
     max_error, clear_contrast = rng.uniform(0, 2, 2)
-    shares = shares_beside(labels, (left, top), views, max_error, clear_contrast)
+    shares = band_shares(labels, (left, top), images, max_error, clear_contrast)
 
     first, last = -(-np.array([top, left]) // 4), np.array([top + height, left + width]) // 4
     place = tuple(slice(*at) for at in zip(first, last, strict=True))

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.evaluation.comparison import Surface, even_samples, surface_distances
 from pipeline.evaluation.scene import rig_error
+from pipeline.evaluation.surface_distances import Surface, even_samples, surface_distances
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 

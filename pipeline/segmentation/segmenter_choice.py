@@ -1,4 +1,4 @@
-"""Which segmenter a view is given to.
+"""The choice between background comparison and network, view by view.
 
 Comparing with the empty rig is quick and unbiased as long as the wall around the body looks as it did
 without it, and body and wall differ. Where that does not hold the network is asked. Each takes the
@@ -11,32 +11,30 @@ from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import GreyImage, PointsUV
 from pipeline.compiled import compiled
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.background import BackgroundModel, CameraBackground
 from pipeline.segmentation.optics import observe_optics
+from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
-from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView
-from pipeline.segmentation.surroundings import Views, shares_beside
+from pipeline.segmentation.subtraction import BackgroundSegmenter, ComparedView
 
-Grey = NDArray[np.uint8]
-
-Wanted = Literal["auto", "background", "onnx"]
-"""The segmenter that is asked first; `auto`: the background's, and the network where its ground is not sound."""
+SegmenterKind = Literal["auto", "background", "onnx"]
+"""The segmenter that is asked first; `auto`: background comparison, and the network where that is in doubt."""
 
 FRAME_BLOCKS = 4
-"""A view without a silhouette is looked at in blocks of this edge, in blocks of 4 px."""
+"""Edge, in blocks of 4 px, of the blocks in which a view without a silhouette is looked at."""
 PLAIN = 0.75
 """What is darker than this share of the wall is a screw, a vent or an aperture, or their blurred border."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChoiceParameters:
-    """When the ground of background segmentation is not sound."""
+    """When the comparison with the background is in doubt."""
 
     max_light_error: float = 0.03  # of the wall beside the body; moves an edge of 2 px width by 0.05 px
     max_dim_share: float = 0.1  # of that wall with a greater error: the first sign of a slope or a shadow
@@ -52,50 +50,50 @@ class ChoiceParameters:
 class ChoosingSegmenter:
     """The `Segmenter` that asks one of two, view by view.
 
-    Without a `network`, `no_network` says why, and so does every silhouette for which one is wanted.
+    Without a `network`, `no_network` says why, and so does every silhouette for which one would be asked.
     """
 
     classical: BackgroundSegmenter
     network: Segmenter | None
     no_network: str = "no model"
-    wanted: Wanted = "auto"
+    wanted: SegmenterKind = "auto"
     parameters: ChoiceParameters = ChoiceParameters()
 
     def __call__(self, frame: Frame, background: BackgroundModel) -> Silhouette:
-        """The silhouette by the better of the two; its `fallback` says why it is not by the one asked first."""
+        """Return the better silhouette of the two; `fallback` says why it is not by the segmenter asked first."""
         if self.wanted == "onnx":
-            return self._rather_by_network(frame, background)
-        found, empty = self.classical.compared(frame, background)
-        doubt = self._doubt(frame, background, found, empty)
+            return self._ask_network_first(frame, background)
+        found, compared = self.classical.segment(frame, background)
+        doubt = self._find_doubt(frame, background, found, compared)
         unseen = unseen_share(found) if doubt is None and self.wanted == "auto" else 0.0
-        is_hidden = unseen > self.parameters.max_unseen_share
-        if is_hidden:
+        is_occluded = unseen > self.parameters.max_unseen_share
+        if is_occluded:
             doubt = f"{unseen:.0%} of the outline unseen"
         if doubt is None:
-            is_missed = self.network is None and self.wanted == "auto"
-            return replace(found, fallback=self.no_network) if is_missed else found
-        other = self._by_network(frame, background)
-        if isinstance(other, str):
-            refusal = other
-        elif not other.is_usable and found.status is not ViewStatus.NO_BACKGROUND:
-            refusal = f"network: {other.status}"
-        elif is_hidden and hidden_share(other) >= hidden_share(found):
+            lacks_network = self.network is None and self.wanted == "auto"
+            return replace(found, fallback=self.no_network) if lacks_network else found
+        by_network = self._ask_network(frame, background)
+        if isinstance(by_network, str):
+            refusal = by_network
+        elif not by_network.is_usable and found.status is not ViewStatus.NO_BACKGROUND:
+            refusal = f"network: {by_network.status}"
+        elif is_occluded and unresolved_share(by_network) >= unresolved_share(found):
             refusal = "the network sees no more"
         else:
-            return replace(other, fallback="; ".join(filter(None, (doubt, other.fallback))))
+            return replace(by_network, fallback="; ".join(filter(None, (doubt, by_network.fallback))))
         return replace(found, fallback=f"{doubt}; {refusal}")
 
-    def _rather_by_network(self, frame: Frame, background: BackgroundModel) -> Silhouette:
-        found = self._by_network(frame, background)
-        if isinstance(found, str):
-            return replace(self.classical(frame, background), fallback=found)
-        if found.is_usable:
-            return found
-        other = self.classical(frame, background)
-        return replace(other, fallback=f"network: {found.status}") if other.is_usable else found
+    def _ask_network_first(self, frame: Frame, background: BackgroundModel) -> Silhouette:
+        by_network = self._ask_network(frame, background)
+        if isinstance(by_network, str):
+            return replace(self.classical(frame, background), fallback=by_network)
+        if by_network.is_usable:
+            return by_network
+        found = self.classical(frame, background)
+        return replace(found, fallback=f"network: {by_network.status}") if found.is_usable else by_network
 
-    def _by_network(self, frame: Frame, background: BackgroundModel) -> Silhouette | str:
-        """What the network finds, or why it cannot be asked."""
+    def _ask_network(self, frame: Frame, background: BackgroundModel) -> Silhouette | str:
+        """Return the network's silhouette, or why it cannot be asked."""
         if self.network is None:
             return self.no_network
         try:
@@ -103,26 +101,26 @@ class ChoosingSegmenter:
         except ModelError as err:
             return str(err)
 
-    def _doubt(
-        self, frame: Frame, background: BackgroundModel, found: Silhouette, empty: EmptyView | None
+    def _find_doubt(
+        self, frame: Frame, background: BackgroundModel, found: Silhouette, compared: ComparedView | None
     ) -> str | None:
-        """Why what the comparison with the background found is not to be trusted."""
-        if empty is None:
+        """Return why the comparison with the background is not to be trusted, `None` if it is."""
+        if compared is None:
             return "no background yet"
         if self.wanted != "auto":
             return None
         known, p = background[frame.camera], self.parameters
         if found.is_usable:
-            return _doubt_of_light(found, empty, known, p)
-        view = _beside(empty, known)
-        doubt = _doubt_of_view(view, p)
+            return _outline_doubt(found, compared, known, p)
+        view = _block_view(compared, known)
+        doubt = _light_doubt(view, p)
         if doubt is None and found.status is ViewStatus.EMPTY:
-            return _doubt_of_dark(view, known.typical * empty.gain, p)
+            return _dark_doubt(view, known.typical * compared.gain, p)
         return doubt
 
 
 def warm_up() -> None:
-    """Compile what views of clean rigs need, by looking at one made up for it: seconds that the first stone has not."""
+    """Compile what views of clean rigs need by segmenting a made-up one: it takes seconds."""
     camera = CameraId("warm-up")
     image = np.full((8 * MARGIN_PX,) * 2, 200, np.uint8)
     image[3 * MARGIN_PX : 5 * MARGIN_PX, 3 * MARGIN_PX : 5 * MARGIN_PX] = 60
@@ -134,12 +132,12 @@ def warm_up() -> None:
 
 
 def unseen_share(found: Silhouette) -> float:
-    """Share of the outline that was not seen, 0..1."""
+    """Return the share of the outline that was not seen, 0..1."""
     return _unseen_share(found.outline_uv)
 
 
 @compiled
-def _unseen_share(outline_uv: NDArray[np.float64]) -> float:
+def _unseen_share(outline_uv: PointsUV) -> float:
     unseen_px, total_px = 0.0, 1e-9
     for i in range(len(outline_uv)):
         du, dv = outline_uv[i, 0] - outline_uv[i - 1, 0], outline_uv[i, 1] - outline_uv[i - 1, 1]
@@ -149,81 +147,78 @@ def _unseen_share(outline_uv: NDArray[np.float64]) -> float:
     return unseen_px / total_px
 
 
-def hidden_share(found: Silhouette) -> float:
-    """How much is not known: of the outline, and of what may be body; 0..2."""
+def unresolved_share(found: Silhouette) -> float:
+    """Return how much is not known, 0..2: the share of the outline, plus that of what may be body."""
     may_be_body = int(np.count_nonzero(found.labels != OUTSIDE))
     unknown = np.count_nonzero(found.labels == UNKNOWN) / max(may_be_body, 1)
     return unseen_share(found) + unknown
 
 
-class _Beside(NamedTuple):
-    """What is seen of a view, beside the empty rig; arrays (h, w) of blocks."""
+class _BlockView(NamedTuple):
+    """A view beside the empty rig in its light; arrays (h, w) of blocks."""
 
-    seen: Grey
-    empty: Grey
-    is_wall: Grey  # 1 where that is the plain wall
+    seen: GreyImage
+    empty: GreyImage
+    is_wall: GreyImage  # 1 where the empty rig shows the plain wall
 
 
-def _beside(empty: EmptyView, known: CameraBackground) -> _Beside:
-    expected = np.asarray(cv2.convertScaleAbs(empty.levels, alpha=empty.gain), np.uint8)
+def _block_view(compared: ComparedView, known: CameraBackground) -> _BlockView:
+    empty = np.asarray(cv2.convertScaleAbs(compared.levels, alpha=compared.gain), np.uint8)
     is_wall = known.coarse >= np.float32(PLAIN * known.typical)
-    return _Beside(seen=empty.seen, empty=expected, is_wall=is_wall.view(np.uint8))
+    return _BlockView(seen=compared.seen, empty=empty, is_wall=is_wall.view(np.uint8))
 
 
-def _doubt_of_view(view: _Beside, parameters: ChoiceParameters) -> str | None:
-    """Whether anything but bodies of good contrast differs from the wall of the empty rig."""
+def _light_doubt(view: _BlockView, parameters: ChoiceParameters) -> str | None:
+    """Return a doubt if anything but bodies of good contrast differs from the wall of the empty rig."""
     seen, empty, is_wall = (
-        _reduced(each) for each in (view.seen, view.empty * view.is_wall, 255 * view.is_wall)
+        _reduced(levels) for levels in (view.seen, view.empty * view.is_wall, 255 * view.is_wall)
     )
-    clear = _grown(_differs(seen, empty, parameters.clear_contrast), 1)
+    clear = _dilated(_differs(seen, empty, parameters.clear_contrast))
     is_doubtful = (is_wall == 255) & (_differs(seen, empty, parameters.max_light_error) > clear)
     share = float(np.mean(is_doubtful))
     return f"light differs over {share:.1%} of the view" if share > parameters.max_doubtful_share else None
 
 
-def _doubt_of_dark(view: _Beside, wall: float, parameters: ChoiceParameters) -> str | None:
-    """Whether anything is before an aperture, where a body is not told by as much as before the wall."""
+def _dark_doubt(view: _BlockView, wall: float, parameters: ChoiceParameters) -> str | None:
+    """Return a doubt if anything may be before an aperture, where a body differs less than before the wall."""
     seen, empty, beside_wall = (
-        _reduced(each) for each in (view.seen, view.empty, 255 * _grown(view.is_wall, 1))
+        _reduced(levels) for levels in (view.seen, view.empty, 255 * _dilated(view.is_wall))
     )
     is_other = (beside_wall == 0) & (cv2.absdiff(seen, empty) > parameters.max_dark_error * wall)
     share = float(np.mean(is_other))
     return f"{share:.1%} of the view differs, where it is dark" if share > parameters.max_dark_share else None
 
 
-def _reduced(view: Grey) -> Grey:
-    """Means over `FRAME_BLOCKS` of a view (h, w)."""
+def _reduced(view: GreyImage) -> GreyImage:
+    """Return the means of a view (h, w) over squares of `FRAME_BLOCKS`."""
     height, width = view.shape
     size = (max(width // FRAME_BLOCKS, 1), max(height // FRAME_BLOCKS, 1))
     return np.asarray(cv2.resize(view, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _doubt_of_light(
-    found: Silhouette, empty: EmptyView, known: CameraBackground, parameters: ChoiceParameters
+def _outline_doubt(
+    found: Silhouette, compared: ComparedView, known: CameraBackground, parameters: ChoiceParameters
 ) -> str | None:
-    """Whether the wall beside the body is what it was, and the body differs from it."""
-    views = Views(
-        seen=empty.seen,
-        empty=empty.levels,
-        gain=np.float32(empty.gain),
-        clean=known.coarse_levels,
-        least=np.uint8(ceil(PLAIN * known.typical)),
+    """Return a doubt if the wall beside the body is not what it was, or the body hardly differs from it."""
+    images = BandImages(
+        seen=compared.seen,
+        expected=compared.levels,
+        gain=np.float32(compared.gain),
+        empty_rig=known.coarse_levels,
+        min_wall_grey=np.uint8(ceil(PLAIN * known.typical)),
     )
     p = parameters
-    differing, faint = shares_beside(
-        found.labels, found.offset_uv, views, p.max_light_error, p.clear_contrast
-    )
+    differing, faint = band_shares(found.labels, found.offset_uv, images, p.max_light_error, p.clear_contrast)
     if differing > p.max_dim_share:
         return f"light differs over {differing:.0%} around the body"
     return f"{faint:.0%} of the edge without contrast" if faint > p.max_faint_share else None
 
 
-def _differs(seen: Grey, empty: Grey, share: float) -> Grey:
-    """1 where two views (h, w) differ by more than a share of the second."""
+def _differs(seen: GreyImage, empty: GreyImage, share: float) -> GreyImage:
+    """Return 1 where two views (h, w) differ by more than a share of the second."""
     return (cv2.absdiff(seen, empty) > cv2.convertScaleAbs(empty, alpha=share)).view(np.uint8)
 
 
-def _grown(mask: Grey, blocks: int) -> Grey:
-    """The mask (h, w) wider by so many blocks on each side, narrower if negative."""
-    square = np.ones((2 * abs(blocks) + 1,) * 2, np.uint8)
-    return np.asarray(cv2.dilate(mask, square) if blocks > 0 else cv2.erode(mask, square), np.uint8)
+def _dilated(mask: GreyImage) -> GreyImage:
+    """Return the mask (h, w) dilated by one block on each side."""
+    return np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)), np.uint8)

@@ -18,15 +18,15 @@ from pipeline.segmentation import (
     Segmenter,
     Silhouette,
     ViewStatus,
-    edge,
-    grey_levels,
-    steepest,
+    edge_refinement,
+    local_threshold,
+    subpixel_edge,
 )
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.choice import ChoosingSegmenter
-from pipeline.segmentation.ground import carried
+from pipeline.segmentation.expected_view import extrapolated
 from pipeline.segmentation.network import load_network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from service.processing.segmenters import warm_up
@@ -202,17 +202,18 @@ def test_dust_far_away_does_not_hide_a_small_stone() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(64, 64), (67, 130), (5, 3)]))
-def test_a_level_is_carried_from_where_it_is_known(seed: int, shape: tuple[int, int]) -> None:
+def test_a_level_is_extrapolated_from_where_it_is_known(seed: int, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     slope = 100 + 0.1 * u + 0.05 * v
     is_known = (rng.random(shape) < 0.4).astype(np.uint8)
     is_known[:, shape[1] // 2 : shape[1] // 2 + 10] = 0
+    is_known[0, 0] = 1  # nothing known at all is the last line's
     values = np.where(is_known, slope, np.float32(np.nan))
-    level = carried(values, is_known)
+    level = extrapolated(values, is_known)
     assert np.abs(level - slope).max() < 4  # windows reach up to a few tens of pixels
-    np.testing.assert_allclose(carried(np.full(shape, 7, np.float32), is_known), 7, rtol=1e-6)
-    np.testing.assert_array_equal(carried(values, np.zeros(shape, np.uint8)), 1)
+    np.testing.assert_allclose(extrapolated(np.full(shape, 7, np.float32), is_known), 7, rtol=1e-6)
+    np.testing.assert_array_equal(extrapolated(values, np.zeros(shape, np.uint8)), 1)
 
 
 def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
@@ -235,7 +236,12 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
-    kernels = [grey_levels._decide, steepest.to_steepest, edge._between, edge._keep_nearest]
+    kernels = [
+        local_threshold._label_cells,
+        edge_refinement.refine_edge_points,
+        subpixel_edge._interpolated,
+        subpixel_edge._keep_nearest,
+    ]
     segmenter = network_segmenter()
     warm_up(ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter))
     compiled = [len(kernel.signatures) for kernel in kernels]

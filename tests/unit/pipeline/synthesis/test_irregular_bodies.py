@@ -6,8 +6,8 @@ from support import rendered
 
 from pipeline.evaluation.trials import random_body
 from pipeline.measuring import measure_shape
-from pipeline.synthesis.irregular import IRREGULAR_FORMS, irregular
-from pipeline.synthesis.outline import border, coverage, edges_of, window_around
+from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS, irregular
+from pipeline.synthesis.pixel_coverage import border, coverage, edges_of, window_around
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.shading import embree_scene
 

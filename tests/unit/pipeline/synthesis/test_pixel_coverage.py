@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from support.synthetic_rigs import rig_of
 
 from pipeline.synthesis.bodies import cube, sphere
-from pipeline.synthesis.outline import (
+from pipeline.synthesis.pixel_coverage import (
     LINES_PER_PIXEL,
     Window,
     border,

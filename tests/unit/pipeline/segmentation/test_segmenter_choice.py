@@ -15,9 +15,9 @@ from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.particle import PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Silhouette, ViewStatus
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.choice import ChoosingSegmenter, Wanted, unseen_share
 from pipeline.segmentation.network import load_network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, SegmenterKind, unseen_share
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere
@@ -29,7 +29,7 @@ from service.models.networks import read_model
 CAMERA = CameraId("c01")
 HEIGHT, WIDTH = 320, 400
 WALL, STONE = 200.0, 60.0
-WANTED: tuple[Wanted, ...] = ("auto", "background", "onnx")
+WANTED: tuple[SegmenterKind, ...] = ("auto", "background", "onnx")
 Image = NDArray[np.float64]
 
 V, U = np.mgrid[:HEIGHT, :WIDTH]
@@ -89,7 +89,7 @@ class Network:
         )
 
 
-def choosing(network: Network | None, wanted: Wanted = "auto") -> ChoosingSegmenter:
+def choosing(network: Network | None, wanted: SegmenterKind = "auto") -> ChoosingSegmenter:
     return ChoosingSegmenter(classical=BackgroundSegmenter(), network=network, wanted=wanted)
 
 
@@ -210,7 +210,7 @@ def test_an_aperture_beside_a_stone_is_no_body(u: float, v: float, radius_px: fl
 @pytest.mark.parametrize(
     "status", [ViewStatus.OK, ViewStatus.EMPTY, ViewStatus.MULTIPLE, ViewStatus.NO_BACKGROUND]
 )
-def test_without_a_background_the_network_decides(wanted: Wanted, status: ViewStatus):
+def test_without_a_background_the_network_decides(wanted: SegmenterKind, status: ViewStatus):
     found = choosing(Network(status), wanted)(frame_of(with_stone(wall())), {})
     assert (found.status, found.found_by, found.fallback) == (status, "network", "no background yet")
 
@@ -252,7 +252,7 @@ def test_the_network_is_asked_first_when_it_is_wanted():
 
 
 @pytest.mark.parametrize("wanted", ["auto", "onnx"])
-def test_a_network_that_breaks_is_no_reason_to_stop(wanted: Wanted):
+def test_a_network_that_breaks_is_no_reason_to_stop(wanted: SegmenterKind):
     network = Network(error=ModelError("model x: cannot be run: out of memory"))
     found = choosing(network, wanted)(frame_of(with_stone(striped())), known(wall()))
     assert (found.status, found.found_by) == (ViewStatus.OK, "background")

@@ -22,7 +22,7 @@ from pipeline.synthesis.background import (
     render_backgrounds,
     wall_directions,
 )
-from pipeline.synthesis.optics import FloatImage
+from pipeline.synthesis.exposure import FloatImage
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import Layer, SimulatedRig, illuminated, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
