@@ -6,7 +6,6 @@ calibrated, `bundles/<name>.tiff` holds one bundle each.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,6 +15,7 @@ from drivers.files.bundle_file import Compression, read_bundle, read_header, req
 from drivers.files.bundle_header import BundleHeader
 from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
+from drivers.files.times import utc_now
 from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
 from pipeline.rig.cameras import RigCalibration
 
@@ -160,7 +160,7 @@ class RecordingWriter:
         self._names: set[str] = set()
         self._document = {
             "format": FORMAT,
-            "created_at": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            "created_at": utc_now("seconds"),
             "cameras": list(camera_ids),
             "image_size_px": list(image_size_px),
             "rig_name": rig_name or (rig.name if rig else ""),
