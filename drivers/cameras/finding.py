@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from drivers import gvcp
 from drivers.cameras.genicam import GigeCameraSettings
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 
 
 def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -> gvcp.Device:
@@ -18,10 +18,13 @@ def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -
             raise CameraUnavailableError(
                 settings.id,
                 f"does not answer at {settings.address}: check its power, its cable and its IP address",
+                LossCause.SILENT,
             )
         if not _agrees(there, settings):
             raise CameraUnavailableError(
-                settings.id, f"should be {_wanted(settings)}, but the camera there is {_named(there)}"
+                settings.id,
+                f"should be {_wanted(settings)}, but the camera there is {_named(there)}",
+                LossCause.WRONG_CAMERA,
             )
         return there
     if last is not None and (there := gvcp.probe(last.address)) and _agrees(there, settings):
@@ -29,18 +32,21 @@ def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -
     try:
         seen = gvcp.discover(settings.interfaces or None)
     except OSError as err:  # an address of this machine comes and goes with its network port
-        raise CameraUnavailableError(settings.id, str(err)) from err
+        raise CameraUnavailableError(settings.id, str(err), LossCause.SILENT) from err
     matching = [device for device in seen if _agrees(device, settings)]
     if len(matching) == 1:
         return matching[0]
     if matching:
         raise CameraUnavailableError(
-            settings.id, f"is ambiguous: {_wanted(settings)} are {_list(matching)}; give the serial number"
+            settings.id,
+            f"is ambiguous: {_wanted(settings)} are {_list(matching)}; give the serial number",
+            LossCause.WRONG_CAMERA,
         )
     raise CameraUnavailableError(
         settings.id,
         f"{_wanted(settings)} does not answer; found {_list(seen) or 'no camera at all'}: check its power, its cable, "
         "and that it has an address in the network of this machine's port",
+        LossCause.SILENT,
     )
 
 

@@ -23,14 +23,11 @@ from numpy.typing import NDArray
 from drivers.errors import RecordingError
 from drivers.files.bundle_header import BundleHeader, FrameEntry, crc32, described, parsed
 from drivers.files.durable import replacing
+from drivers.interfaces import FrameLossReason
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 
 Compression = Literal["none", "zstd"]
 
-DAMAGED = "damaged"
-"""Reason of a view whose page is torn or does not match its checksum."""
-ABSENT = "absent"
-"""Reason of a view of which the file says nothing."""
 
 MAPPED_FILES = 4
 """So many stay mapped, for those that are written over again and again: to map 21 MB takes 2 ms, page by page."""
@@ -164,13 +161,13 @@ def read_bundle(
         require_cameras_of(header, camera_ids)
         tiff.pages.useframes = True  # all pages are alike: only where each one lies is read
         pixels = _mapped_pixels(tiff) if mapped else None
-        missing = {camera: ABSENT for camera in camera_ids if camera not in header.frames} | dict(
-            header.missing
-        )
+        absent = [camera for camera in camera_ids if camera not in header.frames]
+        missing: dict[CameraId, str] = dict.fromkeys(absent, FrameLossReason.ABSENT)
+        missing.update(header.missing)
         for camera, entry in header.frames.items():
             image = _image(tiff, pixels, entry, header.image_size_px)
             if image is None or (checked and crc32(image.data) != entry.crc32):
-                missing[camera] = DAMAGED
+                missing[camera] = FrameLossReason.DAMAGED
                 continue
             frames[camera] = Frame(
                 camera=camera,

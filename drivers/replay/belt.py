@@ -19,9 +19,8 @@ from statistics import median_low
 from typing import Literal, NamedTuple
 
 from drivers.errors import RecordingError
-from drivers.files.bundle_file import DAMAGED
 from drivers.files.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
-from drivers.interfaces import DeviceEvent, EventSink, FrameLost, PlaybackEnded
+from drivers.interfaces import DeviceEvent, EventSink, FrameLossReason, FrameLost, PlaybackEnded
 from drivers.outlet import Outlet
 from pipeline.frames import CameraId, Frame, Trigger
 
@@ -34,10 +33,6 @@ MAX_SPACING_NS = 60_000_000_000
 """Longer pauses are shortened: between two recordings put together lie days."""
 FRAME_DELAY_NS = 259_400_000
 """From a trigger to its frames where the recording does not tell."""
-
-
-UNREADABLE = "unreadable"
-"""How the reason of every frame of an unreadable bundle begins."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,12 +243,12 @@ class ReplayBelt:
             bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=is_unknown)
         except RecordingError as err:
             return self._without_frames(header.trigger, err)
-        if DAMAGED not in bundle.missing.values():
+        if FrameLossReason.DAMAGED not in bundle.missing.values():
             self._sound.add(header.path)
         return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
 
     def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:
-        lost = dict.fromkeys(self.recording.camera_ids, f"{UNREADABLE}: {error.problem}")
+        lost = dict.fromkeys(self.recording.camera_ids, f"{FrameLossReason.UNREADABLE}: {error.problem}")
         return _Playable(trigger=trigger, frames=(), lost=lost)
 
     def _renumbered(self, bundle: _Playable, header: BundleHeader, played_round: int) -> _Playable:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.files.bundle_file import overwrite_bundle
-from drivers.replay.belt import UNREADABLE
+from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.bundling.window import DISARMED
 
@@ -148,8 +148,9 @@ class Spool:
 
 def _without_frames(bundle: FrameBundle) -> Loss:
     causes = sorted(set(bundle.missing.values()))
-    if len(causes) == 1 and causes[0].startswith(f"{UNREADABLE}: "):  # in a recording
-        return Loss(reason="unreadable", detail=causes[0].removeprefix(f"{UNREADABLE}: "))
+    unreadable = f"{FrameLossReason.UNREADABLE}: "
+    if len(causes) == 1 and causes[0].startswith(unreadable):  # in a recording
+        return Loss(reason="unreadable", detail=causes[0].removeprefix(unreadable))
     if causes == [DISARMED]:
         return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
     return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")
