@@ -42,7 +42,7 @@ class AravisCamera:
     def __init__(self, settings: GigeCameraSettings) -> None:
         self._settings = settings
         self._control = threading.RLock()
-        self._device: gvcp.Device | None = None  # as it was found the last time
+        self._device: gvcp.DiscoveredCamera | None = None  # as it was found the last time
         self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see forgetful
         self._stream: Any = None
         self._reader: FrameReader | None = None
@@ -251,7 +251,7 @@ class AravisCamera:
             problem = f"control was lost: {err.problem}"
             raise CameraUnavailableError(self.id, problem, LossCause.CONTROL_LOST) from err
 
-    def _vitals(self, device: gvcp.Device) -> CameraVitals:
+    def _vitals(self, device: gvcp.DiscoveredCamera) -> CameraVitals:
         polled, warnings, ptp_offset_ns = self._poll(), list(self._warnings), None
         if polled.get("PtpEnable"):
             ptp_offset_ns = polled.get("PtpOffsetFromMaster")

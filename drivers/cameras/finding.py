@@ -7,7 +7,9 @@ from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError, LossCause
 
 
-def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -> gvcp.Device:
+def find_camera(
+    settings: GigeCameraSettings, last: gvcp.DiscoveredCamera | None = None
+) -> gvcp.DiscoveredCamera:
     """Find the one camera the settings name: at its address, where it was `last`, or by broadcast.
 
     Raises `CameraUnavailableError` when there is none, or two, or the one at the address is another one.
@@ -50,7 +52,7 @@ def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -
     )
 
 
-def _agrees(device: gvcp.Device, settings: GigeCameraSettings) -> bool:
+def _agrees(device: gvcp.DiscoveredCamera, settings: GigeCameraSettings) -> bool:
     return settings.serial in (None, device.serial) and settings.user_name in (None, device.user_name)
 
 
@@ -63,10 +65,10 @@ def _wanted(settings: GigeCameraSettings) -> str:
     return ", ".join(f"{what} {value}" for what, value in parts if value)
 
 
-def _named(device: gvcp.Device) -> str:
+def _named(device: gvcp.DiscoveredCamera) -> str:
     user_name = f" ({device.user_name})" if device.user_name else ""
     return f"serial {device.serial}{user_name} at {device.address}"
 
 
-def _list(devices: Iterable[gvcp.Device]) -> str:
+def _list(devices: Iterable[gvcp.DiscoveredCamera]) -> str:
     return ", ".join(map(_named, devices))
