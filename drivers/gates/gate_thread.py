@@ -4,20 +4,19 @@ import errno
 import threading
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 
 from drivers.errors import GateUnavailableError
+from drivers.files.times import utc_ago
 from drivers.interfaces import DeviceEvent, EventSink, GateLost
 from drivers.outlet import Outlet
-from pipeline.frames import BundleKind, Trigger, rfc3339
+from pipeline.frames import BundleKind, Trigger
 
 
 def trigger_at(
     received_ns: int, sequence: int, *, device_ns: int = 0, kind: BundleKind = BundleKind.PARTICLE
 ) -> Trigger:
     """Return the trigger of an edge at `received_ns` of the host's clock; a gate without clock has `device_ns` 0."""
-    age = timedelta(microseconds=(time.monotonic_ns() - received_ns) / 1000)
-    utc = rfc3339(datetime.now(UTC) - age)
+    utc = utc_ago(time.monotonic_ns() - received_ns)
     return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
 
 

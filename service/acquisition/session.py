@@ -11,13 +11,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
 from drivers.factory import Devices
+from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
-from pipeline.frames import BundleKind, FrameBundle, Trigger, rfc3339
+from pipeline.frames import BundleKind, FrameBundle, Trigger
 from service.acquisition.device_keeper import Keeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.rig_cameras import RigCameras
@@ -280,8 +280,7 @@ class Acquisition:
             self._on_progress()
 
     def _dated(self, trigger: Trigger) -> Trigger:
-        age = timedelta(microseconds=(self._devices.clock() - trigger.received_ns) / 1e3)
-        return replace(trigger, utc=rfc3339(datetime.now(UTC) - age))
+        return replace(trigger, utc=utc_ago(self._devices.clock() - trigger.received_ns))
 
     async def _recorded(self, triggers: Sequence[Trigger]) -> list[Trigger]:
         """Make triggers durable, at once: the gate may have counted thousands while it was away."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
-from drivers.replay.belt import UNREADABLE
+from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.bundling.window import DISARMED
 from service.processing.bundle_files import BundleFiles
@@ -133,8 +133,9 @@ class Spool:
 
 def _without_frames(bundle: FrameBundle) -> Loss:
     causes = sorted(set(bundle.missing.values()))
-    if len(causes) == 1 and causes[0].startswith(f"{UNREADABLE}: "):  # in a recording
-        return Loss(reason="unreadable", detail=causes[0].removeprefix(f"{UNREADABLE}: "))
+    unreadable = f"{FrameLossReason.UNREADABLE}: "
+    if len(causes) == 1 and causes[0].startswith(unreadable):  # in a recording
+        return Loss(reason="unreadable", detail=causes[0].removeprefix(unreadable))
     if causes == [DISARMED]:
         return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
     return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")

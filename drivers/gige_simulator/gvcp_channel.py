@@ -60,7 +60,7 @@ class _LastCommand:
     answer: bytes | None
 
 
-class ControlChannel:
+class GvcpChannel:
     """One controller at a time; it loses control when it is silent for longer than its heartbeat timeout."""
 
     def __init__(self, registers: Registers, device: Device) -> None:

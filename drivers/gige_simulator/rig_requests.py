@@ -43,7 +43,7 @@ def counters_of(
     }
 
 
-class RigControl:
+class RigRequests:
     """Carries out requests; `ValueError` says what is wrong with one."""
 
     def __init__(

@@ -13,13 +13,13 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from drivers.gige_simulator.faults import Faults
-from drivers.gige_simulator.gvcp import Peer, is_discovery, pending_ack
+from drivers.gige_simulator.gvcp_channel import Peer, is_discovery, pending_ack
 from drivers.gvcp import GVCP_PORT
 
 _PENDING_FROM_MS = 100.0
 
 
-class ControlPort:
+class GvcpPort:
     """Hands datagrams to `answer`, and calls `run_due` when `next_due_ns` of the monotonic clock has come."""
 
     def __init__(
