@@ -8,8 +8,8 @@ import threading
 import time
 from collections.abc import Generator, Iterator
 
-import hypothesis
 import pytest
+from support.quick_and_full import use_profile
 
 from service.compiled_code import isolate_numba_cache
 
@@ -19,10 +19,28 @@ isolate_numba_cache()  # before numba is; with the daemons that the tests start
 
 pytest_plugins = ["support.stores"]
 
-hypothesis.settings.register_profile(
-    "gate", deadline=None, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]
-)
-hypothesis.settings.load_profile("gate")
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--full", action="store_true", help="also tests marked `full`, and all examples of properties"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    use_profile(config.getoption("full"))
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    return "extent: " + ("full" if config.getoption("full") else "quick, see --full")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is marked `full`, unless the option asks for it."""
+    if config.getoption("full"):
+        return
+    left_out = [item for item in items if item.get_closest_marker("full")]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if not item.get_closest_marker("full")]
 
 
 @pytest.fixture(autouse=True)

@@ -151,7 +151,8 @@ def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Pat
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)
-        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 3)
+        # one of them may have been measured just before the worker stopped, and be counted as that any moment
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 4)
         daemon.process.send_signal(signal.SIGINT)
         daemon.wait_for("/acquisition", lambda now: now["state"] == "stopping")
         start = time.monotonic()
@@ -185,10 +186,14 @@ def test_after_a_kill_of_the_daemon_open_triggers_are_lost_and_the_feed_goes_on(
 ):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")
-        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         workers = daemon.worker_pids()
+        daemon.signal_workers(signal.SIGSTOP)
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 2)  # one may just have been measured
         daemon.process.kill()
         daemon.process.wait()
+        for pid in workers:
+            os.kill(pid, signal.SIGCONT)
         wait_until_gone(workers)
     before = accounting_in(tmp_path)
     assert before.is_balanced

@@ -26,7 +26,9 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
 
 def start_watch(daemon: DaemonProcess, process: int, *options: str) -> subprocess.Popen[str]:
     base = daemon.url("").removesuffix("/api/v1")
-    command = [sys.executable, DEPLOY / "watch.py", base, "--while-process", str(process), *options]
+    # a process started in the background, as a gate may be, ignores Ctrl-C, and so do those that it starts
+    command = ["env", "--default-signal=INT", sys.executable, DEPLOY / "watch.py", base]
+    command += ["--while-process", str(process), *options]
     return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 

@@ -1,10 +1,11 @@
-"""Rendered bundles shared by the tests: one synthetic rig a process, its background learnt once."""
+"""Rendered bundles shared by the tests: one synthetic rig, its background learnt once."""
 
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from support.render_cache import kept_rendered
 
 from drivers.files.bundle_file import Compression
 from drivers.files.recording import RecordingWriter
@@ -25,7 +26,7 @@ def rig() -> RigCalibration:
     return as_built(nominal_rig(), SEED)
 
 
-@cache
+@kept_rendered
 def scene() -> Scene:
     return build_scene(SEED)
 
@@ -47,7 +48,7 @@ def bundle_of(*bodies: PlacedBody, number: int = 0) -> FrameBundle:
     return render_bundle(list(bodies), simulated(), stream(SEED, 2, number), sequence=10 + number)
 
 
-@cache
+@kept_rendered
 def sphere_bundle() -> FrameBundle:
     """A 15 mm sphere half a millimetre off the centre."""
     return bundle_of(placed(sphere(), (0.5, -0.3, 0.2)))

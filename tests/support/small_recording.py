@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from support.render_cache import kept_rendered
 from support.rendered import recording_of
 
 from pipeline.frames import BundleKind, CameraId, FrameBundle
@@ -45,14 +46,14 @@ def _simulated() -> SimulatedRig:
     return simulate_rig(thumbnail_rig(), stream(1, 0))
 
 
-@cache
+@kept_rendered
 def _empty(number: int) -> FrameBundle:
     return render_empty(_simulated(), stream(1, 1, number), sequence=number)
 
 
-@cache
+@kept_rendered
 def _sphere(number: int) -> FrameBundle:
-    """One exposure of a falling sphere; tests of one process share them, as each takes a third of a second."""
+    """One exposure of a falling sphere, which takes a third of a second."""
     rng = stream(1, 2, number)
     placed = tumble(sphere(), _simulated().rig, rng)
     return render_bundle([placed], _simulated(), rng, sequence=number, label="sphere")
@@ -66,7 +67,7 @@ def write_small_recording(
     dimmed: Mapping[CameraId, float] = MappingProxyType({}),
 ) -> None:
     """Spheres falling through the rig as built, after some exposures of the empty rig; then the `dimmed` go dark."""
-    with recording_of(path, _simulated().rig, MADE_BY) as writer:
+    with recording_of(path, thumbnail_rig(), MADE_BY) as writer:
         for number in range(1, n_backgrounds + 1):
             writer.add(_empty(number))
         for number in range(n_backgrounds + 1, n_backgrounds + n_stones + 1):
@@ -78,25 +79,37 @@ def write_small_recording(
             writer.add(replace(bundle, frames=frames) if dimmed else bundle)
 
 
+@cache
+def _simulated_for_balls() -> SimulatedRig:
+    return simulate_rig(thumbnail_rig(), stream(3, 0))
+
+
+@kept_rendered
+def _empty_before_balls(number: int) -> FrameBundle:
+    return render_empty(_simulated_for_balls(), stream(3, 1, number), sequence=number)
+
+
+@kept_rendered
+def _ball(number: int, diameter_mm: float) -> FrameBundle:
+    rng = stream(3, 2, number)
+    placed = drop_across(ball(diameter_mm), _simulated_for_balls().rig, rng)
+    return render_bundle(
+        [placed], _simulated_for_balls(), rng, sequence=number, label="ball", kind=BundleKind.BALL
+    )
+
+
 def write_ball_recording(path: Path, *, n_balls: int, diameter_mm: float = 10.0) -> None:
     """Balls falling through the rig as built, after two exposures of it empty; rig.json is only its design."""
-    rig = thumbnail_rig()
-    simulated = simulate_rig(rig, stream(3, 0))
     with recording_of(path, _thumbnail(nominal_rig()), MADE_BY) as writer:
         for number in (1, 2):
-            writer.add(render_empty(simulated, stream(3, 1, number), sequence=number))
+            writer.add(_empty_before_balls(number))
         for number in range(3, n_balls + 3):
-            rng = stream(3, 2, number)
-            placed = drop_across(ball(diameter_mm), rig, rng)
-            writer.add(
-                render_bundle([placed], simulated, rng, sequence=number, label="ball", kind=BundleKind.BALL)
-            )
+            writer.add(_ball(number, diameter_mm))
 
 
-def write_odd_recording(path: Path) -> None:
-    """After two exposures of the empty rig: nothing, two stones at once, one cut off, each between whole ones."""
-    rig = thumbnail_rig()
-    simulated = simulate_rig(rig, stream(2, 0))
+@kept_rendered
+def _odd_bundles() -> list[FrameBundle]:
+    simulated = simulate_rig(thumbnail_rig(), stream(2, 0))
     falls = {
         "whole": [_placed(sphere(), 0, 0, 0)],
         "empty": [],
@@ -106,11 +119,20 @@ def write_odd_recording(path: Path) -> None:
         "cut": [_placed(sphere(), 0, 0, 24)],
         "last": [_placed(sphere(12.0), 1, 1, -2)],
     }
-    with recording_of(path, rig, MADE_BY) as writer:
-        for number in (1, 2):
-            writer.add(render_empty(simulated, stream(2, 1, number), sequence=number))
-        for number, (label, bodies) in enumerate(falls.items(), start=3):
-            writer.add(render_bundle(bodies, simulated, stream(2, 2, number), sequence=number, label=label))
+    return [
+        *(render_empty(simulated, stream(2, 1, number), sequence=number) for number in (1, 2)),
+        *(
+            render_bundle(bodies, simulated, stream(2, 2, number), sequence=number, label=label)
+            for number, (label, bodies) in enumerate(falls.items(), start=3)
+        ),
+    ]
+
+
+def write_odd_recording(path: Path) -> None:
+    """After two exposures of the empty rig: nothing, two stones at once, one cut off, each between whole ones."""
+    with recording_of(path, thumbnail_rig(), MADE_BY) as writer:
+        for bundle in _odd_bundles():
+            writer.add(bundle)
 
 
 def _placed(body: Body, *offset_mm: float) -> PlacedBody:

@@ -6,10 +6,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle, tagged_image
 
 from drivers.errors import RecordingError
@@ -163,7 +164,7 @@ def test_a_time_that_is_no_instant_is_refused(tmp_path: Path, utc: str) -> None:
         read_header(path)
 
 
-@settings(max_examples=150)
+@examples(1.5)
 @given(data=st.data(), compression=st.sampled_from(["none", "zstd"]), mapped=st.booleans())
 def test_damage_never_goes_unnoticed(
     data: st.DataObject, compression: str, mapped: bool, tmp_path_factory: pytest.TempPathFactory

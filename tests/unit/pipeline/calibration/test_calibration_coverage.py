@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.ball_drops import drop, drops_across, without_views
+from support.quick_and_full import examples
 
 from pipeline.calibration.ball_sizes import apparent_diameter_mm, with_diameters
 from pipeline.calibration.coverage import CoverageGoals, ball_center_mm, coverage
@@ -46,7 +47,7 @@ def test_what_is_missing_is_said() -> None:
 
 
 @given(places_mm=st.lists(places_mm, min_size=1, max_size=4), another_mm=places_mm)
-@settings(max_examples=15, deadline=None)
+@examples(0.15)
 def test_another_drop_never_covers_less(
     places_mm: list[tuple[float, float, float]], another_mm: tuple[float, float, float]
 ) -> None:
@@ -59,7 +60,7 @@ def test_another_drop_never_covers_less(
 
 
 @given(place_mm=places_mm)
-@settings(max_examples=15, deadline=None)
+@examples(0.15)
 def test_a_ball_is_found_where_it_is(place_mm: tuple[float, float, float]) -> None:
     rig = nominal_rig()
     seen = drop("ball", rig, place_mm, 12.0)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.quick_and_full import examples
 from support.silhouettes import sphere_silhouettes
 
 from pipeline.carving import CarvingParameters, VisualHull, all_leaves, carve
@@ -79,7 +80,7 @@ def test_mesh_is_closed_and_faces_outwards(field: str, radius_mm: float) -> None
     assert mesh.body_count == 1
 
 
-@settings(max_examples=12)
+@examples(0.12)
 @given(st.sets(st.sampled_from(RIG.camera_ids), min_size=3, max_size=15), st.sampled_from(RIG.camera_ids))
 def test_adding_a_view_never_adds_a_voxel(cameras: set[CameraId], added: CameraId) -> None:
     parameters = CarvingParameters(n=64)
@@ -88,7 +89,7 @@ def test_adding_a_view_never_adds_a_voxel(cameras: set[CameraId], added: CameraI
     assert occupied(more) <= occupied(fewer)
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(st.floats(1.5, 10), *[st.floats(-6, 6)] * 3)
 def test_hull_contains_the_body(radius_mm: float, x: float, y: float, z: float) -> None:
     mesh = meshed(carve(sphere_silhouettes(RIG, (x, y, z), radius_mm), RIG, COARSE))

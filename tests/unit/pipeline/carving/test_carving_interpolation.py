@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
+from support.quick_and_full import examples
 
 from pipeline.carving.interpolation import interpolate
 
 
-@settings(max_examples=30, deadline=None)
+@examples(0.3)
 @given(seed=st.integers(0, 999), height=st.integers(2, 9), width=st.integers(2, 9))
 def test_values_are_linear_between_pixels_and_the_border_s_beyond(seed: int, height: int, width: int) -> None:
     rng = np.random.default_rng(seed)

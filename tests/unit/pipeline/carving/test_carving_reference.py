@@ -6,9 +6,10 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 from support.silhouettes import distances_of, sphere_silhouettes
 
 from pipeline.carving import LEAF, CarvingParameters, VisualHull, carve, octree, samples, warm_up
@@ -78,7 +79,7 @@ def assert_same(found: VisualHull, expected: VisualHull, n: int) -> None:
     assert {tuple(cell) for cell in (cells - 1) // LEAF} <= leaves
 
 
-@settings(max_examples=15, deadline=None)
+@examples(0.15)
 @given(
     lens=st.sampled_from(sorted(DISTORTIONS)),
     center_mm=st.sampled_from([(0.0, 0.0, 0.0), (2.0, -1.0, 3.0), (6.5, 0.0, 0.0)]),

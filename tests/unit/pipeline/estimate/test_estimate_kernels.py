@@ -1,8 +1,9 @@
 """What the estimate's loops compute is what numpy says in a line."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.quick_and_full import examples
 
 from pipeline.estimate.inner import TOLERANCE, TOUCH_MM, _approach
 from pipeline.estimate.smoothness import REACH_DEG, local_share
@@ -17,7 +18,7 @@ def unit_vectors(n: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(seed=seeds, n=st.integers(30, 200))
 def test_segments_are_what_all_planes_leave(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -32,7 +33,7 @@ def test_segments_are_what_all_planes_leave(seed: int, n: int) -> None:
     np.testing.assert_allclose(high_mm, expected_high_mm, rtol=1e-4)
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(seed=seeds, n=st.integers(1, 300))
 def test_local_share_is_a_weighted_mean(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -43,7 +44,7 @@ def test_local_share_is_a_weighted_mean(seed: int, n: int) -> None:
     )
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(seed=seeds, n_corners=st.integers(10, 60))
 def test_rays_approach_a_body(seed: int, n_corners: int) -> None:
     """Nowhere on a segment is the highest plane much lower than at the point that was found."""

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.special import ndtr
+from support.quick_and_full import examples
 
 from pipeline.evaluation.silhouette_errors import VISIBLE_GREY, silhouette_errors, true_edge, true_status
 from pipeline.evaluation.silhouette_picture import (
@@ -60,7 +61,7 @@ PERFECT = labels_of(RADIUS_PX)
 WHOLE = true_edge(DISC)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(0.2)
 @given(
     radius_px=st.floats(15, 40),
     shift_u=st.floats(-0.5, 0.5),

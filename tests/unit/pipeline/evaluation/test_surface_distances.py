@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from support.quick_and_full import examples
 
 from pipeline.evaluation.scene import rig_error
 from pipeline.evaluation.surface_distances import Surface, even_samples, surface_distances
@@ -66,7 +67,7 @@ def transformed(rig: RigCalibration, turn: Rotation, t_mm: np.ndarray, scale: fl
     return replace(rig, cameras=tuple(cameras))
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(
     seed=st.integers(0, 1000),
     scale=st.floats(0.98, 1.02),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import scipy.spatial
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 
 from pipeline.geometry.growing_hull import (
     Facets,
@@ -58,7 +59,7 @@ def assert_is_hull_of(points: Array, facets: Facets) -> None:
         assert (facets.across[beyond, back] == number).all()
 
 
-@settings(max_examples=15, deadline=None)
+@examples(0.15)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(30, 400), is_restarted=st.booleans())
 def test_batches_of_points(seed: int, n: int, is_restarted: bool) -> None:
     points = random_points(n, np.random.default_rng(seed))

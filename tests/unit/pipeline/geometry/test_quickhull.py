@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import scipy.spatial
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from support.quick_and_full import examples
 
 from pipeline.geometry import quickhull
 from pipeline.geometry.quickhull import TOLERANCE, hull_facets
@@ -44,14 +45,14 @@ def assert_is_hull(points: Array) -> None:
     assert -ROUNDING * extent**3 <= missing <= TOLERANCE * extent * hull.area
 
 
-@settings(max_examples=30, deadline=None)
+@examples(0.3)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(4, 600))
 def test_random_points(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     assert_is_hull(rng.normal(size=(n, 3)) * rng.uniform(1, 20, size=3) + rng.uniform(-100, 100, size=3))
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(100, 1500))
 def test_points_that_are_nearly_all_on_the_hull(seed: int, n: int) -> None:
     assert_is_hull(rough_ball(n, np.random.default_rng(seed)))
@@ -77,7 +78,7 @@ def test_where_the_horizon_is_no_ring_qhull_helps(monkeypatch: pytest.MonkeyPatc
     assert_is_hull(points)
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(8, 1500))
 def test_no_vertex_is_higher_than_the_one_climbed_to(seed: int, n: int) -> None:
     body = convex_body(rough_ball(n, np.random.default_rng(seed)))

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 
 from pipeline.measuring import gradient_angularity
 from pipeline.measuring.angularity import MAX_ANGULARITY, N_POINTS, OVERSAMPLING, SMOOTHING_STEPS, STEP
@@ -87,7 +88,7 @@ def by_fourier(contour: NDArray[np.float64]) -> float:
     return min(float(np.sum(turns_deg**2)) / OVERSAMPLING / (N_POINTS / STEP - 1), MAX_ANGULARITY)
 
 
-@settings(max_examples=50)
+@examples(0.5)
 @given(n=st.integers(3, 1000), roughness=st.floats(0, 0.05), seed=st.integers(0, 2**32 - 1))
 def test_the_same_by_fourier_transforms(n: int, roughness: float, seed: int) -> None:
     outline = polygon(n) * (1 + roughness * np.random.default_rng(seed).normal(size=(n, 1)))

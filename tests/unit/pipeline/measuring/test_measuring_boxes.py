@@ -1,16 +1,17 @@
 """The search for boxes: widths that it takes from a few vertices, and that it finds what it starts from."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from support.quick_and_full import examples
 
 from pipeline.measuring import boxes
 from pipeline.measuring.convex import convex_body
 from pipeline.measuring.directions import half_sphere, near_frames
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(st.integers(0, 2**32 - 1), st.integers(6, 400), st.floats(1e-5, 0.05), st.booleans())
 def test_no_vertex_is_higher_than_those_looked_at(seed: int, n: int, radius: float, is_round: bool) -> None:
     rng = np.random.default_rng(seed)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from skimage.measure import marching_cubes
+from support.quick_and_full import examples
 
 from pipeline.errors import MeshError
 from pipeline.measuring import ShapeMeasurement, measure_shape
@@ -46,14 +47,14 @@ def assert_scaled(one: ShapeMeasurement, other: ShapeMeasurement, scale: float) 
         assert getattr(other, name) == pytest.approx(getattr(one, name), rel=2e-3), name
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(mesh=polyhedra(), scale=st.floats(0.01, 100))
 def test_scaling(mesh: trimesh.Trimesh, scale: float) -> None:
     scaled = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
     assert_scaled(measured(mesh), measured(scaled), scale)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(mesh=polyhedra(), seed=st.integers(0, 2**32 - 1))
 def test_pose_does_not_matter(mesh: trimesh.Trimesh, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -67,7 +68,7 @@ def test_pose_does_not_matter(mesh: trimesh.Trimesh, seed: int) -> None:
     np.testing.assert_allclose(after.center_mm, rotation @ before.center_mm + shift_mm, atol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(mesh=polyhedra())
 def test_order_of_the_lengths(mesh: trimesh.Trimesh) -> None:
     shape = measured(mesh)
@@ -82,7 +83,7 @@ def test_order_of_the_lengths(mesh: trimesh.Trimesh) -> None:
     assert 0 < shape.convexity <= 1
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(mesh=polyhedra(), seed=st.integers(0, 2**32 - 1))
 def test_no_random_rotation_beats_the_searches(mesh: trimesh.Trimesh, seed: int) -> None:
     shape = measured(mesh)
@@ -96,7 +97,7 @@ def test_no_random_rotation_beats_the_searches(mesh: trimesh.Trimesh, seed: int)
     assert shape.max_feret_mm >= widths.max()
 
 
-@settings(max_examples=10, deadline=None)
+@examples(0.1)
 @given(mesh=polyhedra())
 def test_greatest_distance_of_two_vertices_is_the_max_feret(mesh: trimesh.Trimesh) -> None:
     distances = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[None], axis=2)
@@ -179,7 +180,7 @@ def test_far_from_the_origin() -> None:
 # --- sums over the faces ---
 
 
-@settings(max_examples=15, deadline=None)
+@examples(0.15)
 @given(mesh=polyhedra(), seed=st.integers(0, 2**32 - 1), inverted=st.booleans())
 def test_sums_are_those_of_the_solid(mesh: trimesh.Trimesh, seed: int, inverted: bool) -> None:
     shift_mm = np.random.default_rng(seed).uniform(-20, 20, size=3)
@@ -197,7 +198,7 @@ def test_inertia_of_a_box() -> None:
     np.testing.assert_allclose(solid_of(BOX.vertices, BOX.faces).inertia_mm5, expected, rtol=1e-12, atol=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(0.5)
 @given(mesh=polyhedra(), seed=st.integers(0, 2**32 - 1))
 def test_any_one_corner_moved_is_noticed(mesh: trimesh.Trimesh, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -5,12 +5,13 @@ from typing import Literal
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
+from support.quick_and_full import examples
 
 from pipeline.carving import LEAF, VisualHull, all_leaves
 from pipeline.meshing import Mesher, mesh_hull
@@ -88,7 +89,7 @@ def test_every_case_beside_every_other() -> None:
     assert_closed_over_all_cut_edges(field)
 
 
-@settings(max_examples=30)
+@examples(0.3)
 @given(SHAPES, SEEDS)
 def test_any_field_has_a_closed_surface(shape: tuple[int, ...], seed: int) -> None:
     field = noise(shape, seed)
@@ -96,7 +97,7 @@ def test_any_field_has_a_closed_surface(shape: tuple[int, ...], seed: int) -> No
         assert_closed_over_all_cut_edges(field)
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(SHAPES, SEEDS)
 def test_a_smooth_field_has_scikit_image_s_surface(shape: tuple[int, ...], seed: int) -> None:
     field = noise(tuple(n + 8 for n in shape), seed, smoothness=2.5)
@@ -107,7 +108,7 @@ def test_a_smooth_field_has_scikit_image_s_surface(shape: tuple[int, ...], seed:
         assert mesh.volume == pytest.approx(reference.volume, rel=0.01)
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(st.floats(9, 11), *[st.floats(13, 15)] * 3)
 def test_a_ball_has_scikit_image_s_volume_and_area(radius: float, x: float, y: float, z: float) -> None:
     field = ball(28, radius, (x, y, z))
@@ -140,7 +141,7 @@ def block_at(field: Field, leaf: NDArray[np.int32]) -> Field:
     return field[tuple(slice(first, first + LEAF + 1) for first in leaf)]
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(SEEDS, st.integers(0, LEAF - 1))
 def test_leaves_may_come_in_any_order_and_begin_anywhere(seed: int, first: int) -> None:
     field = ball(20, 5, (9.3, 9.6, 9.9))

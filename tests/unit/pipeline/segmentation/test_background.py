@@ -5,9 +5,10 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import (
@@ -75,7 +76,7 @@ def test_noise_averages_out() -> None:
     assert learnt().n_frames == SETTLED_FRAMES
 
 
-@settings(max_examples=12, deadline=None)
+@examples(0.12)
 @given(
     st.integers(0, 3),
     st.floats(4, 60),

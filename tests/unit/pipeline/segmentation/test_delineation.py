@@ -8,12 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
+from support.quick_and_full import examples
 
 from pipeline.segmentation import edge_refinement, local_threshold, subpixel_edge
 from pipeline.segmentation.delineation import Delineation, delineate
@@ -66,7 +67,7 @@ def outline_of(found: Delineation) -> NDArray[np.float64]:
     return found.edge.outline_uv
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(
     st.integers(0, 2**32 - 1),
     st.floats(25, 65),

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
 from support.networks import GPU, OnGpu, darkness_network, difference_network, start_on_gpu
+from support.quick_and_full import examples
 
 from pipeline.arrays import Singles
 from pipeline.errors import ModelError
@@ -61,7 +62,7 @@ def test_a_u2net_of_any_size_runs_at_the_published_one() -> None:
     assert load_network(darkness_network(160)).size_px == 160
 
 
-@settings(max_examples=20, deadline=None)
+@examples(0.2)
 @given(st.floats(0.01, 255), st.integers(0, 2**32 - 1))
 def test_units_do_not_matter_to_a_u2net(unit: float, seed: int) -> None:
     image = np.random.default_rng(seed).uniform(0.1, 1, (8, 8)).astype(np.float32)

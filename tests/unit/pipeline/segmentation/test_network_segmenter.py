@@ -7,9 +7,10 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.networks import GPU, darkness_network, difference_network, start_on_gpu
+from support.quick_and_full import examples
 
 from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
 from pipeline.frames import CameraId, Frame
@@ -200,7 +201,7 @@ def test_dust_far_away_does_not_hide_a_small_stone() -> None:
     assert abs(off_px.mean()) < 0.05
 
 
-@settings(max_examples=20, deadline=None)
+@examples(0.2)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(64, 64), (67, 130), (5, 3)]))
 def test_a_level_is_extrapolated_from_where_it_is_known(seed: int, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)

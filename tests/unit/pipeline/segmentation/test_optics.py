@@ -6,9 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support import rendered
+from support.quick_and_full import examples
 from support.silhouettes import sphere_silhouette
 
 from pipeline.frames import CameraId, Frame
@@ -219,7 +220,7 @@ def sums_of(light: np.ndarray, is_wall: np.ndarray) -> np.ndarray:
     )
 
 
-@settings(max_examples=30)
+@examples(0.3)
 @given(lights(), st.integers(0, 2**32), st.integers(-3, 15), st.integers(0, 15))
 def test_the_light_is_that_of_rows_of_blocks(
     case: tuple[np.ndarray, np.ndarray], seed: int, more_rows: int, more_columns: int

@@ -3,9 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 
 from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
@@ -18,7 +19,7 @@ def grown(mask: NDArray[np.bool_], blocks: int) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), square) > 0)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(0.3)
 @given(
     st.integers(0, 2**32 - 1), st.integers(4, 30), st.integers(4, 30), st.integers(0, 9), st.integers(0, 9)
 )

@@ -2,9 +2,10 @@
 
 import cv2
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.quick_and_full import examples
 
 from pipeline.segmentation.background import COARSE, coarsen
 from pipeline.segmentation.light import EVEN, LIGHT_BLOCK, MAX_WALL_DEVIATION
@@ -44,7 +45,7 @@ def reference(seen: NDArray[np.uint8], wall: NDArray[np.uint8]) -> NDArray[np.ui
 
 
 @given(st.integers(4, 160), st.integers(4, 160), seeds)
-@settings(max_examples=30)
+@examples(0.3)
 def test_a_pixel_of_each_block_is_compared_and_the_light_of_larger_ones(
     height: int, width: int, seed: int
 ) -> None:
@@ -72,7 +73,7 @@ def test_a_pixel_of_each_block_is_compared_and_the_light_of_larger_ones(
 
 
 @given(sides, sides, seeds)
-@settings(max_examples=60)
+@examples(0.6)
 def test_the_core_is_eroded_and_the_possible_dilated(height: int, width: int, seed: int) -> None:
     """By a disc and a cross; beyond the border nothing differs."""
     wall, image = view(height, width, seed)
@@ -92,7 +93,7 @@ def test_the_core_is_eroded_and_the_possible_dilated(height: int, width: int, se
 
 
 @given(sides, sides, st.integers(0, 1), seeds)
-@settings(max_examples=30)
+@examples(0.3)
 def test_what_is_open_is_decided_by_the_level_beside_it_and_the_rest_is_as_it_was(
     height: int, width: int, odd: int, seed: int
 ) -> None:

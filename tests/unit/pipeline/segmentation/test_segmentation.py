@@ -5,11 +5,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.special import ndtr
 from support import rendered
+from support.quick_and_full import examples
 from support.silhouettes import distances_of, sphere_silhouette
 
 from pipeline.frames import CameraId, Frame
@@ -165,7 +166,7 @@ def dotted(center_uv: tuple[int, int], radius_px: int) -> tuple[Frame, dict]:
     return with_image(frame, image), {camera: replace(known, mean=known.mean * (1 - dot))}
 
 
-@settings(max_examples=8)
+@examples(0.08)
 @given(st.floats(0, 2 * np.pi), st.floats(-25, 25), st.integers(12, 30))
 def test_a_dark_dot_at_the_edge_is_unknown_not_guessed(angle: float, off_px: float, radius_px: int) -> None:
     truth = sphere_silhouette(RIG.subset([CameraId("c02")]).cameras[0], CENTER_MM, 7.5)
@@ -193,7 +194,7 @@ def test_a_dark_dot_at_the_edge_is_unknown_not_guessed(angle: float, off_px: flo
     assert silhouette.fine_px[inside_truth].min() > -0.5
 
 
-@settings(max_examples=30)
+@examples(0.3)
 @given(st.floats(0.1, 1.4), st.floats(-3, 3), st.floats(0.6, 1.0))
 def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blur_px: float) -> None:
     """Along rows or columns, just between two, an edge has the same slope half a pixel to either side."""

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support import rendered
+from support.quick_and_full import examples
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame, FrameBundle
@@ -191,7 +192,7 @@ def test_of_what_is_hidden_the_one_that_hides_less_is_taken(unknown: float, is_t
     )
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(u=st.floats(285, 330), v=st.floats(100, 220), radius_px=st.floats(20, 45), blur_px=st.floats(0, 6))
 def test_an_aperture_beside_a_stone_is_no_body(u: float, v: float, radius_px: float, blur_px: float):
     """Wherever its border lies between the pixels that are compared, and however steep it is."""
@@ -260,7 +261,7 @@ def test_a_network_that_breaks_is_no_reason_to_stop(wanted: SegmenterKind):
     assert found.fallback.endswith("model x: cannot be run: out of memory")
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(
     u=st.floats(90, 310),
     v=st.floats(90, 230),
@@ -279,7 +280,7 @@ def test_dull_stones_anywhere_in_any_uniform_light_are_left_to_the_background(
     assert not network.asked
 
 
-@settings(max_examples=25, deadline=None)
+@examples(0.25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(17, 40), (64, 80)]))
 def test_no_image_is_too_strange(seed: int, shape: tuple[int, int]):
     rng = np.random.default_rng(seed)

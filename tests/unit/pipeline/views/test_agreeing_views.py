@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.forms import form, silhouettes_of
+from support.quick_and_full import examples
 
 from pipeline.carving import usable_views
 from pipeline.rig.design import as_built, nominal_rig
@@ -45,7 +46,7 @@ def test_claims_are_the_clearances_below_zero(name: str, n_gaps: int) -> None:
     assert found_px.max() <= 0
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))
 def test_planes_leave_of_rays_what_they_leave_one_by_one(seed: int, n_planes: int) -> None:
     rng = np.random.default_rng(seed)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.forms import silhouettes_of
+from support.quick_and_full import examples
 from support.silhouettes import sphere_silhouette, sphere_silhouettes
 
 from pipeline.frames import CameraId
@@ -67,7 +68,7 @@ def test_the_wrong_view_is_named_and_no_other(
     assert camera not in found.residuals_px
 
 
-@settings(max_examples=4)
+@examples(0.04)
 @given(st.lists(st.sampled_from(RIG.camera_ids), min_size=2, max_size=2, unique=True))
 def test_two_wrong_views_are_named(cameras: list[CameraId]) -> None:
     silhouettes = sphere_silhouettes(RIG, CENTER_MM)

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.outlines import bumped, seen_by, stone_outlines, stone_points
+from support.quick_and_full import examples
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
@@ -40,7 +41,7 @@ def transformed(rig: RigCalibration, turn: np.ndarray, shift_mm: np.ndarray, sca
     return replace(rig, cameras=tuple(moved(camera) for camera in rig.cameras))
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(seeds)
 def test_perfect_silhouettes_of_any_convex_body_agree(seed: int) -> None:
     found = scores_px(stone_outlines(RIG, np.random.default_rng(seed)))
@@ -48,7 +49,7 @@ def test_perfect_silhouettes_of_any_convex_body_agree(seed: int) -> None:
     assert max(found.values()) < 1e-6
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(seeds, cameras, st.floats(0, 360))
 def test_a_tenth_of_a_degree_across_the_view_names_the_camera(
     seed: int, camera: CameraId, direction_deg: float
@@ -61,7 +62,7 @@ def test_a_tenth_of_a_degree_across_the_view_names_the_camera(
     assert max(found.values()) < ALARM_PX
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(seeds, cameras)
 def test_a_turn_about_the_line_of_sight_to_a_ball_cannot_be_seen(seed: int, camera: CameraId) -> None:
     """What turns into itself tells nothing; and it changes no silhouette, so no measurement either."""
@@ -75,7 +76,7 @@ def test_a_turn_about_the_line_of_sight_to_a_ball_cannot_be_seen(seed: int, came
     assert scores_px(outlines, bumped(RIG, camera, 0.5 * across))[camera] > 10
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(seeds)
 def test_the_rig_as_a_whole_cannot_be_seen(seed: int) -> None:
     """Turned, moved and scaled together, all cameras still agree: stones do not show the scale."""
@@ -86,7 +87,7 @@ def test_the_rig_as_a_whole_cannot_be_seen(seed: int) -> None:
     assert max(scores_px(stone_outlines(RIG, rng), judged_by).values()) < 1e-6
 
 
-@settings(max_examples=15)
+@examples(0.15)
 @given(seeds, cameras, st.floats(-20, 20), st.floats(-20, 20))
 def test_the_shift_of_an_outline_is_found(seed: int, camera: CameraId, du: float, dv: float) -> None:
     outlines = stone_outlines(RIG, np.random.default_rng(seed), noise_px=0.05)
@@ -96,7 +97,7 @@ def test_the_shift_of_an_outline_is_found(seed: int, camera: CameraId, du: float
     assert np.abs(list(shifts_px.values())).max() < 0.3
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(seeds)
 def test_no_other_shift_of_a_camera_leaves_less(seed: int) -> None:
     """The sum of absolute residuals, all but quadratic near zero, is least."""
@@ -124,7 +125,7 @@ def test_two_bad_cameras_are_both_named_and_no_other() -> None:
     assert sorted(found.values())[-3] < ALARM_PX
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(seeds, cameras)
 def test_a_plane_that_touches_where_the_edge_was_not_seen_is_not_trusted(seed: int, camera: CameraId) -> None:
     outlines = stone_outlines(RIG, np.random.default_rng(seed))

@@ -1,8 +1,9 @@
 """The corners of an outline's hull against what defines them."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.quick_and_full import examples
 
 from pipeline.segmentation.silhouette import is_beside_gap
 from pipeline.views.outline_hull import goes_on, hull_corners, stacked
@@ -20,7 +21,7 @@ def outline(seed: int, n: int, grid: bool) -> np.ndarray:
     return np.round(points) if grid else points
 
 
-@settings(max_examples=40)
+@examples(0.4)
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(3, 200), max_size=4), st.booleans())
 def test_the_corners_reach_as_far_as_all_points_and_turn_one_way(
     seed: int, lengths: list[int], grid: bool

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.bundling import CAMERAS, DELAY_NS, MS, PARAMETERS, accounted, frame, tags, trigger
+from support.quick_and_full import examples
 
 from drivers.interfaces import DeviceEvent, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle
@@ -94,7 +95,7 @@ def check_each_trigger_once(
         assert accounted(counters.cameras[camera]) == n_frames
 
 
-@settings(max_examples=120)
+@examples(1.2)
 @given(data=st.data(), times_ns=trigger_times_ns(), has_clock=st.booleans())
 def test_each_trigger_gets_one_bundle_with_the_right_missing_set(
     data: st.DataObject, times_ns: list[int], has_clock: bool
@@ -131,7 +132,7 @@ late = st.builds(
 )
 
 
-@settings(max_examples=150)
+@examples(1.5)
 @given(data=st.data(), times_ns=trigger_times_ns())
 def test_no_bundle_ever_holds_a_frame_of_another_trigger(data: st.DataObject, times_ns: list[int]) -> None:
     """Not even when frames arrive whole periods late, exactly when the next one is due."""
@@ -149,7 +150,7 @@ def test_no_bundle_ever_holds_a_frame_of_another_trigger(data: st.DataObject, ti
     check_each_trigger_once(bundles, assembler, times_ns, deliveries)
 
 
-@settings(max_examples=50)
+@examples(0.5)
 @given(data=st.data(), times_ns=trigger_times_ns())
 def test_no_frame_that_comes_before_the_deadline_is_wasted(data: st.DataObject, times_ns: list[int]) -> None:
     """However late each comes and in whatever order: the camera's clock knows its trigger."""
@@ -169,7 +170,7 @@ def test_no_frame_that_comes_before_the_deadline_is_wasted(data: st.DataObject, 
     assert not any(bundle.missing for bundle in bundles)
 
 
-@settings(max_examples=60)
+@examples(0.6)
 @given(data=st.data(), times_ns=trigger_times_ns())
 def test_a_clock_that_is_set_while_stones_fall_moves_no_frame(
     data: st.DataObject, times_ns: list[int]
@@ -190,7 +191,7 @@ def test_a_clock_that_is_set_while_stones_fall_moves_no_frame(
     check_each_trigger_once(bundles, assembler, times_ns, deliveries)
 
 
-@settings(max_examples=60)
+@examples(0.6)
 @given(data=st.data(), times_ns=trigger_times_ns())
 def test_a_stone_whose_line_is_late_is_one_stone(data: st.DataObject, times_ns: list[int]) -> None:
     """However late the lines are read, in their order: either they get the frames, or the frames came without."""
