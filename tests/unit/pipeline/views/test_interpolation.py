@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
-from pipeline.carving.interpolation import interpolate
+from pipeline.views.interpolation import interpolate
 
 
 @settings(max_examples=30, deadline=None)
