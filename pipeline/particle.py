@@ -1,6 +1,6 @@
 """The chain for one bundle: segment, judge the views, carve, mesh, estimate the body, measure."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -16,12 +16,16 @@ from pipeline.measuring.hull_bias import sphere_hull_excess
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
 from pipeline.rig.cameras import RigCalibration
-from pipeline.segmentation import BackgroundModel, Segmenter, SilhouetteSet, segment_all
+from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
+from pipeline.views.prepared import PreparedViews, prepare_views
 from pipeline.views.quality import Quality, ViewsParameters, judge_views, quality_of
+
+MIN_ANGULARITY_POINTS = 64
+"""Fewest points of an outline whose angularity counts."""
 
 BodyKind = Literal["estimate", "hull"]
 
@@ -133,27 +137,28 @@ def measure_bundle(
     segmenter: Segmenter,
     parameters: PipelineParameters,
     on_stage: Callable[[str], None] = lambda stage: None,
-    each: ViewMapper = map,
+    view_mapper: ViewMapper = map,
 ) -> ParticleResult:
     """Measure the particle of one bundle; a bundle that shows none is a result with a `rejection`.
 
-    `on_stage` is told the name of each stage as it ends, so that the caller's clock can time it. `each` is how
-    views are worked on; the result does not depend on it.
+    `on_stage` is told the name of each stage as it ends, so that the caller's clock can time it. `view_mapper` works
+    on the views one by one or several at a time; the result does not depend on it.
 
     Raises
     ------
     RigError
         The rig has no calibration for a camera of the bundle.
     """
-    silhouettes = segment_all(bundle.frames, background, segmenter, each)
+    silhouettes = segment_all(bundle.frames, background, segmenter, view_mapper)
     on_stage("segment")
-    optics = observe_all(bundle.frames, background, silhouettes, each)
+    optics = observe_all(bundle.frames, background, silhouettes, view_mapper)
     on_stage("optics")
     dropped = dict(bundle.missing)
     consistency = None
     try:
         judge_views(silhouettes, dropped, rig, parameters.views)
-        consistency = check_consistency(silhouettes, rig, parameters.consistency)
+        views = prepare_views(silhouettes, rig)
+        consistency = check_consistency(views, parameters.consistency)
         on_stage("check")
         dropped.update(consistency.suspects)
         if not consistency.is_consistent:
@@ -161,9 +166,9 @@ def measure_bundle(
                 RejectReason.INCONSISTENT,
                 f"more than {parameters.consistency.max_suspect_views} views contradict each other",
             )
-        carving = {camera: silhouette for camera, silhouette in silhouettes.items() if camera not in dropped}
-        quality = quality_of(rig.subset(carving), rig, parameters.views)
-        hull = carve(carving, rig, parameters.carving)
+        views = views.without(consistency.suspects)
+        quality = quality_of(rig.subset(views.camera_ids), rig, parameters.views)
+        hull = carve(views, parameters.carving)
         on_stage("carve")
         if hull.touches_border:
             raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
@@ -171,10 +176,11 @@ def measure_bundle(
         on_stage("mesh")
         if hull_mesh is None:
             raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
-        estimate = None if parameters.body.kind == "hull" else estimate_body(hull_mesh, carving, rig)
+        estimate = None if parameters.body.kind == "hull" else estimate_body(hull_mesh, views)
         on_stage("estimate")
         mesh = hull_mesh if estimate is None else estimate.mesh
-        measurement = _measure(mesh, estimate, carving, rig, parameters.measuring)
+        angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
+        measurement = _measure(mesh, estimate, views, angularity, parameters.measuring)
         on_stage("measure")
     except RejectedError as rejection:
         return ParticleResult(
@@ -187,7 +193,7 @@ def measure_bundle(
     return ParticleResult(
         silhouettes=silhouettes,
         optics=optics,
-        views=rig.subset(carving).camera_ids,
+        views=views.camera_ids,
         dropped=dropped,
         residuals_px=consistency.residuals_px,
         consistency=consistency,
@@ -201,8 +207,8 @@ def measure_bundle(
 def _measure(
     mesh: ParticleMesh,
     estimate: BodyEstimate | None,
-    carving: SilhouetteSet,
-    rig: RigCalibration,
+    views: PreparedViews,
+    angularity: float | None,
     parameters: MeasuringParameters,
 ) -> ParticleMeasurement:
     try:
@@ -213,16 +219,11 @@ def _measure(
         body: BodyKind = "hull"
         volume_model = "sphere"
         hull = HullMeasurement(volume_mm3=shape.volume_mm3, surface_area_mm2=shape.surface_area_mm2)
-        volume_mm3 = hull.volume_mm3 / _sphere_excess(shape, carving, rig)
+        volume_mm3 = hull.volume_mm3 / _sphere_excess(shape, views)
     else:
         body, volume_model = "estimate", parameters.volume_model.id
         hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
         volume_mm3 = parameters.volume_model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
-    angularities = [
-        gradient_angularity(silhouette.outline_uv)
-        for silhouette in carving.values()
-        if len(silhouette.outline_uv) >= 64
-    ]
     density = parameters.density_g_cm3
     return ParticleMeasurement(
         body=body,
@@ -231,14 +232,31 @@ def _measure(
         volume_mm3=volume_mm3,
         volume_model=volume_model,
         volume_estimate_mm3=None if estimate is None else estimate.volume_mm3,
-        angularity=float(np.mean(angularities)) if angularities else None,
+        angularity=angularity,
         mass_g=None if density is None else density * volume_mm3 / 1000,
     )
 
 
-def _sphere_excess(shape: ShapeMeasurement, carving: SilhouetteSet, rig: RigCalibration) -> float:
-    centers_mm = np.array([camera.center_mm for camera in rig.subset(carving).cameras])
+def _angularity(silhouettes: Iterable[Silhouette]) -> float | None:
+    """Return the mean gradient angularity of the outlines that are long enough for it."""
+    angularities = [
+        gradient_angularity(silhouette.outline_uv)
+        for silhouette in silhouettes
+        if len(silhouette.outline_uv) >= MIN_ANGULARITY_POINTS
+    ]
+    return float(np.mean(angularities)) if angularities else None
+
+
+def _sphere_excess(shape: ShapeMeasurement, views: PreparedViews) -> float:
+    """Return the ratio of hull to body of a sphere of this size seen by these views.
+
+    Raises
+    ------
+    RejectedError
+        There are so few views that even a sphere's hull is open.
+    """
+    centers_mm = np.array([camera.center_mm for camera in views.calibrations])
     try:
         return sphere_hull_excess(centers_mm, np.array(shape.center_mm), shape.equivalent_diameter_mm / 2)
-    except ValueError as err:  # so few views that even a sphere's hull is open
+    except ValueError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err

@@ -1,6 +1,6 @@
 """Shape from silhouette: the visual hull as a field on the voxel grid.
 
-Two fields, by default both on 256^3 samples over 50 mm:
+There are two fields, by default both on 256^3 samples over 50 mm:
 
 - `view_count`, the paper's: S = number of views whose silhouette contains the projection of the
   voxel's centre, nearest pixel; the surface lies between N - 1 and N, its eq. (11) interpolates.
@@ -11,22 +11,19 @@ Two fields, by default both on 256^3 samples over 50 mm:
 
 With m disagreeing views allowed, the (m + 1)-th smallest distance, or N - m views, take their place.
 
-`reference` says it in numpy, for every voxel and every view. What runs does as much only near the surface:
-an octree finds where that is (`octree`), `samples` evaluates there. Elsewhere the field only has the right side.
+`reference` defines it in numpy, for every voxel and every view. What runs does as much only near the surface:
+an octree finds where that is (`octree`), `samples` evaluates there. Elsewhere only the field's side is right.
 """
 
 from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
 from pipeline.carving.octree import LEAF
 from pipeline.carving.sparse import carve, warm_up
-from pipeline.carving.views import View, usable_views
 
 __all__ = [
     "LEAF",
     "CarvingParameters",
-    "View",
     "VisualHull",
     "all_leaves",
     "carve",
-    "usable_views",
     "warm_up",
 ]

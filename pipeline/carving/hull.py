@@ -1,14 +1,12 @@
-"""The visual hull as a field, and what it is asked to be."""
+"""The visual hull as a field on the voxel grid, and the parameters of carving it."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.carving.octree import LEAF
-
-Array = NDArray[np.float32]
+from pipeline.arrays import Singles, Vector
+from pipeline.carving.octree import LEAF, Blocks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,22 +33,22 @@ class CarvingParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VisualHull:
-    """The field around the body, above `level` inside it; its outermost samples are outside.
+    """The field around the body: above `level` inside it, and outside at its outermost samples.
 
     `field[i, j, k]` belongs to the point `origin_mm + pitch_mm (i, j, k)`. A cell of marching cubes, between
     samples i and i + 1, j and j + 1, k and k + 1, is cut only if its lowest sample lies in a leaf. At the ends of
     cut edges of cells the field is exact, elsewhere only the side is.
     """
 
-    field: Array  # (nx, ny, nz)
-    leaves: NDArray[np.int32]  # (L, 3) first samples of the blocks of LEAF^3 that may be cut
+    field: Singles  # (nx, ny, nz)
+    leaves: Blocks  # (L, 3) first samples of the blocks of LEAF^3 that may be cut
     level: float
-    origin_mm: NDArray[np.float64]  # (3,) of the first sample
+    origin_mm: Vector  # of the first sample
     pitch_mm: float
     touches_border: bool  # the body leaves the carved volume
 
 
-def all_leaves(shape: tuple[int, ...]) -> NDArray[np.int32]:
-    """Leaves (L, 3) of a field (nx, ny, nz) that may be cut anywhere."""
+def all_leaves(shape: tuple[int, ...]) -> Blocks:
+    """Return the leaves (L, 3) of a field (nx, ny, nz) that may be cut anywhere."""
     counts = [-(-size // LEAF) for size in shape]
     return (LEAF * np.indices(counts).reshape(3, -1).T).astype(np.int32)

@@ -1,32 +1,27 @@
-"""The same hull from every voxel in every view, in numpy: what carving means, a hundred times slower."""
-
-from collections.abc import Mapping
+"""The same hull from every voxel in every view, in numpy: defines carving, a hundred times slower."""
 
 import numpy as np
-import scipy  # what is used of it is imported then
+import scipy  # its submodules are imported when they are first used
 from numpy.typing import NDArray
 
+from pipeline.arrays import PointsMM, Values
 from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
-from pipeline.carving.views import View, usable_views
-from pipeline.frames import CameraId
-from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.cameras import CameraCalibration
 from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, UNKNOWN, Silhouette
+from pipeline.views.prepared import PreparedViews
 
-Array = NDArray[np.float64]
 
-
-def carve_every_voxel(
-    silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, parameters: CarvingParameters
-) -> VisualHull:
-    """As `pipeline.carving.carve`, with the whole grid as field, whose outermost samples are made outside."""
-    views, n_overruled = usable_views(silhouettes, rig), parameters.max_disagreeing_views
+def carve_every_voxel(views: PreparedViews, parameters: CarvingParameters) -> VisualHull:
+    """Carve as `pipeline.carving.carve`, with the whole grid as field, whose outermost samples are made outside."""
+    n_overruled = parameters.max_disagreeing_views
+    pairs = list(zip(views.calibrations, views.silhouettes, strict=True))
     axis_mm = parameters.pitch_mm * (np.arange(parameters.n) + (1 - parameters.n) / 2)
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm, indexing="ij"), axis=-1).reshape(-1, 3)
     if parameters.field == "view_count":
-        values = np.sum([_contains(view, points_mm) for view in views], axis=0)
+        values = np.sum([_contains(*view, points_mm) for view in pairs], axis=0)
         level, outside = len(views) - n_overruled - 0.5, 0.0
     else:
-        values = np.sort([_distance_mm(view, points_mm) for view in views], axis=0)[n_overruled]
+        values = np.sort([_distance_mm(*view, points_mm) for view in pairs], axis=0)[n_overruled]
         level, outside = 0.0, -parameters.pitch_mm
     field = np.asarray(values, np.float32).reshape((parameters.n,) * 3)
     at_border = np.ones(field.shape, bool)
@@ -43,9 +38,8 @@ def carve_every_voxel(
     )
 
 
-def _distance_mm(view: View, points_mm: Array) -> Array:
-    """Signed distances (N,) to a viewing cone, positive within."""
-    camera, silhouette = view
+def _distance_mm(camera: CameraCalibration, silhouette: Silhouette, points_mm: PointsMM) -> Values:
+    """Return the signed distances (N,) of points (N, 3) to a viewing cone, positive within."""
     pixels_uv, depths_mm = camera.project(points_mm)
     fine_px, places_vu = silhouette.fine_px, (pixels_uv - silhouette.offset_uv).T[::-1]
     sampled_px = scipy.ndimage.map_coordinates(
@@ -56,9 +50,8 @@ def _distance_mm(view: View, points_mm: Array) -> Array:
     return np.where(is_seen, sampled_px, -MARGIN_PX) * np.abs(depths_mm) / camera.focal_px
 
 
-def _contains(view: View, points_mm: Array) -> NDArray[np.int64]:
-    """Whether (N,) a silhouette, or what is unknown of it, has the nearest pixel of points (N, 3)."""
-    camera, silhouette = view
+def _contains(camera: CameraCalibration, silhouette: Silhouette, points_mm: PointsMM) -> NDArray[np.int64]:
+    """Return 1 for points (N, 3) whose nearest pixel is inside the silhouette or unknown, and else 0."""
     pixels_uv, depths_mm = camera.project(points_mm)
     column, row = np.floor(pixels_uv - silhouette.offset_uv + 0.5).astype(np.int64).T
     height, width = silhouette.labels.shape

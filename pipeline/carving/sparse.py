@@ -1,44 +1,46 @@
-"""Carving only where the surface is."""
+"""Carving that evaluates the field only where the surface is."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Singles
 from pipeline.carving.hull import CarvingParameters, VisualHull
-from pipeline.carving.octree import LEAF, Octree, centres_of, octree_of
-from pipeline.carving.samples import count, count_within, fill, lower, place, undecided
-from pipeline.carving.views import HALVES, Pinholes, View, pinholes_of, usable_views
-from pipeline.frames import CameraId
+from pipeline.carving.octree import LEAF, Octree, build_octree, centers_of
+from pipeline.carving.pinholes import OCTANTS, Pinholes, pinholes_of
+from pipeline.carving.samples import (
+    SampleValues,
+    count_enclosing_views,
+    count_view,
+    fill_blocks,
+    find_undecided,
+    lower_distances,
+    write_leaves,
+)
 from pipeline.geometry.bounds import bounds
-from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.ball_silhouettes import ball_silhouettes
-from pipeline.segmentation.silhouette import Silhouette
-
-Array = NDArray[np.float32]
+from pipeline.views.prepared import PreparedViews, prepare_views
 
 
-def carve(
-    silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, parameters: CarvingParameters
-) -> VisualHull:
-    """Largest body consistent with every usable silhouette but `max_disagreeing_views`.
+def carve(views: PreparedViews, parameters: CarvingParameters) -> VisualHull:
+    """Return the largest body consistent with every silhouette but `max_disagreeing_views`.
 
-    Unknown pixels, and views without a usable silhouette, carve nothing.
+    Unknown pixels carve nothing.
 
     Raises
     ------
     ValueError
-        Fewer than two usable silhouettes, or a camera that the rig does not know.
+        Fewer than two views, beside those that may disagree.
     """
-    views = usable_views(silhouettes, rig)
     n_overruled = parameters.max_disagreeing_views
     if len(views) < 2 + n_overruled:
         raise ValueError(f"{len(views)} usable silhouettes are too few to carve")
     n, pitch_mm = parameters.n, parameters.pitch_mm
     pinholes = pinholes_of(views, parameters.size_mm)
-    octree = octree_of(views, pinholes, n, parameters.size_mm, n_overruled)
+    octree = build_octree(views, pinholes, n, parameters.size_mm, n_overruled)
     if parameters.field == "view_count":
         values = _counts(views, pinholes, octree, parameters)
         level, inside, outside = len(views) - n_overruled - 0.5, float(len(views)), 0.0
@@ -53,8 +55,8 @@ def carve(
         shape = tuple(last + LEAF + 1 - corner)
     field = np.zeros(shape, np.float32)
     for blocks, edge in octree.solid:
-        fill(field, corner, blocks, edge, inside)
-    place(field, corner, octree.leaves, octree.parts, values, level, inside, outside)
+        fill_blocks(field, corner, blocks, edge, inside)
+    write_leaves(field, corner, octree.leaves, octree.cut, values, level, inside, outside)
     return VisualHull(
         field=field,
         leaves=octree.leaves - corner.astype(np.int32),
@@ -66,49 +68,54 @@ def carve(
 
 
 def warm_up(parameters: CarvingParameters) -> VisualHull:
-    """A coarse hull of a ball: compiles what the first stone would wait for."""
+    """Carve a coarse hull of a made-up ball, which compiles what the first stone would wait for."""
     rig = nominal_rig()
-    return carve(ball_silhouettes(rig), rig, replace(parameters, n=32))
+    return carve(prepare_views(ball_silhouettes(rig), rig), replace(parameters, n=32))
 
 
 def _distances_mm(
-    views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
-) -> Array:
-    """Signed distances (HALVES, PARTS) to the viewing cones' intersection, cut off at about a voxel."""
-    n_parts = HALVES * len(octree.leaves)
-    smallest_mm = np.full((parameters.max_disagreeing_views + 1, HALVES, n_parts), np.inf, np.float32)
-    centres_mm, half_mm = _part_centres(octree, parameters), parameters.pitch_mm / 2
-    parts = np.empty(n_parts + 1, np.int32)
-    for view, (_, silhouette) in enumerate(views):
-        n = undecided(octree.within, octree.parts, view, parts)
-        lower(smallest_mm, centres_mm, parts, n, half_mm, pinholes, view, silhouette.fine_px)
+    views: PreparedViews, pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
+) -> SampleValues:
+    """Return the samples' signed distances to the viewing cones' intersection, cut off at about a voxel."""
+    n_octants = OCTANTS * len(octree.leaves)
+    smallest_mm = np.full((parameters.max_disagreeing_views + 1, OCTANTS, n_octants), np.inf, np.float32)
+    centers_mm, half_pitch_mm = _octant_centers_mm(octree, parameters), parameters.pitch_mm / 2
+    octants = np.empty(n_octants + 1, np.int32)
+    for view, silhouette in enumerate(views.silhouettes):
+        n = find_undecided(octree.within, octree.cut, view, octants)
+        lower_distances(
+            smallest_mm, centers_mm, octants, n, half_pitch_mm, pinholes, view, silhouette.fine_px
+        )
     return smallest_mm[-1]
 
 
 def _counts(
-    views: Sequence[View], pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
-) -> Array:
-    """The paper's S (HALVES, PARTS): how many silhouettes contain the nearest pixel of each sample's projection."""
-    counts = count_within(octree.within)
-    centres_mm, half_mm = _part_centres(octree, parameters), parameters.pitch_mm / 2
-    parts = np.empty(counts.shape[1] + 1, np.int32)
-    for view, (_, silhouette) in enumerate(views):
-        n = undecided(octree.within, octree.parts, view, parts)
-        count(counts, centres_mm, parts, n, half_mm, pinholes, view, silhouette.labels)
+    views: PreparedViews, pinholes: Pinholes, octree: Octree, parameters: CarvingParameters
+) -> SampleValues:
+    """Return the paper's S: how many silhouettes contain the nearest pixel of each sample's projection."""
+    counts = count_enclosing_views(octree.within)
+    centers_mm, half_pitch_mm = _octant_centers_mm(octree, parameters), parameters.pitch_mm / 2
+    octants = np.empty(counts.shape[1] + 1, np.int32)
+    for view, silhouette in enumerate(views.silhouettes):
+        n = find_undecided(octree.within, octree.cut, view, octants)
+        count_view(counts, centers_mm, octants, n, half_pitch_mm, pinholes, view, silhouette.labels)
     return counts
 
 
-def _part_centres(octree: Octree, parameters: CarvingParameters) -> Array:
-    """(3, PARTS) in the world frame."""
+def _octant_centers_mm(octree: Octree, parameters: CarvingParameters) -> Annotated[Singles, "(3, 8 L)"]:
+    """Return the centres of the leaves' octants in the world frame."""
     steps_mm = np.float32(LEAF // 2 * parameters.pitch_mm) * np.indices((2, 2, 2), np.float32)
-    firsts_mm = centres_of(octree.leaves, LEAF // 2, parameters.n, parameters.pitch_mm)
-    centres_mm = np.repeat(firsts_mm, HALVES, axis=1)
-    centres_mm += np.tile(steps_mm.reshape(3, HALVES), len(octree.leaves))
-    return centres_mm
+    firsts_mm = centers_of(octree.leaves, LEAF // 2, parameters.n, parameters.pitch_mm)
+    centers_mm = np.repeat(firsts_mm, OCTANTS, axis=1)
+    centers_mm += np.tile(steps_mm.reshape(3, OCTANTS), len(octree.leaves))
+    return centers_mm
 
 
-def _close(field: Array, corner: NDArray[np.int64], n: int, level: float, outside: float) -> bool:
-    """Whether a field that begins at voxel `corner` is inside anywhere at the border of the grid; it no longer is."""
+def _close(field: Singles, corner: NDArray[np.int64], n: int, level: float, outside: float) -> bool:
+    """Set what is inside at the border of the grid to `outside`; return whether anything was.
+
+    The field begins at voxel `corner` of the grid.
+    """
     touches_border = False
     for axis in range(3):
         for border in (0, n - 1):

@@ -16,31 +16,25 @@ the hull swells. With discs of up to half the body's width unknown in any number
 to the truth as with all edges seen, and nearer than the hull; nothing was cut off by more than 0.3 mm.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.carving import usable_views
+from pipeline.arrays import Faces, PointsMM, Values, Vector
 from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
 from pipeline.estimate.surface import InnerSurface, inner_surface
-from pipeline.frames import CameraId
 from pipeline.geometry.bounds import bounds
 from pipeline.meshing import ParticleMesh
-from pipeline.rig.cameras import RigCalibration
-from pipeline.segmentation.silhouette import Silhouette
-
-Array = NDArray[np.float64]
+from pipeline.views.prepared import PreparedViews
 
 PULL = 0.999
-"""Share of the way to the estimated surface: below 1, or the map would fold."""
+"""Share of the way to the estimated surface that points are moved: below 1, or the map would fold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyEstimate:
-    """The estimate, and what the hull that it is within measures."""
+    """The estimated body, with volume and area of the hull that it is within."""
 
     mesh: ParticleMesh
     volume_mm3: float
@@ -49,22 +43,15 @@ class BodyEstimate:
     fallback: str | None = None  # why the estimate is the hull itself
 
 
-def estimate_body(
-    hull: ParticleMesh, silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration
-) -> BodyEstimate:
-    """Move the surface of the visual hull to where the same silhouettes make the body's likeliest.
+def estimate_body(hull: ParticleMesh, views: PreparedViews) -> BodyEstimate:
+    """Move the surface of the visual hull to where the silhouettes that carved it make the body's likeliest.
 
-    When the outlines do not bound an inner body (too few views or seen edges, views at odds with each
+    When the outlines do not bound an inner body (too few views or seen edges, views that contradict each
     other) the estimate is the hull, and `fallback` says why.
-
-    Raises
-    ------
-    ValueError
-        A silhouette of a camera that the rig does not know.
     """
     low_mm, high_mm = bounds(hull.vertices_mm)
     center_mm = (low_mm + high_mm) / 2
-    inner = inner_surface(usable_views(silhouettes, rig), center_mm, hull.vertices_mm)
+    inner = inner_surface(views, center_mm, hull.vertices_mm)
     if isinstance(inner, str):
         unmoved = np.ones(len(hull.vertices_mm))
         volume_mm3, area_mm2, _ = _integrals(hull.vertices_mm, hull.faces, center_mm, unmoved)
@@ -89,7 +76,12 @@ def estimate_body(
 
 @compiled
 def _pull(
-    points_mm: Array, center_mm: Array, inner: InnerSurface, bulge: float, shares: Array, moved_mm: Array
+    points_mm: PointsMM,
+    center_mm: Vector,
+    inner: InnerSurface,
+    bulge: float,
+    shares: Values,
+    moved_mm: PointsMM,
 ) -> None:
     """Pull points (N, 3) towards the centre, to the estimated surface: to `shares` (N,) of the way from there."""
     for i in range(len(points_mm)):
@@ -102,11 +94,11 @@ def _pull(
 
 @compiled
 def _integrals(
-    points_mm: Array, faces: NDArray[np.int64], center_mm: Array, shares: Array
+    points_mm: PointsMM, faces: Faces, center_mm: Vector, shares: Values
 ) -> tuple[float, float, float]:
-    """Volume and area of a closed mesh with points (N, 3), and its volume once these are at `shares` of their way.
+    """Return volume and area of a closed mesh, and its volume with its points at `shares` of their way from the centre.
 
-    That way is from the centre; volumes are those of the tetrahedra of the centre and every face.
+    Volumes are those of the tetrahedra of the centre and every face.
     """
     whole = area = pulled = 0.0
     x, y, z = center_mm[0], center_mm[1], center_mm[2]

@@ -1,64 +1,62 @@
-"""What the silhouettes say of the surface along each ray from the middle of the body."""
+"""The inner body's surface, and the tangent planes above it, along rays from the middle of the body."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.carving import View
+from pipeline.arrays import Floats, PointsMM, Values, Vector
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.inner import inner_body
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
-from pipeline.estimate.tangents import tangents_of
+from pipeline.estimate.tangents import find_tangents
 from pipeline.geometry.growing_hull import Facets
-from pipeline.rig.camera_arrays import arrays_of
-
-Array = NDArray[np.float64]
+from pipeline.views.prepared import PreparedViews
 
 ROUNDING = 1e-12
-"""A ray that leaves a face by no more than this share has not left it."""
+"""Share of its weights by which a ray may lie beside a face that it counts as meeting."""
 
 
 class InnerSurface(NamedTuple):
-    """Along the rays from a centre within the inner body through N points, in shares of their distances from it."""
+    """The inner body along rays from a centre within it through N points, in shares of their distances from it."""
 
-    radii: Array  # (N,) to the surface of the inner body
-    half_heights: Array  # (N,) from there, half the mean height of the tangent planes of the face's corners
-    local_share: Array  # (N,) of segments, see `smoothness`
+    radii: Values  # (N,) to the surface of the inner body
+    half_heights: Values  # (N,) from there, half the mean height of the tangent planes of the face's corners
+    local_share: Values  # (N,) of segments, see `smoothness`
 
 
-def inner_surface(views: Sequence[View], center_mm: Array, points_mm: Array) -> InnerSurface | str:
-    """The inner body along the rays from `center_mm` through points (N, 3); or why there is none."""
+def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) -> InnerSurface | str:
+    """Return the inner body along the rays from `center_mm` through points (N, 3); or why there is none."""
     if len(views) < 3:
         return f"{len(views)} views are too few for an inner body"
-    outlined = [(camera, silhouette) for camera, silhouette in views if len(silhouette.outline_uv) > 2]
-    if not outlined:
+    outlined = views.with_outline()
+    if not len(outlined):
         return "no outline was seen"
-    tangents = tangents_of(outlined, center_mm)
+    tangents = find_tangents(outlined, center_mm)
     inner = inner_body(tangents)
     if inner is None:
         return "the outlines that were seen do not span a body"
     if not (inner.facets.planes[:, 3] < 0).all():
         return "the inner body does not hold the hull's centre"
-    eyes_mm = arrays_of([camera for camera, _ in views]).centers_mm - center_mm
-    sphere_mm = sphere_segment_mm(eyes_mm, float(np.cbrt(3 * inner.volume_mm3 / (4 * np.pi))))
+    centers_mm = views.cameras.centers_mm - center_mm
+    sphere_mm = sphere_segment_mm(centers_mm, float(np.cbrt(3 * inner.volume_mm3 / (4 * np.pi))))
     if not np.isfinite(sphere_mm):
         return "the views leave the hull of a sphere open"
     shares = local_share(tangents.normals, segment_shares(tangents, sphere_mm))
     surface = InnerSurface(*np.empty((3, len(points_mm))))
     planes = np.column_stack([tangents.normals, tangents.offsets_mm, shares])
-    _follow(points_mm, center_mm, inner.facets, inner.solvers, planes, np.zeros((2, 2, 2), np.int32), surface)
+    last = np.zeros((2, 2, 2), np.int32)
+    _follow_rays(points_mm, center_mm, inner.facets, inner.solvers, planes, last, surface)
     return surface
 
 
 @compiled
-def _follow(
-    points_mm: Array,
-    center_mm: Array,
+def _follow_rays(
+    points_mm: PointsMM,
+    center_mm: Vector,
     facets: Facets,
-    solvers: Array,
-    tangents: Array,
+    solvers: Floats,
+    tangents: Floats,
     last: NDArray[np.int32],
     surface: InnerSurface,
 ) -> None:
@@ -104,8 +102,8 @@ def _follow(
 
 
 @compiled_within
-def _weights(solvers: Array, face: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Of the corners of a face where the ray along (x, y, z) leaves it, up to scale; negative beside it."""
+def _weights(solvers: Floats, face: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the weights, up to scale, of a face's corners where the ray along (x, y, z) leaves it; < 0 beside it."""
     return (
         solvers[face, 0, 0] * x + solvers[face, 0, 1] * y + solvers[face, 0, 2] * z,
         solvers[face, 1, 0] * x + solvers[face, 1, 1] * y + solvers[face, 1, 2] * z,
@@ -114,6 +112,6 @@ def _weights(solvers: Array, face: int, x: float, y: float, z: float) -> tuple[f
 
 
 @compiled_within
-def _height(planes: Array, plane: int, x: float, y: float, z: float) -> float:
-    """Of (x, y, z) along a plane's normal."""
+def _height(planes: Floats, plane: int, x: float, y: float, z: float) -> float:
+    """Return the height of (x, y, z) along a plane's normal."""
     return planes[plane, 0] * x + planes[plane, 1] * y + planes[plane, 2] * z

@@ -1,90 +1,84 @@
-"""What the outlines say for certain: tangent planes of the body, and rays that touch it.
+"""The tangent planes of the body that its outlines give, and the viewing rays that touch it.
 
-The line that touches a silhouette's outline from outside, and the camera's centre, span a plane the body
-touches from one side; the viewing ray through the point of contact touches the body itself, somewhere.
-Where, the other views' planes bound: the body is on their inner side, so the ray touches on the segment
-they leave of it. Near *frontier points*, where the tangent planes of two views coincide, next to nothing
-is left, and at a corner that several views see the segments shrink to the corner.
+The line that touches a silhouette's outline from outside, and the camera's centre, span a plane that touches the body;
+the viewing ray through the point of contact touches the body itself. Where on the ray, the other views' planes bound:
+the body is on their inner side, so the ray touches on the segment they leave of it. Near *frontier points*, where the
+tangent planes of two views coincide, next to nothing is left, and at a corner that several views see the segments
+shrink to the corner.
 
 Lengths are relative to a point near the body, so that single precision holds micrometres.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.carving import View
+from pipeline.arrays import Directions, Floats, Indices, PointsMM, PointsUV, Values, Vector
 from pipeline.compiled import compiled
-from pipeline.rig.camera_arrays import arrays_of
-from pipeline.views.outline_hull import goes_on, stacked
-from pipeline.views.tangent_planes import left_by
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from pipeline.views.outline_hull import is_edge_seen
+from pipeline.views.prepared import PreparedViews
+from pipeline.views.tangent_planes import clip_lines
 
 N_ANGLES = 60
-"""Tangents an outline: every 6 degrees."""
+"""Tangents an outline: one every 6 degrees."""
 OUTWARDS = np.array(
     [np.cos(2 * np.pi / N_ANGLES * np.arange(N_ANGLES)), np.sin(2 * np.pi / N_ANGLES * np.arange(N_ANGLES))]
 )
 """The directions (2, N_ANGLES) of the image that the tangents' normals have in it."""
 SLACK_MM = 0.004
-"""By which planes are moved outwards before they cut rays: a tenth of a pixel. Planes that nearly contain
+"""Distance by which planes are moved outwards before they cut rays: a tenth of a pixel. Planes that nearly contain
 a ray would otherwise cut it anywhere, by the noise of the outlines."""
 SEEN_POINTS = 10
-"""A tangent is left out if the edge was not seen so many points to either side of where it touches: closer to a gap
-it may be the noise of the outline that has it touch there, and not beyond."""
+"""Points to either side of the one that touches at which the edge must have been seen: closer to a gap it may be the
+noise of the outline that has the tangent touch there, and not beyond."""
 MAX_OVERLAP_MM = 0.3
-"""A ray that the planes leave less than minus this much of misses the body: its view is at odds with others."""
+"""A ray on which the planes pass each other by more misses the body: its view contradicts others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tangents:
-    """Touching rays and planes of all views, N of each; points relative to the centre given.
+    """N tangent planes of all views, with the rays on which they touch; points are relative to the centre given.
 
     The body satisfies `normals @ x <= offsets_mm`, and touches its plane on `points_mm + t directions`
     at some t from `low_mm` to `high_mm`.
     """
 
-    normals: Array  # (N, 3) unit, outwards
-    offsets_mm: Array  # (N,)
-    points_mm: Array  # (N, 3) foot of the centre on the ray
-    directions: Array  # (N, 3) unit, away from the camera
-    low_mm: Array  # (N,)
-    high_mm: Array  # (N,)
+    normals: Directions  # (N, 3) outwards
+    offsets_mm: Values  # (N,)
+    points_mm: PointsMM  # (N, 3) foot of the centre on the ray
+    directions: Directions  # (N, 3) away from the camera
+    low_mm: Values  # (N,)
+    high_mm: Values  # (N,)
 
     @property
-    def lengths_mm(self) -> Array:
+    def lengths_mm(self) -> Values:
         """Lengths (N,) of the segments."""
         return self.high_mm - self.low_mm
 
 
-def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
-    """Tangents at `N_ANGLES` angles of every view's outline; those beside a gap in it are left out.
+def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
+    """Find the tangents at `N_ANGLES` angles of every view's outline; every view has one.
 
-    So are rays that miss the body.
+    Those beside a gap in the outline, and rays that miss the body, are left out.
     """
-    cameras = arrays_of([camera for camera, _ in views])
-    outlines = stacked([silhouette.outline_uv for _, silhouette in views])
+    cameras, outlines = views.cameras, views.outlines
     reach, farthest = np.full((len(views), N_ANGLES), -np.inf), np.empty((len(views), N_ANGLES), np.int64)
     _find_farthest(outlines.points_uv, outlines.ends, OUTWARDS, reach, farthest)
-    is_known = goes_on(outlines, farthest, SEEN_POINTS)
+    is_known = is_edge_seen(outlines, farthest, SEEN_POINTS)
     owners = np.repeat(np.arange(len(views)), N_ANGLES)
-    flat = cameras.flat_rays(outlines.points_uv[farthest.ravel()], owners)
+    normalized = cameras.normalized_coordinates(outlines.points_uv[farthest.ravel()], owners)
     # distortion bends a plane so little that each tangent's point is among these
-    heights = OUTWARDS.T @ flat.reshape(-1, N_ANGLES, 2).transpose(0, 2, 1)
+    heights = OUTWARDS.T @ normalized.reshape(-1, N_ANGLES, 2).transpose(0, 2, 1)
     best = heights.argmax(axis=2).ravel() + N_ANGLES * owners
     rays, planes = np.ones((2, len(views), N_ANGLES, 3))
-    rays[:, :, :2] = flat[best].reshape(-1, N_ANGLES, 2)
+    rays[:, :, :2] = normalized[best].reshape(-1, N_ANGLES, 2)
     planes[:, :, :2], planes[:, :, 2] = OUTWARDS.T, -heights.max(axis=2)
     is_known = is_known.ravel()[best].reshape(-1, N_ANGLES)
-    R, eyes_mm = cameras.R, cameras.centers_mm - center_mm
+    R, centers_mm = cameras.R, cameras.centers_mm - center_mm
     normals, directions = (_unit((vectors @ R)[is_known]) for vectors in (planes, rays))
-    eyes_mm = np.repeat(eyes_mm, is_known.sum(axis=1), axis=0)
-    offsets_mm = (normals * eyes_mm).sum(axis=1)
-    points_mm = eyes_mm - (directions * eyes_mm).sum(axis=1, keepdims=True) * directions
+    centers_mm = np.repeat(centers_mm, is_known.sum(axis=1), axis=0)
+    offsets_mm = (normals * centers_mm).sum(axis=1)
+    points_mm = centers_mm - (directions * centers_mm).sum(axis=1, keepdims=True) * directions
     low_mm, high_mm = segments_mm(normals, offsets_mm, points_mm, directions)
     touching = np.isfinite(high_mm - low_mm) & (high_mm - low_mm > -MAX_OVERLAP_MM)
     middle_mm = (low_mm + high_mm) / 2
@@ -99,8 +93,10 @@ def tangents_of(views: Sequence[View], center_mm: Array) -> Tangents:
 
 
 @compiled
-def _find_farthest(points: Array, ends: Indices, outwards: Array, reach: Array, farthest: Indices) -> None:
-    """Which points, of each outline (N, 2), are the farthest (V, A), and how far they reach, in each direction (2, A).
+def _find_farthest(
+    points: PointsUV, ends: Indices, outwards: Floats, reach: Floats, farthest: Indices
+) -> None:
+    """Find the farthest point (V, A) of each outline in each direction (2, A), and how far it reaches (V, A).
 
     In vectors, as the directions are last.
     """
@@ -114,15 +110,15 @@ def _find_farthest(points: Array, ends: Indices, outwards: Array, reach: Array, 
                 farthest[view, angle] = point if is_farther else farthest[view, angle]
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Floats) -> Directions:
     return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=1, keepdims=True)))
 
 
 def segments_mm(
-    normals: Array, offsets_mm: Array, points_mm: Array, directions: Array
-) -> tuple[Array, Array]:
-    """What all planes leave of each ray: from (N,) to (N,), infinite where nothing ends it."""
-    low_mm, high_mm = left_by(
+    normals: Directions, offsets_mm: Values, points_mm: PointsMM, directions: Directions
+) -> tuple[Values, Values]:
+    """Return the ends (N,), (N,) of what all planes leave of each ray; infinite where no plane ends it."""
+    low_mm, high_mm = clip_lines(
         normals, offsets_mm + SLACK_MM, np.concatenate([points_mm, directions], axis=1).T
     )
     return low_mm, high_mm

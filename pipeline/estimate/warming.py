@@ -5,6 +5,7 @@ from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
 from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.ball_silhouettes import RADIUS_MM, ball_silhouettes
+from pipeline.views.prepared import prepare_views
 
 
 def warm_up() -> BodyEstimate:
@@ -12,4 +13,4 @@ def warm_up() -> BodyEstimate:
     rig = nominal_rig()
     directions, faces = icosphere(subdivisions=2)
     hull = ParticleMesh(RADIUS_MM * directions, faces)
-    return estimate_body(hull, ball_silhouettes(rig), rig)
+    return estimate_body(hull, prepare_views(ball_silhouettes(rig), rig))

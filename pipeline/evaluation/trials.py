@@ -27,6 +27,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.irregular_bodies import irregular
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
+from pipeline.views.prepared import prepare_views
 
 Array = NDArray[np.float64]
 
@@ -146,7 +147,7 @@ def _measure(
             return str(result.rejection)
         return Measured(mesh=_trimesh(result.mesh), volume_mm3=result.measurement.volume_mm3)
     parameters = CarvingParameters(field="view_count" if method == "paper's field" else "sub_voxel")
-    hull = mesh_hull(carve(silhouettes, rig, parameters))
+    hull = mesh_hull(carve(prepare_views(silhouettes, rig), parameters))
     if hull is None:
         return "the silhouettes have no common body"
     return _as_it_is(_trimesh(hull))

@@ -1,47 +1,49 @@
-"""Several calibrated cameras as arrays: what is asked of all views at once is asked of these."""
+"""Several calibrated cameras as arrays, for what is computed for all views at once."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.arrays import Directions, PointsMM, Vector
+from pipeline.arrays import Directions, Floats, Indices, PointsMM, PointsUV, Values, Vector
 from pipeline.rig.cameras import CameraCalibration
-from pipeline.rig.lens import undistorted
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from pipeline.rig.lens import normalized_coordinates
 
 
 class CameraArrays(NamedTuple):
-    """Of V cameras."""
+    """The calibrations of V cameras."""
 
-    K: Array  # (V, 3, 3) px
-    distortion: Array  # (V, 5)
-    R: Array  # (V, 3, 3)
-    t_mm: Array  # (V, 3)
+    K: Annotated[Floats, "(V, 3, 3)"]  # px
+    distortion: Annotated[Floats, "(V, 5)"]
+    R: Annotated[Floats, "(V, 3, 3)"]
+    t_mm: PointsMM  # (V, 3)
 
     @property
-    def centers_mm(self) -> Array:
+    def centers_mm(self) -> PointsMM:
         """Optical centres (V, 3) in the world frame."""
         return -(self.t_mm[:, None] @ self.R)[:, 0]
 
     @property
-    def focals_px(self) -> Array:
+    def focals_px(self) -> Values:
         """Mean focal lengths (V,)."""
         return (self.K[:, 0, 0] + self.K[:, 1, 1]) / 2
 
-    def flat_rays(self, pixels_uv: Array, owners: Indices) -> Array:
-        """Where viewing rays (N, 2) meet the plane at depth 1 of their own camera, by its index (N,)."""
-        return undistorted(pixels_uv, owners, self.K, self.distortion)
+    def normalized_coordinates(self, pixels_uv: PointsUV, owners: Indices) -> PointsUV:
+        """Return the undistorted image coordinates (x/z, y/z) of pixels (N, 2), each seen by camera `owners` (N,)."""
+        return normalized_coordinates(pixels_uv, owners, self.K, self.distortion)
+
+    def subset(self, kept: Sequence[int]) -> "CameraArrays":
+        """Return the cameras with these indices."""
+        return CameraArrays(*(array[kept] for array in self))
 
 
-def arrays_of(cameras: Sequence[CameraCalibration]) -> CameraArrays:
-    """The cameras in their order."""
-    each = [(camera.K, camera.distortion, camera.R, camera.t_mm) for camera in cameras]
+def camera_arrays(cameras: Sequence[CameraCalibration]) -> CameraArrays:
+    """Return the cameras as arrays, in their order."""
+    if not cameras:
+        return CameraArrays(np.empty((0, 3, 3)), np.empty((0, 5)), np.empty((0, 3, 3)), np.empty((0, 3)))
+    calibrations = [(camera.K, camera.distortion, camera.R, camera.t_mm) for camera in cameras]
     # several times as fast as np.array, which looks at every element
-    K, distortion, R, t_mm = (np.concatenate(arrays) for arrays in zip(*each, strict=True))
+    K, distortion, R, t_mm = (np.concatenate(arrays) for arrays in zip(*calibrations, strict=True))
     return CameraArrays(
         K.reshape(-1, 3, 3), distortion.reshape(-1, 5), R.reshape(-1, 3, 3), t_mm.reshape(-1, 3)
     )

@@ -13,27 +13,26 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pipeline.arrays import Directions, Floats, Matrix33, PointsUV, Values, Vector
 from pipeline.frames import CameraId
-from pipeline.rig.lens import distort, undistorted
+from pipeline.rig.lens import distort, normalized_coordinates
 
 FORMAT = "stonefall-rig/1"
 Method = Literal["nominal", "paper", "bundle", "imported"]
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCalibration:
-    """Pinhole with distortion; arrays are read-only float64."""
+    """A pinhole camera with lens distortion; its arrays are read-only."""
 
     id: CameraId
     image_size_px: tuple[int, int]  # W, H
-    K: Array  # (3, 3) px
-    distortion: Array  # (5,) k1 k2 p1 p2 k3
-    R: Array  # (3, 3)
-    t_mm: Array  # (3,)
+    K: Matrix33  # px
+    distortion: Floats  # (5,) k1 k2 p1 p2 k3
+    R: Matrix33
+    t_mm: Vector
     serial: str | None = None
     rms_px: float | None = None
 
@@ -42,13 +41,13 @@ class CameraCalibration:
             array.setflags(write=False)
 
     @property
-    def projection(self) -> Array:
-        """(3, 4) matrix K [R|t], without distortion."""
+    def projection(self) -> Floats:
+        """Projection matrix K [R|t] (3, 4), without distortion."""
         return self.K @ np.column_stack([self.R, self.t_mm])
 
     @property
-    def center_mm(self) -> Array:
-        """Optical centre in the world frame (3,)."""
+    def center_mm(self) -> Vector:
+        """Optical centre in the world frame."""
         return -self.R.T @ self.t_mm
 
     @property
@@ -56,30 +55,30 @@ class CameraCalibration:
         """Mean focal length."""
         return float((self.K[0, 0] + self.K[1, 1]) / 2)
 
-    def project(self, points_world_mm: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (N, 2) of world points (N, 3), and their depths (N,) in mm along the optical axis."""
+    def project(self, points_world_mm: ArrayLike) -> tuple[PointsUV, Values]:
+        """Project world points (N, 3) to pixels (N, 2); also return their depths (N,) in mm along the optical axis."""
         points_camera_mm = np.asarray(points_world_mm, dtype=np.float64) @ self.R.T + self.t_mm
         depths_mm = points_camera_mm[:, 2]
         normalized = points_camera_mm[:, :2] / depths_mm[:, None]
         distorted = distort(normalized, self.distortion)
         return distorted @ self.K[:2, :2].T + self.K[:2, 2], depths_mm
 
-    def flat_rays(self, pixels_uv: ArrayLike) -> Array:
-        """Where the viewing rays through pixels (N, 2) meet the plane at depth 1 of the camera's own frame, (N, 2)."""
+    def normalized_coordinates(self, pixels_uv: ArrayLike) -> PointsUV:
+        """Return the undistorted image coordinates (x/z, y/z) (N, 2) of pixels (N, 2)."""
         pixels = np.asarray(pixels_uv, dtype=np.float64).reshape(-1, 2)
         owners = np.zeros(len(pixels), np.int64)
-        return undistorted(pixels, owners, np.array([self.K]), np.array([self.distortion]))
+        return normalized_coordinates(pixels, owners, np.array([self.K]), np.array([self.distortion]))
 
-    def rays(self, pixels_uv: ArrayLike) -> Array:
-        """Unit directions (N, 3) in the world frame of the viewing rays through pixels (N, 2)."""
-        flat = self.flat_rays(pixels_uv)
-        rays = np.column_stack([flat, np.ones(len(flat))])
+    def rays(self, pixels_uv: ArrayLike) -> Directions:
+        """Return unit directions (N, 3) in the world frame of the viewing rays through pixels (N, 2)."""
+        normalized = self.normalized_coordinates(pixels_uv)
+        rays = np.column_stack([normalized, np.ones(len(normalized))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True) @ self.R)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigCalibration:
-    """All cameras of a rig in page order."""
+    """The calibrated cameras of a rig, in the order of the pages of its bundles."""
 
     name: str
     method: Method
@@ -89,15 +88,16 @@ class RigCalibration:
 
     @property
     def camera_ids(self) -> tuple[CameraId, ...]:
+        """Ids of the cameras."""
         return tuple(camera.id for camera in self.cameras)
 
     @property
     def calibration_id(self) -> str:
-        """The document's checksum: equal rigs have equal ids, every result carries it."""
+        """Checksum of the rig's document: equal rigs have equal ids, every result carries it."""
         return str(rig_to_document(self)["checksum"])
 
     def subset(self, camera_ids: Iterable[CameraId]) -> "RigCalibration":
-        """The same rig with only these cameras, in page order."""
+        """Return the same rig with only these cameras, in its order."""
         wanted = set(camera_ids)
         kept = tuple(camera for camera in self.cameras if camera.id in wanted)
         return RigCalibration(
@@ -113,7 +113,7 @@ class RigCalibration:
 
 
 def rig_to_document(rig: RigCalibration) -> dict[str, Any]:
-    """The rig as JSON-ready values, with its checksum."""
+    """Return the rig as JSON-ready values, with its checksum."""
     document: dict[str, Any] = {
         "format": FORMAT,
         "name": rig.name,
@@ -140,7 +140,7 @@ def rig_to_document(rig: RigCalibration) -> dict[str, Any]:
 
 
 def checksum_of(document: Mapping[str, Any]) -> str:
-    """Sha256 (hex) of the canonical JSON (sorted keys, no spaces, UTF-8) without the member `checksum`."""
+    """Return the SHA-256 (hex) of the canonical JSON (sorted keys, no spaces, UTF-8) without the member `checksum`."""
     bare = {key: value for key, value in document.items() if key != "checksum"}
     canonical = json.dumps(bare, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,20 +1,25 @@
-"""How a lens bends the image: radial and tangential distortion as OpenCV has it, and its inverse."""
+"""Radial and tangential lens distortion (k1, k2, p1, p2, k3) as OpenCV defines it, and its inverse."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Indices, PointsUV
 from pipeline.compiled import compiled
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-ITERATIONS = 20
+MAX_ITERATIONS = 20
 CONVERGED = 1e-14
-"""Change of a coordinate at which the iterations end."""
+"""Change of a coordinate at which the iterations of the inverse end."""
+
+RegionLens = tuple[Any, ...]
+"""Intrinsics of one camera for pixels of a region: fx, skew, cx, fy, cy, then k1, k2, p1, p2, k3.
+
+All in double or all in single precision, which decides the precision of what is projected."""
 
 
-def distort(normalized: Array, distortion: Array) -> Array:
-    """Normalized image coordinates (N, 2) after OpenCV's radial and tangential distortion."""
+def distort(normalized: PointsUV, distortion: Annotated[Floats, "(5,)"]) -> PointsUV:
+    """Return the distorted coordinates (N, 2) of normalized image coordinates (N, 2)."""
     if not distortion.any():
         return normalized
     k1, k2, p1, p2, k3 = distortion
@@ -29,18 +34,21 @@ def distort(normalized: Array, distortion: Array) -> Array:
     )
 
 
-def undistorted(pixels_uv: Array, owners: Indices, K: Array, distortion: Array) -> Array:
-    """Normalized image coordinates (N, 2) of pixels (N, 2) of several cameras, by the index (N,) of each one's.
+def normalized_coordinates(pixels_uv: PointsUV, owners: Indices, K: Floats, distortion: Floats) -> PointsUV:
+    """Return the undistorted image coordinates (x/z, y/z) of pixels (N, 2), each seen by camera `owners` (N,).
 
-    As `cv2.undistortPoints`, but for the skew in `K` (V, 3, 3), in a fifth of its time.
+    As `cv2.undistortPoints`, but with the skew in `K` (V, 3, 3), for several cameras with `distortion` (V, 5), and in
+    a fifth of its time.
     """
-    flat = np.empty(pixels_uv.shape)
-    _undistort(np.ascontiguousarray(pixels_uv), owners, K, distortion, flat)
-    return flat
+    normalized = np.empty(pixels_uv.shape)
+    _undistort(np.ascontiguousarray(pixels_uv), owners, K, distortion, normalized)
+    return normalized
 
 
 @compiled
-def _undistort(pixels_uv: Array, owners: Indices, K: Array, distortion: Array, flat: Array) -> None:
+def _undistort(
+    pixels_uv: PointsUV, owners: Indices, K: Floats, distortion: Floats, normalized: PointsUV
+) -> None:
     """Fill in the normalized coordinates: fixed-point iterations of the inverse of `distort`."""
     for i in range(len(pixels_uv)):
         at = owners[i]
@@ -49,7 +57,7 @@ def _undistort(pixels_uv: Array, owners: Indices, K: Array, distortion: Array, f
         seen_y = (pixels_uv[i, 1] - K[at, 1, 2]) / K[at, 1, 1]
         seen_x = (pixels_uv[i, 0] - K[at, 0, 2] - K[at, 0, 1] * seen_y) / K[at, 0, 0]
         x, y = seen_x, seen_y
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             r2 = x * x + y * y
             radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
             last_x, last_y = x, y
@@ -57,4 +65,23 @@ def _undistort(pixels_uv: Array, owners: Indices, K: Array, distortion: Array, f
             y = (seen_y - p1 * (r2 + 2 * last_y * last_y) - 2 * p2 * last_x * last_y) / radial
             if abs(x - last_x) + abs(y - last_y) < CONVERGED:
                 break
-        flat[i, 0], flat[i, 1] = x, y
+        normalized[i, 0], normalized[i, 1] = x, y
+
+
+def region_lenses(K: Floats, distortion: Floats, offsets_uv: Sequence[tuple[int, int]]) -> Floats:
+    """Return the `RegionLens` rows (V, 10) of cameras (V, 3, 3) and (V, 5) whose regions begin at these pixels."""
+    left, top = np.array(offsets_uv).T
+    return np.column_stack(
+        [K[:, 0, 0], K[:, 0, 1], K[:, 0, 2] - left, K[:, 1, 1], K[:, 1, 2] - top, distortion]
+    )
+
+
+@compiled
+def region_pixel(lens: RegionLens, x: float, y: float) -> tuple[float, float]:
+    """Return the region pixel (u, v) of normalized coordinates x, y, as `CameraCalibration.project` has it."""
+    fx, skew, cx, fy, cy, k1, k2, p1, p2, k3 = lens
+    r2 = x * x + y * y
+    bend = r2 * (k1 + r2 * (k2 + r2 * k3))  # whole numbers would make doubles of floats
+    a = x + x * bend + (p1 + p1) * x * y + p2 * (r2 + x * x + x * x)
+    b = y + y * bend + p1 * (r2 + y * y + y * y) + (p2 + p2) * x * y
+    return fx * a + skew * b + cx, fy * b + cy

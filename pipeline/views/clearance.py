@@ -1,40 +1,44 @@
-"""How far the viewing rays along a silhouette's edge pass the body that the other views show.
+"""The clearance of the viewing rays along a silhouette's edge from the body that the other views show.
 
-The clearance of a ray of view k is the highest value along it of the field (`pipeline.views.ray_field`) of the others.
+The clearance of a ray of view k is the maximum along it of the distance field (`pipeline.views.distance_field`) of the
+other views: below zero where the ray misses what they show.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.carving import View
+from pipeline.arrays import Floats, Indices, PointsMM, PointsUV, Values, Vector
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
 from pipeline.geometry.bounds import bounds
-from pipeline.rig.camera_arrays import CameraArrays, arrays_of
-from pipeline.views.outline_hull import stacked
-from pipeline.views.ray_field import HALF_MM, Rays, Steps, field_of, highest_mm, sampled_mm
+from pipeline.views.distance_field import (
+    HALF_EDGE_MM,
+    DistanceField,
+    Lines,
+    Rays,
+    Refinements,
+    maximum_mm,
+    sample_mm,
+)
+from pipeline.views.prepared import PreparedViews
 
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
-Indices = NDArray[np.int64]
-Sphere = tuple[Array, float]
-"""Centre (3,) in the world frame and radius, mm."""
+Sphere = tuple[Vector, float]
+"""Centre in the world frame and radius, mm."""
 
-N_RAYS = 64
+MAX_RAYS = 64
 """Most rays a view, spread evenly over its outline."""
-APART = 6
+RAY_SPACING = 6
 """Points of an outline, about a pixel apart, from ray to ray of a small one: closer rays tell the same."""
-STEPS: Steps = ((40, 1), (9, 1), (9, 1))
-"""Within the sphere around the body."""
+REFINEMENTS: Refinements = ((40, 1), (9, 1), (9, 1))
+"""Search within the sphere around the body."""
 N_COLUMNS = 31
-"""Of the grid in which the body is looked for: so many samples along each edge of a cube."""
+"""Samples along each edge of the grid in which the body is searched."""
 
 
-def body_sphere(views: Sequence[View], overruled: int) -> Sphere | None:
-    """A sphere around the body of all views, `overruled` votes against a point not counted; `None` without a body."""
-    pitch_mm = 2 * HALF_MM / N_COLUMNS
+def body_sphere(field: DistanceField) -> Sphere | None:
+    """Return a sphere around the body that the field shows; `None` where it shows none."""
+    pitch_mm = 2 * HALF_EDGE_MM / N_COLUMNS
     axis_mm = pitch_mm * (np.arange(N_COLUMNS) - (N_COLUMNS - 1) / 2)
     x_mm, y_mm = (axis.ravel() for axis in np.meshgrid(axis_mm, axis_mm))
     zeros, ones = np.zeros(len(x_mm)), np.ones(len(x_mm))
@@ -43,8 +47,7 @@ def body_sphere(views: Sequence[View], overruled: int) -> Sphere | None:
         owners=np.full(len(x_mm), -1),
         px_per_mm=ones,
     )
-    field = field_of(views, arrays_of([camera for camera, _ in views]), overruled)
-    values_mm = sampled_mm(field, columns, -HALF_MM * ones, HALF_MM * ones, N_COLUMNS)
+    values_mm = sample_mm(field, columns, -HALF_EDGE_MM * ones, HALF_EDGE_MM * ones, N_COLUMNS)
     sample, column = np.nonzero(values_mm > -pitch_mm * np.sqrt(3) / 2)
     if len(column) == 0:
         return None
@@ -54,62 +57,66 @@ def body_sphere(views: Sequence[View], overruled: int) -> Sphere | None:
 
 
 def clearances_px(
-    views: Sequence[View], sphere: Sphere, overruled: int, settled_above_zero: Collection[CameraId] = ()
-) -> list[Array]:
-    """For each view the clearances (N_RAYS,) of rays along its outline, within a sphere around the body.
+    views: PreparedViews,
+    field: DistanceField,
+    sphere: Sphere,
+    settled_above_zero: Collection[CameraId] = (),
+) -> list[Values]:
+    """Return for each view the clearances (R,) of rays along its outline, within a sphere around the body.
 
-    Of the cameras in `settled_above_zero` only clearances below zero are of interest: a ray is left as it is when
-    one of its values is not.
+    `field` is that of the views. For cameras in `settled_above_zero` only clearances below zero are exact: a ray is
+    not refined once a value on it is above.
     """
     center_mm, radius_mm = sphere
-    cameras = arrays_of([camera for camera, _ in views])
-    rays = outline_rays(views, cameras, center_mm)
-    enough_mm = np.array([0.0 if camera.id in settled_above_zero else np.inf for camera, _ in views])
-    reach_mm, field = np.full(len(rays.owners), radius_mm), field_of(views, cameras, overruled)
-    found_mm = highest_mm(field, rays, -reach_mm, reach_mm, STEPS, enough_mm[rays.owners])
-    return of_views(found_mm * rays.px_per_mm, rays, views)
+    rays = outline_rays(views, center_mm)
+    enough_mm = np.array([0.0 if camera in settled_above_zero else np.inf for camera in views.camera_ids])
+    reach_mm = np.full(len(rays.owners), radius_mm)
+    found_mm = maximum_mm(field, rays, -reach_mm, reach_mm, REFINEMENTS, enough_mm[rays.owners])
+    return split_by_view(found_mm * rays.px_per_mm, rays, len(views))
 
 
-def of_views(values: Array, rays: Rays, views: Sequence[View]) -> list[Array]:
-    """The values (R,) of each view's rays."""
-    return np.split(values, np.searchsorted(rays.owners, np.arange(1, len(views))))
+def split_by_view(values: Values, rays: Rays, n_views: int) -> list[Values]:
+    """Split values (R,) of the rays into those of each view."""
+    return np.split(values, np.searchsorted(rays.owners, np.arange(1, n_views)))
 
 
-def outline_rays(views: Sequence[View], cameras: CameraArrays, center_mm: Array) -> Rays:
-    """Rays evenly spread over the views' outlines, as points where they pass `center_mm`."""
-    outlines = stacked([silhouette.outline_uv for _, silhouette in views])
-    lengths = np.diff(outlines.ends)
-    counts = np.minimum(-(-lengths // APART), N_RAYS)
+def outline_rays(views: PreparedViews, center_mm: Vector) -> Rays:
+    """Return rays evenly spread over the views' outlines, as points where they pass `center_mm`."""
+    cameras, outlines = views.cameras, views.outlines
+    lengths = outlines.lengths
+    counts = np.minimum(-(-lengths // RAY_SPACING), MAX_RAYS)
     owners = np.repeat(np.arange(len(views)), counts)
     number = np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]
     points_uv = outlines.points_uv[outlines.ends[owners] + number * lengths[owners] // counts[owners]]
     lines, px_per_mm = np.empty((6, len(owners)), np.float32), np.empty(len(owners))
-    flat = cameras.flat_rays(points_uv, owners)
-    _cast(flat, owners, cameras.R, cameras.centers_mm, center_mm, cameras.focals_px, lines, px_per_mm)
+    normalized = cameras.normalized_coordinates(points_uv, owners)
+    _cast_rays(
+        normalized, owners, cameras.R, cameras.centers_mm, center_mm, cameras.focals_px, lines, px_per_mm
+    )
     return Rays(lines=lines, owners=owners, px_per_mm=px_per_mm)
 
 
 @compiled
-def _cast(
-    flat: Array,
+def _cast_rays(
+    normalized: PointsUV,
     owners: Indices,
-    R: Array,
-    eyes_mm: Array,
-    center_mm: Array,
-    focals_px: Array,
-    lines: Single,
-    px_per_mm: Array,
+    R: Floats,
+    centers_mm: PointsMM,
+    passed_mm: Vector,
+    focals_px: Values,
+    lines: Lines,
+    px_per_mm: Values,
 ) -> None:
-    """Enter `lines` and `px_per_mm` of the rays (N, 2) of cameras, by their indices (N,)."""
-    for i in range(len(flat)):
-        at, x, y = owners[i], flat[i, 0], flat[i, 1]
+    """Fill in `lines` and `px_per_mm` of rays with these normalized coordinates (N, 2) in their owners' cameras (V)."""
+    for i in range(len(normalized)):
+        at, x, y = owners[i], normalized[i, 0], normalized[i, 1]
         length = np.sqrt(x * x + y * y + 1)
         along_mm = 0.0
         for axis in range(3):
             direction = (x * R[at, 0, axis] + y * R[at, 1, axis] + R[at, 2, axis]) / length
-            along_mm += direction * (center_mm[axis] - eyes_mm[at, axis])
+            along_mm += direction * (passed_mm[axis] - centers_mm[at, axis])
             lines[3 + axis, i] = direction
         for axis in range(3):
             direction = (x * R[at, 0, axis] + y * R[at, 1, axis] + R[at, 2, axis]) / length
-            lines[axis, i] = eyes_mm[at, axis] + along_mm * direction
+            lines[axis, i] = centers_mm[at, axis] + along_mm * direction
         px_per_mm[i] = focals_px[at] / max(along_mm, 1.0)

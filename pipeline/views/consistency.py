@@ -1,13 +1,13 @@
 """Whether the views show one rigid body, and which view does not.
 
-Two tests. Epipolar tangency (`pipeline.views.epipolar_tangency`) compares views in pairs: it sees a tenth of a
-pixel, names the one view that is wrong whatever its error does to the hull, and needs no hull. What it cannot
+There are two tests. Epipolar tangency (`pipeline.views.epipolar_tangency`) compares views in pairs: it sees a tenth of
+a pixel, names the one view that is wrong whatever its error does to the hull, and needs no hull. What it cannot
 see, such as a bay that one view fills, the hull shows:
 
 Every point of a silhouette's edge is the image of a point of the body: the viewing ray through it
 must touch the body, hence the hull of the other views. Its clearance (`pipeline.views.clearance`) is about zero or
-a little above for a consistent view (the hull is never smaller than the body), negative where the view claims
-a body that others exclude, and large where it denies a body that all others see.
+a little above for a consistent view (the hull is never smaller than the body), negative where the view shows
+a body that others exclude, and large where it excludes a body that all others see.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -15,31 +15,29 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.carving import View, usable_views
+from pipeline.arrays import Values
 from pipeline.frames import CameraId
-from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.rig.cameras import CameraCalibration
 from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.ball_silhouettes import ball_silhouettes
-from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette
-from pipeline.views.agreeing_views import claims_px
+from pipeline.segmentation.silhouette import MARGIN_PX
+from pipeline.views.agreeing_views import negative_clearances_px
 from pipeline.views.clearance import Sphere, body_sphere, clearances_px
+from pipeline.views.distance_field import distance_field
 from pipeline.views.epipolar_tangency import (
     EpipolarTangents,
+    hulls_of_views,
     image_shifts_px,
-    outline_hulls,
-    outlines_of,
+    pairwise_tangents,
     tangency_scores_px,
-    tangents_of,
 )
-
-Array = NDArray[np.float64]
+from pipeline.views.prepared import PreparedViews, prepare_views
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConsistencyParameters:
-    """When a view contradicts the others."""
+    """Limits beyond which a view contradicts the others."""
 
     max_suspect_views: int = 2  # views that may be dropped for that; more mean a bundle to reject
     max_residual_px: float = 4.0  # rms by which an outline may leave the hull of the others
@@ -58,47 +56,44 @@ class ConsistencyParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consistency:
-    """What the views say of each other."""
+    """How well the views of one stone agree."""
 
     residuals_px: Mapping[CameraId, float]  # rms by which a view's outline leaves the hull of the others
     suspects: Mapping[CameraId, str]  # views to drop, worst first, with what is wrong with them
-    is_consistent: bool  # what is left after dropping them agrees
+    is_consistent: bool  # the views that are left after dropping them agree
     tangency_px: Mapping[CameraId, float]  # median epipolar residual of a view, dropped ones included
     image_shifts_px: Mapping[CameraId, tuple[float, float]]  # of a view against where the others expect it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Judgement:
-    """The clearances of some views in the field of the others, and the view they speak against."""
+    """The clearances of views in the field of the others, and the view that contradicts them most."""
 
-    views: Sequence[View]
+    views: PreparedViews
     sphere: Sphere  # around the hull
-    clearances_px: Sequence[
-        Array
-    ]  # one for each view, of each of its rays; of agreeing views below zero only
+    clearances_px: Sequence[Values]  # one for each ray of each view; of agreeing views below zero only
     worst: CameraId | None
     problem: str = ""
 
 
-def check_consistency(
-    silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, parameters: ConsistencyParameters
-) -> Consistency:
-    """Residuals of every usable view, and the views that contradict the rest.
+def check_consistency(views: PreparedViews, parameters: ConsistencyParameters) -> Consistency:
+    """Compute the residuals of all views, and find the views that contradict the rest.
 
     Views that tangency names are dropped first. Where the tangents of the rest agree, all of their votes are
     counted: if nothing contradicts even then, that is all. If something does, they are judged carefully.
     """
-    hulls = outline_hulls(outlines_of(silhouettes), rig)
-    tangents = tangents_of(hulls, rig)
+    outlined = views.with_outline()
+    hulls = hulls_of_views(outlined.camera_ids, outlined.cameras, outlined.outlines)
+    tangents = pairwise_tangents(hulls, outlined.cameras)
     tangency_px = tangency_scores_px(tangents)
     agreeing = {camera for camera, score_px in tangency_px.items() if score_px <= parameters.max_tangency_px}
     suspects, is_consistent = displaced_views(tangents, tangency_px, parameters)
-    views = [view for view in usable_views(silhouettes, rig) if view[0].id not in suspects]
+    left = views.without(suspects)
     residuals_px: dict[CameraId, float] = {}
-    if all(camera.id in agreeing for camera, _ in views):
-        residuals_px = _residuals_px(views, claims_px(views, hulls))
+    if agreeing.issuperset(left.camera_ids):
+        residuals_px = _residuals_px(left, negative_clearances_px(left, hulls))
     if max(residuals_px.values(), default=np.inf) > parameters.max_residual_px:
-        judgement, contradicting = _careful_judgement(views, len(suspects), agreeing, parameters)
+        judgement, contradicting = _careful_judgement(left, len(suspects), agreeing, parameters)
         suspects |= contradicting
         is_consistent &= judgement is not None and judgement.worst is None
         residuals_px = {} if judgement is None else _residuals_px(judgement.views, judgement.clearances_px)
@@ -112,15 +107,15 @@ def check_consistency(
 
 
 def warm_up() -> Consistency:
-    """What a ball's views say of each other: compiles all that the first stone would wait for."""
+    """Check the views of a made-up ball, which compiles all that the first stone would wait for."""
     rig = nominal_rig()
-    return check_consistency(ball_silhouettes(rig), rig, ConsistencyParameters())
+    return check_consistency(prepare_views(ball_silhouettes(rig), rig), ConsistencyParameters())
 
 
 def displaced_views(
     tangents: EpipolarTangents, tangency_px: Mapping[CameraId, float], parameters: ConsistencyParameters
 ) -> tuple[dict[CameraId, str], bool]:
-    """Views whose tangents alone, with these scores, are far off, worst first, and whether these are all of them."""
+    """Find views that their tangents' scores alone show to be wrong, worst first, and whether these are all of them."""
     suspects: dict[CameraId, str] = {}
     scores_px = dict(tangency_px)
     while scores_px:
@@ -139,9 +134,9 @@ def displaced_views(
 
 
 def _careful_judgement(
-    views: Sequence[View], n_suspects: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
+    views: PreparedViews, n_suspects: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
 ) -> tuple[_Judgement | None, dict[CameraId, str]]:
-    """The last judgement, `None` without a hull, and the views that were dropped on the way to it, worst first.
+    """Return the last judgement, `None` without a hull, and the views that were dropped on the way, worst first.
 
     The worst is dropped and the others judged again, until all agree or no more may be dropped. While r more
     may be, r votes against a point are not counted, so that a bad view does not condemn the good ones.
@@ -154,36 +149,38 @@ def _careful_judgement(
         if judgement is None or judgement.worst is None or n_left == 0:
             break
         suspects[judgement.worst] = f"contradicts the other views: {judgement.problem}"
-        views = [view for view in views if view[0].id != judgement.worst]
+        views = views.without([judgement.worst])
     if judgement is not None and overruled > 0:
-        all_counted_px = clearances_px(views, judgement.sphere, 0, [camera.id for camera, _ in views])
+        field = distance_field(views, overruled=0)
+        all_counted_px = clearances_px(views, field, judgement.sphere, views.camera_ids)
         judgement = replace(judgement, clearances_px=all_counted_px)
     return judgement, suspects
 
 
 def _judgement(
-    views: Sequence[View], overruled: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
+    views: PreparedViews, overruled: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
 ) -> _Judgement | None:
-    """What the views' field says with `overruled` votes against each point not counted; `None` without a hull."""
-    sphere = body_sphere(views, overruled)
+    """Judge the views with `overruled` votes against each point not counted; `None` without a hull."""
+    field = distance_field(views, overruled)
+    sphere = body_sphere(field)
     if sphere is None:
         return None
-    found_px = clearances_px(views, sphere, overruled, settled_above_zero=agreeing)
+    found_px = clearances_px(views, field, sphere, settled_above_zero=agreeing)
     worst, problem, score = None, "", 1.0
-    for (camera, _), clearance_px in zip(views, found_px, strict=True):
+    for camera, clearance_px in zip(views.calibrations, found_px, strict=True):
         claimed = _rms_outside(clearance_px) / parameters.max_residual_px
-        # what an agreeing view excludes, no other knows of: the hull without it is that much larger
-        denied = 0.0 if camera.id in agreeing else _denied(clearance_px, camera, sphere[1], parameters)
+        # no other view shows what an agreeing one excludes: the hull without it is that much larger
+        denied = 0.0 if camera.id in agreeing else _denied_ratio(clearance_px, camera, sphere[1], parameters)
         if max(claimed, denied) > score:
             worst, score = camera.id, max(claimed, denied)
             problem = "claims a body that other views exclude" if claimed > denied else "denies the body"
     return _Judgement(views=views, sphere=sphere, clearances_px=found_px, worst=worst, problem=problem)
 
 
-def _denied(
-    clearance_px: Array, camera: CameraCalibration, radius_mm: float, parameters: ConsistencyParameters
+def _denied_ratio(
+    clearance_px: Values, camera: CameraCalibration, radius_mm: float, parameters: ConsistencyParameters
 ) -> float:
-    """How much of the body a view denies: above 1, too much."""
+    """Return how far a view excludes what the others show, relative to the limit: above 1, too far."""
     if len(clearance_px) == 0:
         return 0.0
     # the smallest diameter of a body in a sphere around its box is some 1 / sqrt(3) of the sphere's
@@ -192,14 +189,15 @@ def _denied(
     return float(np.median(clearance_px)) / min(parameters.max_denied_share * diameter_px, 0.7 * MARGIN_PX)
 
 
-def _residuals_px(views: Sequence[View], found_px: Sequence[Array]) -> dict[CameraId, float]:
-    """Of each view, by the clearances of its rays."""
+def _residuals_px(views: PreparedViews, found_px: Sequence[Values]) -> dict[CameraId, float]:
+    """Return the residual of each view, whose rays have these clearances."""
     return {
-        camera.id: _rms_outside(clearance_px)
-        for (camera, _), clearance_px in zip(views, found_px, strict=True)
+        camera: _rms_outside(clearance_px)
+        for camera, clearance_px in zip(views.camera_ids, found_px, strict=True)
     }
 
 
-def _rms_outside(clearance_px: Array) -> float:
+def _rms_outside(clearance_px: Values) -> float:
+    """Return the rms of the clearances (R,) below zero, over all rays."""
     outside_px = np.minimum(clearance_px, 0)
     return sqrt(outside_px @ outside_px / max(len(outside_px), 1))

@@ -1,4 +1,4 @@
-"""Do two cameras agree on one body? Epipolar tangency, from outlines alone, without any reconstruction.
+"""Epipolar tangency: whether two cameras agree on one body, from outlines alone, without any reconstruction.
 
 A plane through the optical centres of two cameras that touches the body is seen by both of them: it touches
 the outline in both images (Cipolla and Giblin, *Visual Motion of Curves and Surfaces*, 2000). So the two
@@ -7,47 +7,57 @@ A plane through the baseline is one angle; the difference of the two angles is t
 pixels of image motion across the epipolar line (to first order the Sampson distance of the two points).
 
 A camera that moved has all its pairs wrong, the others one pair each: the median over a camera's pairs names it.
-What no pair shows, nobody can see: the whole rig turned, moved or scaled, an outline too wide everywhere,
-a camera turned about the line of sight to a round body.
+No pair shows the whole rig turned, moved or scaled, an outline too wide everywhere, or a camera turned about the
+line of sight to a round body.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Flags, Floats, PointsMM, PointsUV, Values
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId
-from pipeline.rig.camera_arrays import arrays_of
+from pipeline.rig.camera_arrays import CameraArrays, camera_arrays
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.silhouette import Silhouette
-from pipeline.views.outline_hull import goes_on, hull_corners, stacked
+from pipeline.views.outline_hull import (
+    MIN_POINTS,
+    StackedOutlines,
+    hull_corners,
+    is_edge_seen,
+    stack_outlines,
+)
 
-Array = NDArray[np.float64]
-Outlines = Mapping[CameraId, Array]
+Outlines = Mapping[CameraId, PointsUV]
+"""Edge points (N, 2) of each camera in order around the body."""
+Pairs = Annotated[NDArray[np.int64], "(P, 2)"]
+"""Indices of the two cameras of each pair."""
 
 ALARM_PX = 0.3
-"""Score from which a camera is said to have moved, three times that of a healthy one."""
+"""Score from which a camera is reported as moved: three times that of a healthy one."""
 MAX_SLOPE = 5.0
-"""Of a touching plane against the one through the body's middle; beyond it the baseline (nearly) pierces the
-silhouette, and a plane through it has nothing to touch."""
+"""Largest slope of a touching plane against the one through the body's middle; beyond it the baseline (nearly) pierces
+the silhouette, and a plane through it has nothing to touch."""
 MIN_PAIRS = 3
-"""The median of fewer pairs says nothing about who is wrong."""
+"""Fewest pairs whose median tells which camera is wrong."""
 REWEIGHTINGS = 10
 LEAST_RESIDUAL_PX = 0.05
-"""Below it, the noise of an outline, all residuals weigh the same."""
+"""Noise of an outline: smaller residuals all weigh the same."""
 TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OutlineHulls:
-    """The corners of the outlines' convex hulls: only they can touch a plane."""
+    """The viewing rays through the corners of V outlines' convex hulls: only they can touch a plane."""
 
     cameras: tuple[CameraId, ...]  # V
-    rays: Array  # (V, H, 3) in each camera's own frame, 1 along the optical axis; short hulls repeat their first
+    rays: Floats  # (V, H, 3) in each camera's own frame, 1 along the optical axis; short hulls repeat their first
     is_trusted: NDArray[np.bool_]  # (V, H) the edge was seen on both sides of the corner
-    is_closed: NDArray[np.bool_]  # (V,) the edge was seen all around
+    is_closed: Flags  # (V,) the edge was seen all around
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,11 +65,11 @@ class EpipolarTangents:
     """The touching planes of all pairs of cameras: P pairs, two planes each, V cameras."""
 
     cameras: tuple[CameraId, ...]  # V
-    pairs: NDArray[np.int64]  # (P, 2) indices of the two cameras
-    rays: Array  # (P, 2 cameras, 2 planes, 3) world directions of the points that touch, 1 along the optical axis
-    residuals_px: Array  # (P, 2 planes) first camera minus second; NaN where a plane is not to be trusted
-    ray_gradients: Array  # (P, 2 cameras, 2 planes, 3) change of the residual with each of these rays
-    gradients: Array  # (P, 2 cameras, 2 planes, 2) the same per pixel (u, v) that an outline moves
+    pairs: Pairs  # (P, 2)
+    rays: Floats  # (P, 2 cameras, 2 planes, 3) world directions of the points that touch, 1 along the optical axis
+    residuals_px: Floats  # (P, 2 planes) first camera minus second; NaN where a plane is not to be trusted
+    ray_gradients: Floats  # (P, 2 cameras, 2 planes, 3) change of the residual with each of these rays
+    pixel_gradients: Floats  # (P, 2 cameras, 2 planes, 2) the same per pixel (u, v) that an outline moves
 
 
 def epipolar_tangents(outlines: Outlines, rig: RigCalibration) -> EpipolarTangents:
@@ -68,7 +78,7 @@ def epipolar_tangents(outlines: Outlines, rig: RigCalibration) -> EpipolarTangen
     Parameters
     ----------
     outlines
-        Edge points (N, 2) as (u, v) in order around the body; a plane that touches beside a gap is not trusted.
+        Edge points of each camera; a plane that touches beside a gap is not trusted.
     rig
         Calibrates every camera in `outlines`; cameras without an outline are left out.
     """
@@ -76,52 +86,63 @@ def epipolar_tangents(outlines: Outlines, rig: RigCalibration) -> EpipolarTangen
 
 
 def outline_hulls(outlines: Outlines, rig: RigCalibration) -> OutlineHulls:
-    """The first half of `epipolar_tangents`, which does not change with the poses of the cameras."""
-    views = [camera for camera in rig.cameras if len(outlines.get(camera.id, ())) >= 3]
-    seen = stacked([outlines[camera.id] for camera in views])
-    corners, is_closed = hull_corners(seen)
+    """Find the hulls' corners: the first half of `epipolar_tangents`, which the cameras' poses do not change."""
+    cameras = [camera for camera in rig.cameras if len(outlines.get(camera.id, ())) >= MIN_POINTS]
+    stacked = stack_outlines([outlines[camera.id] for camera in cameras])
+    return hulls_of_views([camera.id for camera in cameras], camera_arrays(cameras), stacked)
+
+
+def hulls_of_views(
+    camera_ids: Sequence[CameraId], cameras: CameraArrays, outlines: StackedOutlines
+) -> OutlineHulls:
+    """Find the hulls' corners of V cameras' outlines, each of `MIN_POINTS` points or more."""
+    corners, is_closed = hull_corners(outlines)
+    owners = np.repeat(np.arange(len(camera_ids)), corners.shape[1])
     rays = np.ones((*corners.shape, 3))
-    if views:
-        owners = np.repeat(np.arange(len(views)), corners.shape[1])
-        flat = arrays_of(views).flat_rays(seen.points_uv[corners.ravel()], owners)
-        rays[:, :, :2] = flat.reshape(*corners.shape, 2)
+    normalized = cameras.normalized_coordinates(outlines.points_uv[corners.ravel()], owners)
+    rays[:, :, :2] = normalized.reshape(*corners.shape, 2)
     return OutlineHulls(
-        cameras=tuple(camera.id for camera in views),
+        cameras=tuple(camera_ids),
         rays=rays,
-        is_trusted=goes_on(seen, corners, reach=1),
+        is_trusted=is_edge_seen(outlines, corners, reach=1),
         is_closed=is_closed,
     )
 
 
 def tangents_of(hulls: OutlineHulls, rig: RigCalibration) -> EpipolarTangents:
-    """The second half of `epipolar_tangents`."""
+    """Compare the hulls with the cameras where this rig has them: the second half of `epipolar_tangents`."""
+    return pairwise_tangents(
+        hulls, camera_arrays([camera for camera in rig.cameras if camera.id in hulls.cameras])
+    )
+
+
+def pairwise_tangents(hulls: OutlineHulls, cameras: CameraArrays) -> EpipolarTangents:
+    """Find the planes through each pair's baseline that touch the hulls of these cameras (V), and their residuals."""
     pairs = np.stack(np.triu_indices(len(hulls.cameras), 1), axis=1)
     rays, ray_gradients = np.empty((2, len(pairs), 2, 2, 3))
-    gradients, residuals_px = np.empty((len(pairs), 2, 2, 2)), np.empty((len(pairs), 2))
-    if len(pairs):
-        cameras = arrays_of([camera for camera in rig.cameras if camera.id in hulls.cameras])
-        world_rays = hulls.rays @ cameras.R
-        _touch(
-            world_rays, hulls.is_trusted, pairs, world_rays.sum(axis=1), cameras.centers_mm, cameras.R, cameras.K,
-            np.empty((2, 3)), np.empty((2, 2), np.int64), residuals_px, rays, ray_gradients, gradients,
-        )  # fmt: skip
+    pixel_gradients, residuals_px = np.empty((len(pairs), 2, 2, 2)), np.empty((len(pairs), 2))
+    world_rays = hulls.rays @ cameras.R
+    _touch(
+        world_rays, hulls.is_trusted, pairs, world_rays.sum(axis=1), cameras.centers_mm, cameras.R, cameras.K,
+        np.empty((2, 3)), np.empty((2, 2), np.int64), residuals_px, rays, ray_gradients, pixel_gradients,
+    )  # fmt: skip
     return EpipolarTangents(
         cameras=hulls.cameras,
         pairs=pairs,
         rays=rays,
         residuals_px=residuals_px,
         ray_gradients=ray_gradients,
-        gradients=gradients,
+        pixel_gradients=pixel_gradients,
     )
 
 
-def outlines_of(silhouettes: Mapping[CameraId, Silhouette]) -> dict[CameraId, Array]:
-    """The outlines of the usable silhouettes."""
+def outlines_of(silhouettes: Mapping[CameraId, Silhouette]) -> dict[CameraId, PointsUV]:
+    """Return the outlines of the usable silhouettes."""
     return {camera: seen.outline_uv for camera, seen in silhouettes.items() if seen.is_usable}
 
 
-def epipolar_residuals_px(tangents: EpipolarTangents) -> Array:
-    """Residual of each pair (P,): rms of its two planes, NaN where neither is to be trusted."""
+def epipolar_residuals_px(tangents: EpipolarTangents) -> Values:
+    """Return the residual (P,) of each pair: rms of its two planes, NaN where neither is to be trusted."""
     known = ~np.isnan(tangents.residuals_px)
     total = np.where(known, tangents.residuals_px, 0) ** 2
     count = known.sum(axis=1)
@@ -131,7 +152,10 @@ def epipolar_residuals_px(tangents: EpipolarTangents) -> Array:
 def tangency_scores_px(
     tangents: EpipolarTangents, without: Collection[CameraId] = ()
 ) -> dict[CameraId, float]:
-    """Median residual of each camera's pairs, those with cameras in `without` left out; too few pairs, no score."""
+    """Return the median residual of each camera's pairs; cameras with fewer than `MIN_PAIRS` have none.
+
+    Cameras in `without`, and pairs with them, are left out.
+    """
     residuals_px = np.full((len(tangents.cameras),) * 2, np.nan)
     first, second = tangents.pairs.T
     residuals_px[first, second] = residuals_px[second, first] = epipolar_residuals_px(tangents)
@@ -146,16 +170,16 @@ def tangency_scores_px(
 
 
 def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, float]]:
-    """By how much (du, dv) each camera's outline lies beside where the others expect it.
+    """Return by how much (du, dv) each camera's outline lies beside where the others expect it.
 
-    The shift that leaves the least sum of absolute residuals over the camera's pairs (least squares, reweighted),
-    so that a few pairs with another bad camera do not count.
+    It is the shift that leaves the least sum of absolute residuals over the camera's pairs (least squares,
+    reweighted), so that a few pairs with another bad camera do not count.
     """
     n_cameras = len(tangents.cameras)
     if n_cameras <= MIN_PAIRS:
         return {}
     shifts_px = np.zeros((n_cameras, 2))
-    _find_least_shifts(tangents.pairs, tangents.gradients, tangents.residuals_px, shifts_px)
+    _find_least_shifts(tangents.pairs, tangents.pixel_gradients, tangents.residuals_px, shifts_px)
     known = (~np.isnan(tangents.residuals_px)).sum(axis=1)
     counts = np.bincount(tangents.pairs.ravel(), np.repeat(known, 2))
     return {
@@ -167,9 +191,9 @@ def image_shifts_px(tangents: EpipolarTangents) -> dict[CameraId, tuple[float, f
 
 @compiled
 def _find_least_shifts(
-    pairs: NDArray[np.int64], gradients: Array, residuals_px: Array, shifts_px: Array
+    pairs: Pairs, pixel_gradients: Floats, residuals_px: Floats, shifts_px: Annotated[Floats, "(V, 2)"]
 ) -> None:
-    """Move the shifts (V, 2) to those of `image_shifts_px`."""
+    """Move the shifts (V, 2), at first zero, to those of `image_shifts_px`."""
     for camera in range(len(shifts_px)):
         for weighting in range(REWEIGHTINGS):
             uu, uv, vv, u, v = 1e-9, 0.0, 1e-9, 0.0, 0.0
@@ -179,7 +203,8 @@ def _find_least_shifts(
                         continue
                     for plane in range(2):
                         residual_px = residuals_px[pair, plane]
-                        by_u, by_v = gradients[pair, side, plane, 0], gradients[pair, side, plane, 1]
+                        by_u = pixel_gradients[pair, side, plane, 0]
+                        by_v = pixel_gradients[pair, side, plane, 1]
                         left_px = residual_px - by_u * shifts_px[camera, 0] - by_v * shifts_px[camera, 1]
                         weight = 1.0 if weighting == 0 else 1 / max(abs(left_px), LEAST_RESIDUAL_PX)
                         if not np.isnan(residual_px):
@@ -195,24 +220,25 @@ def _find_least_shifts(
 
 @compiled
 def _touch(
-    rays: Array,
+    rays: Floats,
     is_trusted: NDArray[np.bool_],
-    pairs: NDArray[np.int64],
-    middles: Array,
-    centers_mm: Array,
-    R: Array,
-    K: Array,
-    frame: Array,
+    pairs: Pairs,
+    middles: PointsMM,
+    centers_mm: PointsMM,
+    R: Floats,
+    K: Floats,
+    frame: Annotated[Floats, "(2, 3)"],
     touched: NDArray[np.int64],
-    residuals_px: Array,
-    touching: Array,
-    by_ray: Array,
-    by_pixel: Array,
+    residuals_px: Floats,
+    touching: Floats,
+    by_ray: Floats,
+    by_pixel: Floats,
 ) -> None:
-    """Fill in `EpipolarTangents` of the cameras of each pair (P, 2), which see rays (V, H, 3) around middles (V, 3).
+    """Fill in the last four: residuals, rays and gradients of `EpipolarTangents` for each pair (P, 2).
 
-    Angles are measured in the plane across the baseline, from the unit vector in the first row of `frame` (2, 3), which
-    points to the first camera's middle, towards the second. `touched` (2, 2) is room for corners, by side and plane.
+    The cameras see world rays (V, H, 3) around middles (V, 3). Angles are measured in the plane across the baseline,
+    from the unit vector in the first row of `frame` (2, 3), which points to the first camera's middle, towards the
+    second. `frame` and `touched` (2, 2), corners by side and plane, are scratch.
     """
     for pair in range(len(pairs)):
         a, b = pairs[pair, 0], pairs[pair, 1]

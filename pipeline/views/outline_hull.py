@@ -1,68 +1,76 @@
-"""The corners of outlines' convex hulls: what touches the lines, hence the planes, that touch the body.
+"""The corners of outlines' convex hulls: only they touch the lines, hence the planes, that touch the body.
 
 The hull is that of the distorted image: over a silhouette a straight line is bent by less than 0.01 px.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Flags, Indices, PointsUV
 from pipeline.compiled import compiled
 from pipeline.segmentation.silhouette import MAX_STEP_PX
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+ViewCorners = Annotated[NDArray[np.int64], "(V, H)"]
+"""Indices of points of V stacked outlines, H each."""
 
+MIN_POINTS = 3
+"""Fewest points of an outline that has a convex hull."""
 TILT = 1e-3
-"""Points are sorted along a line that much off the rows: many share a column, none the place on that line."""
-APART_PX = 1e6
-"""Farther than points of one image are from each other."""
+"""Slope, against the rows, of the line along which points are sorted: many share a column, none a place on it."""
+IMAGE_SPACING_PX = 1e6
+"""Offset between the outlines along that line, larger than any image: all are sorted at once."""
 
 
-class Outlines(NamedTuple):
-    """V outlines, one after the other."""
+class StackedOutlines(NamedTuple):
+    """The outlines of V views in one array, one after the other."""
 
-    points_uv: Array  # (N, 2) each in order around a body
+    points_uv: PointsUV  # (N, 2) of each view in order around the body
     ends: Indices  # (V + 1,) where each begins, and the end of the last
 
     @property
+    def lengths(self) -> Indices:
+        """Number of points (V,) of each outline."""
+        return np.diff(self.ends)
+
+    @property
     def owners(self) -> Indices:
-        """Whose each point (N,) is."""
-        return np.repeat(np.arange(len(self.ends) - 1), np.diff(self.ends))
+        """Index (N,) of each point's view."""
+        return np.repeat(np.arange(len(self.ends) - 1), self.lengths)
 
 
-def stacked(outlines_uv: Sequence[Array]) -> Outlines:
-    """Outlines (N, 2) of several views."""
+def stack_outlines(outlines_uv: Sequence[PointsUV]) -> StackedOutlines:
+    """Return the outlines (N, 2) of several views as one array."""
     ends = np.cumsum([0, *map(len, outlines_uv)])
-    return Outlines(np.concatenate([*outlines_uv, np.empty((0, 2))]), ends)
+    return StackedOutlines(np.concatenate([*outlines_uv, np.empty((0, 2))]), ends)
 
 
-def hull_corners(outlines: Outlines) -> tuple[Indices, Flags]:
-    """The corners (V, H) of the outlines' convex hulls, in order, and which outlines (V,) have no gap anywhere.
+def hull_corners(outlines: StackedOutlines) -> tuple[ViewCorners, Flags]:
+    """Find the corners (V, H) of the outlines' convex hulls, in order, and the outlines (V,) without any gap.
 
-    Outlines have more than 2 points. Where a hull has fewer corners than another its first is repeated.
+    Every outline has `MIN_POINTS` points. A hull with fewer corners than the largest repeats its first.
     """
     points_uv, ends = outlines
     n_views = len(ends) - 1
-    along = points_uv[:, 0] + TILT * points_uv[:, 1] + APART_PX * outlines.owners
+    along = points_uv[:, 0] + TILT * points_uv[:, 1] + IMAGE_SPACING_PX * outlines.owners
     chain, counts = np.empty(len(points_uv) + n_views, np.int64), np.empty(n_views, np.int64)
     is_closed = np.empty(n_views, np.bool_)
-    _corners(points_uv, np.argsort(along), ends, chain, counts, is_closed)
+    _find_corners(points_uv, np.argsort(along), ends, chain, counts, is_closed)
     place = np.arange(counts.max(initial=1))
     first = ends[:-1] + np.arange(n_views)
     return chain[first[:, None] + np.where(place < counts[:, None], place, 0)], is_closed
 
 
 @compiled
-def _corners(
-    points: Array, order: Indices, ends: Indices, chain: Indices, counts: Indices, is_closed: Flags
+def _find_corners(
+    points: PointsUV, order: Indices, ends: Indices, chain: Indices, counts: Indices, is_closed: Flags
 ) -> None:
-    """Andrew's monotone chain, there and back along the points (N, 2) of each outline in their order (N,).
+    """Find hull corners by Andrew's monotone chain, forth and back along the points (N, 2) in their `order` (N,).
 
-    Fills in corners, from place `ends[view] + view` of the `chain` on, how many they are, and whether there is a gap.
+    Fills in the corners of each view, from `chain[ends[view] + view]` on, their `counts` (V,), and which outlines
+    (V,) are closed.
     """
     for view in range(len(counts)):
         begin, end = ends[view], ends[view + 1]
@@ -88,21 +96,24 @@ def _corners(
         counts[view] = length - 1
 
 
-def goes_on(outlines: Outlines, which: Indices, reach: int) -> Flags:
-    """Whether outlines have no gap among the `reach` steps before and after some of their points (V, A)."""
-    found = np.empty(which.shape, np.bool_)
-    _go_on(outlines.points_uv, outlines.ends, which, reach, found)
-    return found
+def is_edge_seen(outlines: StackedOutlines, chosen: ViewCorners, reach: int) -> NDArray[np.bool_]:
+    """Tell (V, A) for chosen points (V, A) whether the `reach` steps before and after them have no gap."""
+    is_seen = np.empty(chosen.shape, np.bool_)
+    _look_for_gaps(outlines.points_uv, outlines.ends, chosen, reach, is_seen)
+    return is_seen
 
 
 @compiled
-def _go_on(points: Array, ends: Indices, which: Indices, reach: int, found: Flags) -> None:
-    for view in range(which.shape[0]):
+def _look_for_gaps(
+    points: PointsUV, ends: Indices, chosen: ViewCorners, reach: int, is_seen: NDArray[np.bool_]
+) -> None:
+    """Fill in what `is_edge_seen` returns."""
+    for view in range(chosen.shape[0]):
         begin, n = ends[view], ends[view + 1] - ends[view]
-        for i in range(which.shape[1]):
-            is_seen = True
-            for step in range(which[view, i] - begin - reach, which[view, i] - begin + reach):
+        for i in range(chosen.shape[1]):
+            has_no_gap = True
+            for step in range(chosen[view, i] - begin - reach, chosen[view, i] - begin + reach):
                 start, end = begin + step % n, begin + (step + 1) % n
                 u, v = points[end, 0] - points[start, 0], points[end, 1] - points[start, 1]
-                is_seen &= u * u + v * v <= MAX_STEP_PX * MAX_STEP_PX
-            found[view, i] = is_seen
+                has_no_gap &= u * u + v * v <= MAX_STEP_PX * MAX_STEP_PX
+            is_seen[view, i] = has_no_gap

@@ -30,6 +30,7 @@ from pipeline.segmentation import segment_all
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
+from pipeline.views.prepared import prepare_views
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.errors import UsageError
 from service.processing.background_files import write_background
@@ -202,7 +203,9 @@ def mesh_ms(bundle: FrameBundle, scene: Scene) -> float:
     """Processor time from silhouettes whose distances are still unknown to the hull's mesh and its integrals."""
     silhouettes = segment_all(bundle.frames, scene.background, this_worker().segmenter)
     start_s = time.process_time()
-    hull = mesh_hull(carve(silhouettes, scene.true_rig, this_worker().context.parameters.carving))
+    hull = mesh_hull(
+        carve(prepare_views(silhouettes, scene.true_rig), this_worker().context.parameters.carving)
+    )
     if hull is not None:
         solid_of(hull.vertices_mm, hull.faces)
     return 1000 * (time.process_time() - start_s)

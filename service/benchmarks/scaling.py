@@ -26,6 +26,7 @@ from pipeline.segmentation import SilhouetteSet, segment_all
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
+from pipeline.views.prepared import prepare_views
 from service.benchmarks.performance import FORM, measured, worker_context
 from service.processing.background_files import write_background
 from service.processing.measure_job import (
@@ -157,7 +158,7 @@ def _time_grid(silhouettes: SilhouetteSet, rig: RigCalibration, n: int, repeat: 
     for _ in range(repeat + 1):
         fresh = {camera: replace(silhouette) for camera, silhouette in silhouettes.items()}
         times_s = [time.process_time()]
-        hull = carve(fresh, rig, CarvingParameters(n=n))
+        hull = carve(prepare_views(fresh, rig), CarvingParameters(n=n))
         times_s.append(time.process_time())
         mesh = mesh_hull(hull)
         times_s.append(time.process_time())

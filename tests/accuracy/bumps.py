@@ -33,6 +33,7 @@ from pipeline.frames import CameraId
 from pipeline.meshing import mesh_hull
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
+from pipeline.views.prepared import prepare_views
 from service.health.rig_watch import RigWatch
 
 TURNS_DEG = (0.1, 0.5)
@@ -119,7 +120,7 @@ def recalibration(turn_deg: float, rng: np.random.Generator, noise_px: float) ->
 
 def sphere_hull_diameter_mm(seen_with: RigCalibration, judged_by: RigCalibration) -> float:
     """Diameter of the sphere of the volume of the hull that all views of a 15 mm sphere make."""
-    mesh = mesh_hull(carve(sphere_silhouettes(seen_with), judged_by, CarvingParameters()))
+    mesh = mesh_hull(carve(prepare_views(sphere_silhouettes(seen_with), judged_by), CarvingParameters()))
     if mesh is None:
         return 0.0
     volume_mm3 = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False).volume

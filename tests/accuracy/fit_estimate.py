@@ -25,7 +25,6 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.forms import FORMS, form, hull_of, silhouettes_of
 
-from pipeline.carving import usable_views
 from pipeline.estimate import estimate_body
 from pipeline.estimate.smoothness import OFFSET, PER_BULGE_SHARE, PER_LOCAL_SHARE, bulge_share
 from pipeline.estimate.surface import InnerSurface, inner_surface
@@ -33,6 +32,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.shading import embree_scene
+from pipeline.views.prepared import prepare_views
 
 Array = NDArray[np.float64]
 
@@ -67,13 +67,15 @@ def sample(name: str, number: int, seed: int) -> Sample:
     truth = tumble(form(name, rng), rig, rng).world_mesh
     silhouettes = silhouettes_of(truth, rig, rng)
     hull = hull_of(silhouettes, rig)
-    estimate = estimate_body(hull, silhouettes, rig)
+    estimate = estimate_body(hull, prepare_views(silhouettes, rig))
 
     center_mm = (hull.vertices_mm.min(axis=0) + hull.vertices_mm.max(axis=0)) / 2
     from_center_mm = rng.permutation(hull.vertices_mm)[:N_RAYS] - center_mm
     radii_mm = np.linalg.norm(from_center_mm, axis=1)
     directions = from_center_mm / radii_mm[:, None]
-    inner = inner_surface(usable_views(silhouettes, rig), center_mm, center_mm + directions)  # shares of 1 mm
+    inner = inner_surface(
+        prepare_views(silhouettes, rig), center_mm, center_mm + directions
+    )  # shares of 1 mm
     if isinstance(inner, str):
         raise AssertionError(f"{name} {number}: {inner}")
     starts = np.broadcast_to(center_mm.astype(np.float32), directions.shape).copy()

@@ -49,6 +49,7 @@ from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import stone
+from pipeline.views.prepared import prepare_views
 
 N_EMPTY = 4
 ENOUGH_S = 5.0
@@ -139,7 +140,7 @@ def photographed(size_mm: float, seed: int) -> Stone:
 
 
 def task_of(seen: Stone, n: int) -> Task:
-    hull = carve(seen.silhouettes, seen.rig, CarvingParameters(n=n, field="view_count"))
+    hull = carve(prepare_views(seen.silhouettes, seen.rig), CarvingParameters(n=n, field="view_count"))
     parameters = CarvingParameters(n=n)
     low = np.rint(hull.origin_mm / parameters.pitch_mm + (n - 1) / 2).astype(int)
     count = np.zeros((n + 2,) * 3, np.float32)  # the hull's box may reach one beyond the grid
@@ -164,7 +165,7 @@ def our_work(seen: Stone, n: int) -> Mapping[str, Work]:
 
     def carved(field: Any) -> VisualHull:
         fresh = {camera: replace(silhouette) for camera, silhouette in seen.silhouettes.items()}
-        return carve(fresh, seen.rig, CarvingParameters(n=n, field=field))
+        return carve(prepare_views(fresh, seen.rig), CarvingParameters(n=n, field=field))
 
     def meshed(hull: VisualHull) -> ParticleMesh:
         mesh = mesh_hull(hull)

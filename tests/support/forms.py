@@ -14,6 +14,7 @@ from pipeline.segmentation.local_threshold import trimap_of
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, SilhouetteSet, ViewStatus
 from pipeline.synthesis import pixel_coverage
 from pipeline.synthesis.bodies import Body, body_from_mesh, cylinder
+from pipeline.views.prepared import prepare_views
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def silhouettes_of(mesh: trimesh.Trimesh, rig: RigCalibration, rng: np.random.Ge
 
 
 def hull_of(silhouettes: SilhouetteSet, rig: RigCalibration) -> ParticleMesh:
-    mesh = mesh_hull(carve(silhouettes, rig, CarvingParameters()))
+    mesh = mesh_hull(carve(prepare_views(silhouettes, rig), CarvingParameters()))
     assert mesh is not None
     return mesh
 

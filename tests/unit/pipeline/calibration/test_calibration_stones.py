@@ -18,6 +18,7 @@ from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import SilhouetteSet
 from pipeline.views.epipolar_tangency import ALARM_PX, Outlines, outline_hulls
+from pipeline.views.prepared import prepare_views
 
 RIG = as_built(nominal_rig(), seed=12)
 MADE = {"created_at": "2026-03-01T00:00:00Z", "name": "from stones"}
@@ -38,7 +39,7 @@ def sphere() -> SilhouetteSet:
 @cache
 def sphere_diameter_mm(rig: RigCalibration) -> float:
     """Of the hull that the calibration `rig` makes of the sphere."""
-    mesh = mesh_hull(carve(sphere(), rig, CarvingParameters(n=128)))
+    mesh = mesh_hull(carve(prepare_views(sphere(), rig), CarvingParameters(n=128)))
     assert mesh is not None
     volume_mm3 = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False).volume
     return float(np.cbrt(6 * volume_mm3 / np.pi))

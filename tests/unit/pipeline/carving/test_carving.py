@@ -14,6 +14,7 @@ from pipeline.meshing import mesh_hull
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN, KnownDistances, Silhouette, ViewStatus
+from pipeline.views.prepared import prepare_views
 
 RIG = as_built(nominal_rig(), seed=5)
 COARSE = CarvingParameters(n=128)
@@ -33,7 +34,7 @@ def occupied(hull: VisualHull) -> set[tuple[int, ...]]:
 
 
 def test_sub_voxel_hull_of_a_sphere_has_the_volume_of_its_sixteen_cones() -> None:
-    mesh = meshed(carve(sphere_silhouettes(RIG), RIG, CarvingParameters()))
+    mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG), RIG), CarvingParameters()))
     # the exact hull of the design is +0.76 %; marching cubes cuts the ridges by 0.05 %
     assert mesh.volume / SPHERE_MM3 == pytest.approx(1.0071, abs=0.0008)
     radii = np.linalg.norm(mesh.vertices, axis=1)
@@ -42,13 +43,15 @@ def test_sub_voxel_hull_of_a_sphere_has_the_volume_of_its_sixteen_cones() -> Non
 
 
 def test_view_count_field_erodes_as_the_paper_s_does() -> None:
-    mesh = meshed(carve(sphere_silhouettes(RIG), RIG, CarvingParameters(field="view_count")))
+    mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG), RIG), CarvingParameters(field="view_count")))
     assert mesh.volume / SPHERE_MM3 == pytest.approx(0.991, abs=0.003)
     assert mesh.area / (4 * np.pi * 7.5**2) == pytest.approx(1.056, abs=0.01), "the staircase costs area"
 
 
 def test_view_count_is_the_number_of_views_in_every_voxel_near_the_surface() -> None:
-    hull = carve(sphere_silhouettes(RIG, radius_mm=5), RIG, CarvingParameters(n=64, field="view_count"))
+    hull = carve(
+        prepare_views(sphere_silhouettes(RIG, radius_mm=5), RIG), CarvingParameters(n=64, field="view_count")
+    )
     assert hull.level == 15.5
     for i, j, k in np.argwhere((hull.field > 0) & (hull.field < 16))[::97]:
         point = hull.origin_mm + hull.pitch_mm * np.array([i, j, k])
@@ -65,7 +68,7 @@ def test_view_count_is_the_number_of_views_in_every_voxel_near_the_surface() -> 
 def test_axes_are_x_y_z(field: str) -> None:
     center_mm = (6.0, -4.0, 3.0)
     parameters = CarvingParameters(n=128, field=field)
-    mesh = meshed(carve(sphere_silhouettes(RIG, center_mm, 3.0), RIG, parameters))
+    mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG, center_mm, 3.0), RIG), parameters))
     assert mesh.center_mass == pytest.approx(center_mm, abs=0.05)
 
 
@@ -73,7 +76,7 @@ def test_axes_are_x_y_z(field: str) -> None:
 @pytest.mark.parametrize("radius_mm", [1.0, 4.0, 18.0])
 def test_mesh_is_closed_and_faces_outwards(field: str, radius_mm: float) -> None:
     parameters = CarvingParameters(field=field)
-    mesh = meshed(carve(sphere_silhouettes(RIG, (0.3, 0.2, -0.4), radius_mm), RIG, parameters))
+    mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG, (0.3, 0.2, -0.4), radius_mm), RIG), parameters))
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume > 0
@@ -84,15 +87,15 @@ def test_mesh_is_closed_and_faces_outwards(field: str, radius_mm: float) -> None
 @given(st.sets(st.sampled_from(RIG.camera_ids), min_size=3, max_size=15), st.sampled_from(RIG.camera_ids))
 def test_adding_a_view_never_adds_a_voxel(cameras: set[CameraId], added: CameraId) -> None:
     parameters = CarvingParameters(n=64)
-    fewer = carve(sphere_silhouettes(RIG, (1, 2, 3), 5, cameras), RIG, parameters)
-    more = carve(sphere_silhouettes(RIG, (1, 2, 3), 5, cameras | {added}), RIG, parameters)
+    fewer = carve(prepare_views(sphere_silhouettes(RIG, (1, 2, 3), 5, cameras), RIG), parameters)
+    more = carve(prepare_views(sphere_silhouettes(RIG, (1, 2, 3), 5, cameras | {added}), RIG), parameters)
     assert occupied(more) <= occupied(fewer)
 
 
 @examples(0.1)
 @given(st.floats(1.5, 10), *[st.floats(-6, 6)] * 3)
 def test_hull_contains_the_body(radius_mm: float, x: float, y: float, z: float) -> None:
-    mesh = meshed(carve(sphere_silhouettes(RIG, (x, y, z), radius_mm), RIG, COARSE))
+    mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG, (x, y, z), radius_mm), RIG), COARSE))
     distances = np.linalg.norm(mesh.vertices - [x, y, z], axis=1)
     # at a vertex linear interpolation errs by the sagitta of one voxel at most
     assert distances.min() > radius_mm - COARSE.pitch_mm**2 / (8 * radius_mm) - 0.01
@@ -108,16 +111,16 @@ def turned(rig: RigCalibration, angle: float) -> RigCalibration:
 
 
 def test_turning_rig_and_body_together_changes_nothing() -> None:
-    still = meshed(carve(sphere_silhouettes(RIG, (3, 0, 1), 6), RIG, COARSE))
+    still = meshed(carve(prepare_views(sphere_silhouettes(RIG, (3, 0, 1), 6), RIG), COARSE))
     rig = turned(RIG, np.pi / 2)
-    moved = meshed(carve(sphere_silhouettes(rig, (0, 3, 1), 6), rig, COARSE))
+    moved = meshed(carve(prepare_views(sphere_silhouettes(rig, (0, 3, 1), 6), rig), COARSE))
     assert moved.volume == pytest.approx(still.volume, rel=1e-4)
 
 
 def test_unknown_pixels_do_not_carve() -> None:
     silhouettes = sphere_silhouettes(RIG)
-    whole = carve(silhouettes, RIG, COARSE)
-    without = carve({k: s for k, s in silhouettes.items() if k != "c03"}, RIG, COARSE)
+    whole = carve(prepare_views(silhouettes, RIG), COARSE)
+    without = carve(prepare_views({k: s for k, s in silhouettes.items() if k != "c03"}, RIG), COARSE)
     seen = silhouettes[CameraId("c03")]
     blind = Silhouette(
         camera=seen.camera,
@@ -127,7 +130,9 @@ def test_unknown_pixels_do_not_carve() -> None:
         labels=np.full((1024, 1280), UNKNOWN),
         distances=KnownDistances(np.full((1024, 1280), 40, np.float32)),
     )
-    assert occupied(carve({**silhouettes, CameraId("c03"): blind}, RIG, COARSE)) == occupied(without)
+    assert occupied(carve(prepare_views({**silhouettes, CameraId("c03"): blind}, RIG), COARSE)) == occupied(
+        without
+    )
     assert occupied(whole) < occupied(without)
 
 
@@ -143,19 +148,19 @@ def test_views_that_may_disagree_do_not_carve_alone() -> None:
         distances=KnownDistances(np.full(seen.labels.shape, -40, np.float32)),
     )
     silhouettes[CameraId("c07")] = wrong
-    assert carve(silhouettes, RIG, COARSE).field.size == 0
+    assert carve(prepare_views(silhouettes, RIG), COARSE).field.size == 0
     for field in ("sub_voxel", "view_count"):
         robust = CarvingParameters(n=128, field=field, max_disagreeing_views=1)
-        assert meshed(carve(silhouettes, RIG, robust)).volume > 0.96 * SPHERE_MM3
+        assert meshed(carve(prepare_views(silhouettes, RIG), robust)).volume > 0.96 * SPHERE_MM3
 
 
 def test_a_body_that_leaves_the_grid_is_told() -> None:
-    assert carve(sphere_silhouettes(RIG, (0, 0, 20), 7), RIG, COARSE).touches_border
-    assert not carve(sphere_silhouettes(RIG, (0, 0, 16), 7), RIG, COARSE).touches_border
+    assert carve(prepare_views(sphere_silhouettes(RIG, (0, 0, 20), 7), RIG), COARSE).touches_border
+    assert not carve(prepare_views(sphere_silhouettes(RIG, (0, 0, 16), 7), RIG), COARSE).touches_border
 
 
 def test_islands_are_left_out_of_the_mesh() -> None:
-    hull = carve(sphere_silhouettes(RIG, radius_mm=5), RIG, COARSE)
+    hull = carve(prepare_views(sphere_silhouettes(RIG, radius_mm=5), RIG), COARSE)
     field = np.pad(hull.field, ((0, 12), (0, 0), (0, 0)), constant_values=-hull.pitch_mm)
     field[-6:-3, 10:13, 10:13] = hull.pitch_mm
     mesh = meshed(
@@ -175,9 +180,9 @@ def test_islands_are_left_out_of_the_mesh() -> None:
 def test_too_few_views_and_foreign_cameras_are_refused() -> None:
     silhouettes = sphere_silhouettes(RIG, cameras=[CameraId("c01")])
     with pytest.raises(ValueError, match="1 usable"):
-        carve(silhouettes, RIG, COARSE)
+        carve(prepare_views(silhouettes, RIG), COARSE)
     with pytest.raises(ValueError, match="c01"):
-        carve(silhouettes, RIG.subset([CameraId("c02")]), COARSE)
+        carve(prepare_views(silhouettes, RIG.subset([CameraId("c02")])), COARSE)
 
 
 @pytest.mark.parametrize(

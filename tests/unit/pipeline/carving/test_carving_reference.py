@@ -25,9 +25,12 @@ from pipeline.segmentation.silhouette import (
     SilhouetteSet,
     ViewStatus,
 )
+from pipeline.views.prepared import prepare_views
 
 BUILT = as_built(nominal_rig(), seed=7)
-SAMPLING = ("undecided", "lower", "count", "count_within", "fill", "place")
+SAMPLING = (
+    "find_undecided", "lower_distances", "count_view", "count_enclosing_views", "fill_blocks", "write_leaves",
+)  # fmt: skip
 DISTORTIONS = {"none": np.zeros(5), "all": np.array([-0.3, 0.4, 2e-3, -3e-3, 1.0])}
 
 
@@ -107,7 +110,8 @@ def test_sparse_carving_is_carving_every_voxel(
         camera = rig.camera_ids[index]
         given_views[camera] = replace(silhouettes[camera], status=ViewStatus.MULTIPLE)
     parameters = CarvingParameters(n=n, size_mm=20, field=field, max_disagreeing_views=overruled)
-    assert_same(carve(given_views, rig, parameters), carve_every_voxel(given_views, rig, parameters), n)
+    views = prepare_views(given_views, rig)
+    assert_same(carve(views, parameters), carve_every_voxel(views, parameters), n)
 
 
 def test_a_blind_view_decides_nothing_wherever_its_image_ends() -> None:
@@ -123,14 +127,16 @@ def test_a_blind_view_decides_nothing_wherever_its_image_ends() -> None:
     )
     parameters = CarvingParameters(n=32, size_mm=20)
     cut = {**silhouettes, CameraId(camera.id): blind}
-    assert_same(carve(cut, rig, parameters), carve_every_voxel(cut, rig, parameters), 32)
+    assert_same(
+        carve(prepare_views(cut, rig), parameters), carve_every_voxel(prepare_views(cut, rig), parameters), 32
+    )
 
 
 def test_blocks_are_left_out_and_filled_in_a_larger_grid() -> None:
     rig, silhouettes = seen("all", (2.0, -1.0, 3.0))
     parameters = CarvingParameters(n=64, size_mm=16)
-    hull = carve(silhouettes, rig, parameters)
-    assert_same(hull, carve_every_voxel(silhouettes, rig, parameters), 64)
+    hull = carve(prepare_views(silhouettes, rig), parameters)
+    assert_same(hull, carve_every_voxel(prepare_views(silhouettes, rig), parameters), 64)
     is_inside = on_grid(hull, 64)[1:-1, 1:-1, 1:-1] > 0
     assert len(hull.leaves) * LEAF**3 < 0.8 * 64**3
     assert is_inside.any()
@@ -138,10 +144,10 @@ def test_blocks_are_left_out_and_filled_in_a_larger_grid() -> None:
 
 @pytest.mark.parametrize("field", ["sub_voxel", "view_count"])
 def test_after_the_warm_up_nothing_is_left_to_compile(field: Literal["sub_voxel", "view_count"]) -> None:
-    kernels = [octree._judge, octree._halve, *(getattr(samples, name) for name in SAMPLING)]
+    kernels = [octree._ask_views, octree._write_octants, *(getattr(samples, name) for name in SAMPLING)]
     made_up = warm_up(CarvingParameters(field=field))
     assert (made_up.field > made_up.level).any()
     compiled = [len(kernel.signatures) for kernel in kernels]
     rig, silhouettes = seen("all", (2.0, -1.0, 3.0))
-    carve(silhouettes, rig, CarvingParameters(field=field, n=40, size_mm=20))
+    carve(prepare_views(silhouettes, rig), CarvingParameters(field=field, n=40, size_mm=20))
     assert [len(kernel.signatures) for kernel in kernels] == compiled

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from support.forms import form, hull_of, silhouettes_of
 from support.silhouettes import hidden
 
-from pipeline.carving import usable_views
 from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.estimate.inner import inner_body
 from pipeline.estimate.smoothness import sphere_segment_mm
-from pipeline.estimate.tangents import tangents_of
+from pipeline.estimate.tangents import find_tangents
 from pipeline.evaluation.surface_distances import Surface, even_samples
 from pipeline.measuring.solid import solid_of
 from pipeline.meshing import ParticleMesh
@@ -26,6 +25,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.irregular_bodies import irregular
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
+from pipeline.views.prepared import prepare_views
 
 SEED = 4
 RIG = as_built(nominal_rig(), SEED)
@@ -66,7 +66,7 @@ def seen(name: str) -> tuple[trimesh.Trimesh, SilhouetteSet, ParticleMesh]:
 @cache
 def estimated(name: str) -> BodyEstimate:
     _, silhouettes, hull = seen(name)
-    return estimate_body(hull, silhouettes, RIG)
+    return estimate_body(hull, prepare_views(silhouettes, RIG))
 
 
 def mean_mm(mesh: ParticleMesh, truth: trimesh.Trimesh) -> float:
@@ -156,7 +156,7 @@ def test_fewer_views_are_still_improved(n_views: int) -> None:
         list(silhouettes.items())[:: 16 // n_views] if n_views == 8 else list(silhouettes.items())[2:14]
     )
     hull = hull_of(kept, RIG)
-    estimate = estimate_body(hull, kept, RIG)
+    estimate = estimate_body(hull, prepare_views(kept, RIG))
     assert mean_mm(estimate.mesh, truth) < mean_mm(hull, truth)
 
 
@@ -169,10 +169,10 @@ def test_what_was_not_seen_touches_nothing() -> None:
         outline_uv = silhouette.outline_uv
         right = outline_uv[:, 0] > np.quantile(outline_uv[:, 0], 0.8)
         gapped[camera] = replace(silhouette, outline_uv=outline_uv[~right])
-    tangents = tangents_of(usable_views(gapped, RIG), center_mm)
+    tangents = find_tangents(prepare_views(gapped, RIG), center_mm)
     assert 0.5 * 960 < len(tangents.normals) < 0.9 * 960
     assert np.abs(tangents.offsets_mm - 7.5).max() < 0.02
-    estimate = estimate_body(hull, gapped, RIG)
+    estimate = estimate_body(hull, prepare_views(gapped, RIG))
     assert estimate.fallback is None
     assert estimate.volume_mm3 == pytest.approx(truth.volume, rel=0.02)
 
@@ -186,7 +186,7 @@ def test_what_was_not_seen_is_estimated_no_worse_than_by_the_hull(name: str, n_h
     for camera in rng.permutation(list(silhouettes))[:n_hidden]:
         partly[camera] = hidden(partly[camera], int(rng.integers(len(partly[camera].outline_uv))), 0.25)
     hull = hull_of(partly, RIG)
-    estimate = estimate_body(hull, partly, RIG)
+    estimate = estimate_body(hull, prepare_views(partly, RIG))
     assert estimate.fallback is None
     assert hull.vertices_mm.shape != seen(name)[2].vertices_mm.shape
     assert mean_mm(estimate.mesh, truth) < 0.7 * mean_mm(hull, truth)
@@ -204,18 +204,18 @@ def test_odd_silhouettes_leave_the_hull() -> None:
     swapped = {camera: other[camera] for camera in silhouettes}
     few = dict(list(silhouettes.items())[:2])
     for odd in (blind, few, {}):
-        estimate = estimate_body(hull, odd, RIG)
+        estimate = estimate_body(hull, prepare_views(odd, RIG))
         assert estimate.fallback
         assert estimate.mesh is hull
         assert estimate.volume_mm3 == estimate.hull_volume_mm3
-    assert np.isfinite(estimate_body(hull, swapped, RIG).volume_mm3)
+    assert np.isfinite(estimate_body(hull, prepare_views(swapped, RIG)).volume_mm3)
 
 
 def test_a_sphere_s_tangent_segments_are_those_computed_without_its_silhouettes() -> None:
     truth, silhouettes, _ = seen("sphere")
-    views = usable_views(silhouettes, RIG)
-    tangents = tangents_of(views, truth.center_mass)
-    eyes_mm = np.array([camera.center_mm for camera, _ in views]) - truth.center_mass
+    views = prepare_views(silhouettes, RIG)
+    tangents = find_tangents(views, truth.center_mass)
+    eyes_mm = np.array([camera.center_mm for camera in views.calibrations]) - truth.center_mass
     expected_mm = sphere_segment_mm(eyes_mm, 7.5)
     assert np.median(tangents.lengths_mm) == pytest.approx(expected_mm, rel=0.15)
     np.testing.assert_allclose(tangents.offsets_mm, 7.5, atol=0.015)  # a third of a pixel
@@ -224,7 +224,7 @@ def test_a_sphere_s_tangent_segments_are_those_computed_without_its_silhouettes(
 @pytest.mark.parametrize("name", NAMES)
 def test_the_inner_body_touches_every_tangent_plane_and_leaves_none(name: str) -> None:
     truth, silhouettes, _ = seen(name)
-    tangents = tangents_of(usable_views(silhouettes, RIG), truth.center_mass)
+    tangents = find_tangents(prepare_views(silhouettes, RIG), truth.center_mass)
     inner = inner_body(tangents)
     assert inner is not None
     corners_mm = inner.points_mm[np.unique(inner.facets.corners)]
@@ -235,5 +235,5 @@ def test_the_inner_body_touches_every_tangent_plane_and_leaves_none(name: str) -
 
 def test_the_same_silhouettes_give_the_same_body() -> None:
     _, silhouettes, hull = seen("flaky")
-    again = estimate_body(hull, silhouettes, RIG)
+    again = estimate_body(hull, prepare_views(silhouettes, RIG))
     assert np.array_equal(again.mesh.vertices_mm, estimated("flaky").mesh.vertices_mm)

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from support.silhouettes import sphere_silhouettes
 
-from pipeline.carving import usable_views
 from pipeline.estimate.inner import inner_body
 from pipeline.estimate.surface import InnerSurface, inner_surface
-from pipeline.estimate.tangents import tangents_of
+from pipeline.estimate.tangents import find_tangents
 from pipeline.rig.design import as_built, nominal_rig
+from pipeline.views.prepared import prepare_views
 
 RIG = as_built(nominal_rig(), seed=6)
 CENTER_MM = np.array([0.4, -0.3, 0.2])
-VIEWS = usable_views(sphere_silhouettes(RIG, CENTER_MM), RIG)
+VIEWS = prepare_views(sphere_silhouettes(RIG, CENTER_MM), RIG)
 
 
 def surface(points_mm: np.ndarray) -> InnerSurface:
@@ -26,7 +26,7 @@ def test_the_walk_ends_in_the_face_that_ends_the_ray(seed: int) -> None:
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    inner = inner_body(tangents_of(VIEWS, CENTER_MM))
+    inner = inner_body(find_tangents(VIEWS, CENTER_MM))
     assert inner is not None
     planes = inner.facets.planes
     nearest_mm = 1 / (directions @ (planes[:, :3] / -planes[:, 3:]).T).max(axis=1)

@@ -10,6 +10,7 @@ from pipeline.geometry import growing_hull
 from pipeline.meshing import mesh_hull
 from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.ball_silhouettes import RADIUS_MM
+from pipeline.views.prepared import prepare_views
 
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
@@ -22,7 +23,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     assert sum(map(bool, compiled)) > 10
     rig = nominal_rig()
     silhouettes = sphere_silhouettes(rig)
-    hull = mesh_hull(carve(silhouettes, rig, CarvingParameters()))
+    hull = mesh_hull(carve(prepare_views(silhouettes, rig), CarvingParameters()))
     assert hull is not None
-    assert estimate_body(hull, silhouettes, rig).fallback is None
+    assert estimate_body(hull, prepare_views(silhouettes, rig)).fallback is None
     assert [kernel.signatures for kernel in kernels] == compiled

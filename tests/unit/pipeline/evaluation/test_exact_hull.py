@@ -18,6 +18,7 @@ from pipeline.meshing import mesh_hull
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.irregular_bodies import irregular
+from pipeline.views.prepared import prepare_views
 
 NOMINAL = nominal_rig()
 BUILT = as_built(NOMINAL, seed=1)
@@ -131,7 +132,7 @@ def test_the_sub_voxel_field_is_nearer_to_the_exact_hull_than_the_paper_s(body: 
     silhouettes = silhouettes_of(mesh, BUILT, np.random.default_rng(1))
 
     def off_mm(field: Literal["sub_voxel", "view_count"]) -> float:
-        hull = mesh_hull(carve(silhouettes, BUILT, CarvingParameters(field=field)))
+        hull = mesh_hull(carve(prepare_views(silhouettes, BUILT), CarvingParameters(field=field)))
         assert hull is not None
         surface = trimesh.Trimesh(hull.vertices_mm, hull.faces, process=False)
         samples_mm = even_samples(surface, 1500, np.random.default_rng(2))

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import RigError
-from pipeline.rig.camera_arrays import arrays_of
+from pipeline.rig.camera_arrays import camera_arrays
 from pipeline.rig.cameras import checksum_of, rig_to_document
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.rig.document import rig_from_document
@@ -60,21 +60,23 @@ def test_the_ray_through_a_pixel_is_seen_there() -> None:
         np.testing.assert_allclose(seen_uv, pixels_uv, atol=1e-8)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-12)
     expected = cv2.undistortPoints(pixels_uv[:, None], bent.K, bent.distortion, criteria=criteria)[:, 0]
-    np.testing.assert_allclose(bent.flat_rays(pixels_uv), expected, atol=1e-10)
+    np.testing.assert_allclose(bent.normalized_coordinates(pixels_uv), expected, atol=1e-10)
     assert bent.rays(np.empty((0, 2))).shape == (0, 3)
 
 
 def test_cameras_as_arrays_are_the_cameras() -> None:
     bent = replace(BUILT.cameras[5], distortion=np.array([-0.08, 0.1, 1e-3, -2e-3, 0.01]))
     cameras = [BUILT.cameras[0], bent, BUILT.cameras[9]]
-    arrays = arrays_of(cameras)
+    arrays = camera_arrays(cameras)
     owners = np.arange(60) % 3
     pixels_uv = np.random.default_rng(2).uniform(0, 1000, size=(60, 2))
-    flat = arrays.flat_rays(pixels_uv, owners)
+    normalized = arrays.normalized_coordinates(pixels_uv, owners)
     for index, camera in enumerate(cameras):
         np.testing.assert_allclose(arrays.centers_mm[index], camera.center_mm, rtol=1e-12)
         assert arrays.focals_px[index] == camera.focal_px
-        np.testing.assert_array_equal(flat[owners == index], camera.flat_rays(pixels_uv[owners == index]))
+        np.testing.assert_array_equal(
+            normalized[owners == index], camera.normalized_coordinates(pixels_uv[owners == index])
+        )
 
 
 def test_document_round_trip_keeps_the_identity() -> None:

@@ -1,4 +1,4 @@
-"""Claims of agreeing views against the clearances of a search everywhere, gaps in outlines or not."""
+"""Negative clearances of agreeing views against the clearances of a search everywhere, gaps in outlines or not."""
 
 from dataclasses import replace
 
@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 from support.forms import form, silhouettes_of
 from support.quick_and_full import examples
 
-from pipeline.carving import usable_views
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import SilhouetteSet
 from pipeline.views import tangent_planes
-from pipeline.views.agreeing_views import claims_px
+from pipeline.views.agreeing_views import negative_clearances_px
 from pipeline.views.clearance import body_sphere, clearances_px
+from pipeline.views.distance_field import distance_field
 from pipeline.views.epipolar_tangency import outline_hulls, outlines_of
+from pipeline.views.prepared import prepare_views
 
 RIG = as_built(nominal_rig(), seed=8)
 
@@ -34,13 +35,15 @@ def seen(name: str, n_gaps: int) -> SilhouetteSet:
 
 
 @pytest.mark.parametrize(("name", "n_gaps"), [("polyhedron", 0), ("polyhedron", 5), ("rough polyhedron", 10)])
-def test_claims_are_the_clearances_below_zero(name: str, n_gaps: int) -> None:
+def test_they_are_the_clearances_below_zero(name: str, n_gaps: int) -> None:
     silhouettes = seen(name, n_gaps)
-    views = usable_views(silhouettes, RIG)
-    sphere = body_sphere(views, 0)
+    views = prepare_views(silhouettes, RIG)
+    field = distance_field(views, 0)
+    sphere = body_sphere(field)
     assert sphere is not None
-    expected_px = np.minimum(np.concatenate(clearances_px(views, sphere, 0, RIG.camera_ids)), 0)
-    found_px = np.concatenate(claims_px(views, outline_hulls(outlines_of(silhouettes), RIG)))
+    expected_px = np.minimum(np.concatenate(clearances_px(views, field, sphere, RIG.camera_ids)), 0)
+    hulls = outline_hulls(outlines_of(silhouettes), RIG)
+    found_px = np.concatenate(negative_clearances_px(views, hulls))
     assert (found_px - expected_px).min() > -0.1
     assert np.median(found_px - expected_px) < 0.01  # where it is higher, a narrow peak was found
     assert found_px.max() <= 0
@@ -56,7 +59,7 @@ def test_planes_leave_of_rays_what_they_leave_one_by_one(seed: int, n_planes: in
     )
     slopes = planes[:, :3].astype(float) @ rays[3:]
     ends_mm = (planes[:, 3:] - planes[:, :3].astype(float) @ rays[:3]) / slopes
-    low_mm, high_mm = tangent_planes.left_by(planes[:, :3], planes[:, 3], rays)
+    low_mm, high_mm = tangent_planes.clip_lines(planes[:, :3], planes[:, 3], rays)
     np.testing.assert_allclose(
         low_mm, np.where(slopes < 0, ends_mm, -np.inf).max(axis=0), rtol=1e-2, atol=1e-3
     )

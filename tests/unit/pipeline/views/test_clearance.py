@@ -8,24 +8,24 @@ from scipy.ndimage import map_coordinates
 from support.forms import form, silhouettes_of
 from support.silhouettes import sphere_silhouettes
 
-from pipeline.carving import View, usable_views
+from pipeline.rig.cameras import CameraCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX
-from pipeline.views.clearance import N_RAYS, body_sphere, clearances_px
-from pipeline.views.ray_field import HALF_MM
+from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, Silhouette
+from pipeline.views.clearance import MAX_RAYS, body_sphere, clearances_px
+from pipeline.views.distance_field import HALF_EDGE_MM, distance_field
+from pipeline.views.prepared import PreparedViews, prepare_views
 
 RIG = as_built(nominal_rig(), seed=8)
 N_SAMPLES = 1500
 
 
 @cache
-def views() -> list[View]:
+def views() -> PreparedViews:
     rng = np.random.default_rng(2)
-    return usable_views(silhouettes_of(form("polyhedron", rng).mesh, RIG, rng), RIG)
+    return prepare_views(silhouettes_of(form("polyhedron", rng).mesh, RIG, rng), RIG)
 
 
-def values_mm(view: View, points_mm: np.ndarray) -> np.ndarray:
-    camera, silhouette = view
+def values_mm(camera: CameraCalibration, silhouette: Silhouette, points_mm: np.ndarray) -> np.ndarray:
     pixels_uv, depths_mm = camera.project(points_mm)
     place = (pixels_uv - silhouette.offset_uv).T[::-1] / FINE_PX
     found_px = map_coordinates(silhouette.fine_px, place, order=1, cval=-MARGIN_PX)
@@ -33,25 +33,27 @@ def values_mm(view: View, points_mm: np.ndarray) -> np.ndarray:
 
 
 def searched_px(index: int, sphere: tuple[np.ndarray, float], overruled: int) -> np.ndarray:
-    """Clearances (N_RAYS,) of one view: the highest of `N_SAMPLES` values along each ray."""
-    camera, silhouette = views()[index]
+    """Clearances (MAX_RAYS,) of one view: the highest of `N_SAMPLES` values along each ray."""
+    camera, silhouette = views().calibrations[index], views().silhouettes[index]
     center_mm, radius_mm = sphere
     outline_uv = silhouette.outline_uv
-    rays = camera.rays(outline_uv[np.linspace(0, len(outline_uv), N_RAYS, endpoint=False).astype(int)])
+    rays = camera.rays(outline_uv[np.linspace(0, len(outline_uv), MAX_RAYS, endpoint=False).astype(int)])
     closest_mm = (center_mm - camera.center_mm) @ rays.T
     along_mm = closest_mm[:, None] + np.linspace(-radius_mm, radius_mm, N_SAMPLES)
     points_mm = (camera.center_mm + along_mm[..., None] * rays[:, None]).reshape(-1, 3)
-    others = [view for place, view in enumerate(views()) if place != index]
-    field_mm = np.sort([values_mm(view, points_mm) for view in others], axis=0)[overruled]
+    others = views().without([camera.id])
+    pairs = zip(others.calibrations, others.silhouettes, strict=True)
+    field_mm = np.sort([values_mm(*view, points_mm) for view in pairs], axis=0)[overruled]
     return np.asarray(field_mm.reshape(along_mm.shape).max(axis=1) * camera.focal_px / closest_mm)
 
 
 @pytest.mark.parametrize("overruled", [0, 2])
 def test_clearances_are_those_of_a_search_everywhere(overruled: int) -> None:
-    sphere = body_sphere(views(), overruled)
+    field = distance_field(views(), overruled)
+    sphere = body_sphere(field)
     assert sphere is not None
-    found_px = clearances_px(views(), sphere, overruled)
-    settled_px = clearances_px(views(), sphere, overruled, RIG.camera_ids)
+    found_px = clearances_px(views(), field, sphere)
+    settled_px = clearances_px(views(), field, sphere, RIG.camera_ids)
     for index in (0, 13):
         expected_px = searched_px(index, sphere, overruled)
         missed_px = expected_px - found_px[index]  # the last samples are half a pixel from the peak at most
@@ -64,16 +66,17 @@ def test_clearances_are_those_of_a_search_everywhere(overruled: int) -> None:
 def test_rays_that_miss_the_body_by_far_have_their_clearance_too() -> None:
     silhouettes = sphere_silhouettes(RIG, (0.0, 0.0, 0.0), 5.0)
     moved = sphere_silhouettes(RIG, (4.0, 0.0, 0.0), 5.0, RIG.camera_ids[12:13])
-    seen = usable_views({**silhouettes, **moved}, RIG)
-    sphere = body_sphere(seen, 1)
+    seen = prepare_views({**silhouettes, **moved}, RIG)
+    sphere = body_sphere(distance_field(seen, 1))
     assert sphere is not None
-    found_px = clearances_px(seen, sphere, 0)[12]
+    found_px = clearances_px(seen, distance_field(seen, 0), sphere)[12]
     assert found_px.min() < -25
     assert np.isfinite(found_px).all()
 
 
 def test_the_sphere_holds_the_body_and_is_not_much_larger() -> None:
-    sphere = body_sphere(usable_views(sphere_silhouettes(RIG, (2.0, -3.0, 1.0), 6.0), RIG), 0)
+    seen = prepare_views(sphere_silhouettes(RIG, (2.0, -3.0, 1.0), 6.0), RIG)
+    sphere = body_sphere(distance_field(seen, 0))
     assert sphere is not None
     center_mm, radius_mm = sphere
     reach_mm = np.linalg.norm(center_mm - [2.0, -3.0, 1.0]) + 6.0
@@ -86,5 +89,5 @@ def test_views_without_a_body_in_common_have_no_sphere() -> None:
         for number, camera in enumerate(RIG.camera_ids)
         for silhouette in sphere_silhouettes(RIG, (0, 0, 15.0 * (-1) ** number), 2.0, [camera]).values()
     }
-    assert HALF_MM > 15
-    assert body_sphere(usable_views(apart, RIG), 0) is None
+    assert HALF_EDGE_MM > 15
+    assert body_sphere(distance_field(prepare_views(apart, RIG), 0)) is None

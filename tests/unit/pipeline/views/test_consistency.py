@@ -13,9 +13,10 @@ from support.silhouettes import sphere_silhouette, sphere_silhouettes
 from pipeline.frames import CameraId
 from pipeline.rig import lens
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.views import clearance, outline_hull, ray_field, tangent_planes
+from pipeline.views import clearance, distance_field, outline_hull, tangent_planes
 from pipeline.views import epipolar_tangency as tangency
 from pipeline.views.consistency import ConsistencyParameters, check_consistency, warm_up
+from pipeline.views.prepared import prepare_views
 
 RIG = as_built(nominal_rig(), seed=6)
 PARAMETERS = ConsistencyParameters()
@@ -30,18 +31,18 @@ def seen_instead(camera: CameraId, center_mm: tuple[float, float, float], radius
 
 def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> None:
     kernels = [
-        ray_field._lower,
-        ray_field._narrow,
-        clearance._cast,
-        tangent_planes._cut,
+        distance_field._lower,
+        distance_field._narrow,
+        clearance._cast_rays,
+        tangent_planes._clip,
         tangency._touch,
-        outline_hull._corners,
+        outline_hull._find_corners,
         lens._undistort,
     ]
     assert warm_up().is_consistent
     compiled = [kernel.signatures for kernel in kernels]
     assert all(compiled)
-    found = check_consistency(sphere_silhouettes(RIG, CENTER_MM), RIG, PARAMETERS)
+    found = check_consistency(prepare_views(sphere_silhouettes(RIG, CENTER_MM), RIG), PARAMETERS)
     assert found.is_consistent
     assert not found.suspects
     assert set(found.residuals_px) == set(RIG.camera_ids)
@@ -62,7 +63,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> 
 def test_the_wrong_view_is_named_and_no_other(
     camera: CameraId, center_mm: tuple[float, float, float], radius_mm: float
 ) -> None:
-    found = check_consistency(seen_instead(camera, center_mm, radius_mm), RIG, PARAMETERS)
+    found = check_consistency(prepare_views(seen_instead(camera, center_mm, radius_mm), RIG), PARAMETERS)
     assert list(found.suspects) == [camera]
     assert found.is_consistent
     assert camera not in found.residuals_px
@@ -75,7 +76,7 @@ def test_two_wrong_views_are_named(cameras: list[CameraId]) -> None:
     for camera, offset_mm in zip(cameras, (2.0, -2.0), strict=True):
         view = RIG.subset([camera]).cameras[0]
         silhouettes[camera] = sphere_silhouette(view, CENTER_MM + np.array([0, 0, offset_mm]), 7.5)
-    found = check_consistency(silhouettes, RIG, PARAMETERS)
+    found = check_consistency(prepare_views(silhouettes, RIG), PARAMETERS)
     assert set(found.suspects) == set(cameras)
     assert found.is_consistent
 
@@ -85,7 +86,7 @@ def test_more_wrong_views_than_may_be_dropped_are_not_one_body() -> None:
     for number, camera in enumerate(RIG.camera_ids[::2]):
         view = RIG.subset([camera]).cameras[0]
         silhouettes[camera] = sphere_silhouette(view, CENTER_MM + np.array([0, 0, 2 + number]), 7.5)
-    assert not check_consistency(silhouettes, RIG, PARAMETERS).is_consistent
+    assert not check_consistency(prepare_views(silhouettes, RIG), PARAMETERS).is_consistent
 
 
 def test_views_of_nothing_in_common_are_inconsistent() -> None:
@@ -93,7 +94,7 @@ def test_views_of_nothing_in_common_are_inconsistent() -> None:
         camera.id: sphere_silhouette(camera, np.array([0, 0, 15.0 * (-1) ** number]), 2.0)
         for number, camera in enumerate(RIG.cameras)
     }
-    found = check_consistency(silhouettes, RIG, PARAMETERS)
+    found = check_consistency(prepare_views(silhouettes, RIG), PARAMETERS)
     assert not found.is_consistent
 
 
@@ -104,6 +105,6 @@ def test_a_view_that_alone_bounds_a_side_is_not_condemned() -> None:
     placed = trimesh.Trimesh(cube.vertices @ turn.T + [-2.4, -2.08, -0.45], cube.faces)
     silhouettes = silhouettes_of(placed, RIG, np.random.default_rng(1))
     del silhouettes[CameraId("c01")]
-    found = check_consistency(silhouettes, RIG, PARAMETERS)
+    found = check_consistency(prepare_views(silhouettes, RIG), PARAMETERS)
     assert not found.suspects
     assert found.is_consistent

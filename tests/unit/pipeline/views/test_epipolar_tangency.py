@@ -109,7 +109,7 @@ def test_no_other_shift_of_a_camera_leaves_less(seed: int) -> None:
     for index, (camera, shift_px) in enumerate(image_shifts_px(tangents).items()):
         assert camera == RIG.camera_ids[index]
         pair, side = np.nonzero(tangents.pairs == index)
-        gradients, residuals_px = tangents.gradients[pair, side], tangents.residuals_px[pair]
+        gradients, residuals_px = tangents.pixel_gradients[pair, side], tangents.residuals_px[pair]
 
         def left(shift_px: np.ndarray, gradients=gradients, residuals_px=residuals_px) -> float:
             return float(np.nansum(np.abs(residuals_px - gradients @ shift_px)))

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from support.quick_and_full import examples
 
 from pipeline.segmentation.silhouette import is_beside_gap
-from pipeline.views.outline_hull import goes_on, hull_corners, stacked
+from pipeline.views.outline_hull import hull_corners, is_edge_seen, stack_outlines
 
 ANGLES = np.linspace(0, 2 * np.pi, 500)
 OUTWARDS = np.stack([np.cos(ANGLES), np.sin(ANGLES)])
@@ -26,9 +26,9 @@ def outline(seed: int, n: int, grid: bool) -> np.ndarray:
 def test_the_corners_reach_as_far_as_all_points_and_turn_one_way(
     seed: int, lengths: list[int], grid: bool
 ) -> None:
-    outlines = stacked([outline(seed + n, n, grid) for n in lengths])
+    outlines = stack_outlines([outline(seed + n, n, grid) for n in lengths])
     corners, is_closed = hull_corners(outlines)
-    trusted = goes_on(outlines, corners, 1)
+    trusted = is_edge_seen(outlines, corners, 1)
     for view, n in enumerate(lengths):
         points = outline(seed + n, n, grid)
         n_corners = len(np.unique(corners[view]))
@@ -45,11 +45,11 @@ def test_the_corners_reach_as_far_as_all_points_and_turn_one_way(
 def test_near_a_gap_no_corner_is_trusted() -> None:
     angle = 2 * np.pi * np.delete(np.arange(600), range(300, 310)) / 600
     circle = 500 + 100 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    outlines = stacked([circle, circle])
+    outlines = stack_outlines([circle, circle])
     corners, _ = hull_corners(outlines)
     assert corners.shape == (2, len(circle))
     for reach in (1, 5):
-        trusted = goes_on(outlines, corners, reach)
+        trusted = is_edge_seen(outlines, corners, reach)
         for view in range(2):
             doubtful = corners[view, ~trusted[view]] - view * len(circle)
             assert set(doubtful) == set(range(300 - reach, 300 + reach))

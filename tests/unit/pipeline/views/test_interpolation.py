@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 from support.quick_and_full import examples
 
-from pipeline.carving.interpolation import interpolate
+from pipeline.views.interpolation import interpolate
 
 
 @examples(0.3)
