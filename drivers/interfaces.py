@@ -26,7 +26,7 @@ class FrameLossReason(StrEnum):
     ABSENT = "absent"
     """The bundle file neither has the frame nor says why."""
     UNREADABLE = "unreadable"
-    """Its bundle file cannot be read; followed by a colon and what is wrong with the file."""
+    """Its bundle file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +36,7 @@ class FrameLost:
     camera: CameraId
     received_ns: int
     reason: str  # a `FrameLossReason`, or what the driver of the camera says
+    problem: str | None = None  # with `UNREADABLE`: what is wrong with the file
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -92,6 +92,8 @@ class FrameBundle:
     trigger: Trigger
     frames: Mapping[CameraId, Frame]
     missing: Mapping[CameraId, str] = field(default_factory=dict)
+    unreadable: str | None = None
+    """What is wrong with the recorded file that the frames should have come from, if none could be read."""
 
     @property
     def name(self) -> str:

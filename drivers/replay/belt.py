@@ -42,6 +42,7 @@ class _Playable:
     trigger: Trigger
     frames: tuple[Frame, ...]
     lost: Mapping[CameraId, str] = field(default_factory=dict)
+    unreadable: str | None = None  # what is wrong with its file
 
 
 class _Due(NamedTuple):
@@ -225,7 +226,12 @@ class ReplayBelt:
                 ),
             )
         for camera, reason in bundle.lost.items():
-            lost = FrameLost(camera=camera, received_ns=start_ns + self._delay_ns, reason=reason)
+            lost = FrameLost(
+                camera=camera,
+                received_ns=start_ns + self._delay_ns,
+                reason=reason,
+                problem=bundle.unreadable,
+            )
             put(self.cameras[camera], lost)
 
     def _load_next(self) -> _Playable | None:
@@ -259,8 +265,8 @@ class ReplayBelt:
         return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
 
     def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:
-        lost = dict.fromkeys(self.recording.camera_ids, f"{FrameLossReason.UNREADABLE}: {error.problem}")
-        return _Playable(trigger=trigger, frames=(), lost=lost)
+        lost = dict.fromkeys(self.recording.camera_ids, FrameLossReason.UNREADABLE)
+        return _Playable(trigger=trigger, frames=(), lost=lost, unreadable=error.problem)
 
     def _renumbered(self, bundle: _Playable, header: BundleHeader, played_round: int) -> _Playable:
         name = header.name

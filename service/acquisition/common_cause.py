@@ -1,14 +1,21 @@
-"""Sixteen alarms with one cause are one alarm."""
+"""Most cameras fail at once: report the common cause instead."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-SILENT = ("does not answer", "no camera", "there is no")
-"""What the errors of cameras say that nobody hears from."""
+from drivers.errors import LossCause
 
 
-def cause_of_all(errors: Sequence[str | None]) -> str:
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Why one device is lost."""
+
+    reason: str
+    cause: LossCause
+
+
+def common_cause(losses: Sequence[Loss]) -> str:
     """Say why all cameras are lost: what they have in common if none answers, else what the first one says."""
-    known = [error or "" for error in errors]
-    if all(any(silence in error for silence in SILENT) for error in known):
-        return f"all {len(known)} cameras are gone: look at the switch, its power and its uplink first"
-    return f"all {len(known)} cameras are lost, the first one: {next(filter(None, known), 'no reason given')}"
+    if all(loss.cause is LossCause.SILENT for loss in losses):
+        return f"all {len(losses)} cameras are gone: look at the switch, its power and its uplink first"
+    return f"all {len(losses)} cameras are lost, the first one: {losses[0].reason}"

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, LossCause
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
+from service.acquisition.common_cause import Loss
 from service.status import DeviceState
 
 log = logging.getLogger(__name__)
@@ -42,13 +43,14 @@ class Keeper:
         device: Camera | LightGate,
         *,
         examine: Callable[[], CameraVitals] | None = None,
-        on_lost: Callable[[str], None] = lambda reason: None,
+        on_lost: Callable[[str, LossCause], None] = lambda reason, cause: None,
         on_back: Callable[[], None] = lambda: None,
     ) -> None:
         self.name = name
         self.device = device
         self.state = DeviceState.CLOSED
-        self.last_error: str | None = None
+        self.loss: Loss | None = None
+        """Why it was lost last."""
         self.recoveries = 0
         self.vitals = CameraVitals()
         self._settled = asyncio.Event()
@@ -65,6 +67,11 @@ class Keeper:
         self._is_ending = False
         self._task: asyncio.Task[None] | None = None
         self._thread: ThreadPoolExecutor | None = None
+
+    @property
+    def last_error(self) -> str | None:
+        """Return why it was lost last, None as long as it was not."""
+        return None if self.loss is None else self.loss.reason
 
     def start(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
         """Keep the device armed until `end`; it may be started again after that."""
@@ -107,7 +114,7 @@ class Keeper:
                     await self.call(self.device.arm, sink)
                 except DeviceError as err:
                     failures += 1
-                    self.lose(err.problem if err.device == self.name else str(err))
+                    self.lose(err.problem if err.device == self.name else str(err), err.cause)
                 else:
                     if self._n_losses == n_losses:  # not lost again while it was being armed
                         self._admit()
@@ -134,7 +141,7 @@ class Keeper:
         """Call the device on its thread; only while it is kept."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *arguments)
 
-    def lose(self, reason: str) -> None:
+    def lose(self, reason: str, cause: LossCause = LossCause.OTHER) -> None:
         """Note that the device is lost; the loss is logged once, not every failed attempt to undo it."""
         self._n_losses += 1
         now_s = time.monotonic()
@@ -148,7 +155,7 @@ class Keeper:
             self._lost_at_s = now_s
         elif reason != self.last_error:
             log.info("device still lost: %s device=%s", reason, self.name)
-        self.state, self.last_error = DeviceState.LOST, reason
+        self.state, self.loss = DeviceState.LOST, Loss(reason, cause)
         self._wake.set()
 
     def look(self) -> None:
@@ -174,8 +181,8 @@ class Keeper:
                 try:
                     self.vitals = await self.call(self._examine)
                 except DeviceError as err:
-                    self._on_lost(err.problem)
-                    self.lose(err.problem)
+                    self._on_lost(err.problem, err.cause)
+                    self.lose(err.problem, err.cause)
                     return
             await self._sleep(EXAMINE_S)
 

@@ -11,9 +11,10 @@ from functools import partial
 import cv2
 import numpy as np
 
+from drivers.errors import LossCause
 from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
-from service.acquisition.common_cause import cause_of_all
+from service.acquisition.common_cause import common_cause
 from service.acquisition.device_keeper import Keeper
 from service.acquisition.exposure_skew import ExposureSkew
 from service.bundling.counters import BundlingCounters, CameraCounters
@@ -120,13 +121,23 @@ class RigCameras:
         for place in self._places.values():
             place.keeper.abandon()
 
+    @property
+    def common_cause(self) -> str | None:
+        """Return why all cameras are lost, None as long as one is not."""
+        lost = [
+            place.keeper.loss
+            for place in self._places.values()
+            if place.keeper.state is DeviceState.LOST and place.keeper.loss is not None
+        ]
+        return common_cause(lost) if len(lost) == len(self._places) > 1 else None
+
     def trouble(self, min_cameras: int) -> str | None:
         """Why there are too few cameras, None when there are enough."""
         if self.armed >= min_cameras:
             return None
+        if (cause := self.common_cause) is not None:
+            return cause
         lost = [place.keeper for place in self._places.values() if place.keeper.state is DeviceState.LOST]
-        if len(lost) == len(self._places) > 1:
-            return cause_of_all([keeper.last_error for keeper in lost])
         names = ", ".join(keeper.name for keeper in lost)
         why = lost[0].last_error if lost else None
         return f"{names}: {why}; {self.armed} cameras are left of {min_cameras} needed"
@@ -148,7 +159,7 @@ class RigCameras:
                 place.image = event.image
                 place.received_s.append(time.monotonic())
             case CameraLost():
-                self._places[event.camera].keeper.lose(event.reason)
+                self._places[event.camera].keeper.lose(event.reason, event.cause)
                 self.blind_triggers = 0  # it was not there to have an image
             case CameraBack():
                 self._places[event.camera].image = None  # of before; nothing to compare with
@@ -192,9 +203,10 @@ class RigCameras:
         image = self._places[camera].image
         return None if image is None else await asyncio.to_thread(_png, image)
 
-    def _tell_lost(self, camera: CameraId, reason: str) -> None:
+    def _tell_lost(self, camera: CameraId, reason: str, cause: LossCause = LossCause.OTHER) -> None:
         if self._sink is not None:
-            self._sink.deliver(CameraLost(camera=camera, received_ns=self._clock(), reason=reason))
+            lost = CameraLost(camera=camera, received_ns=self._clock(), reason=reason, cause=cause)
+            self._sink.deliver(lost)
 
     def _tell_back(self, camera: CameraId) -> None:
         if self._sink is not None:

@@ -234,6 +234,7 @@ class BundleAssembler:
                     self._take(window, event)
                 elif event.camera not in window.frames:
                     window.lost.setdefault(event.camera, event.reason)
+                    window.unreadable = event.problem
                 return True
         if isinstance(event, Frame) and (owner := self._owner(event)) is not None:
             self._take(owner, event)

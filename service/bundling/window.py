@@ -36,6 +36,7 @@ class Window:
     frames: dict[CameraId, Frame] = field(default_factory=dict)
     lost: dict[CameraId, str] = field(default_factory=dict)  # of whom no frame is waited for, and why
     refused: set[CameraId] = field(default_factory=set)  # of whom only another exposure came
+    unreadable: str | None = None  # what is wrong with the file that should have been replayed
 
     def is_complete(self, n_cameras: int) -> bool:
         """Whether nothing is waited for any longer."""
@@ -52,4 +53,4 @@ class Window:
             else:
                 unexplained = OTHER_EXPOSURE if camera in self.refused else reason
                 missing[camera] = self.lost.get(camera, unexplained)
-        return FrameBundle(trigger=self.trigger, frames=frames, missing=missing)
+        return FrameBundle(trigger=self.trigger, frames=frames, missing=missing, unreadable=self.unreadable)

@@ -76,6 +76,7 @@ class Daemon:
                 acquisition=self.acquisition.status(),
                 blind_triggers=self.acquisition.cameras.blind_triggers,
                 cameras=self.cameras(),
+                all_lost=self.acquisition.cameras.common_cause,
                 views=self.settings.views,
                 waiting=self.spool.held,
                 max_waiting=self.spool.max_bundles,

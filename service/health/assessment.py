@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.views.quality import ViewsParameters
-from service.acquisition.common_cause import cause_of_all
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
 from service.status import (
@@ -38,6 +37,7 @@ class Facts:
     acquisition: AcquisitionStatus
     blind_triggers: int  # in a row
     cameras: Sequence[CameraStatus]
+    all_lost: str | None = None  # why no camera is left
     views: ViewsParameters  # how many cameras make which quality
     waiting: int  # bundles in the spool
     max_waiting: int
@@ -192,13 +192,12 @@ def _checks(facts: Facts) -> Mapping[str, HealthCheck]:
 
 
 def _all_cameras(facts: Facts) -> HealthCheck:
-    lost = [camera for camera in facts.cameras if camera.state is DeviceState.LOST]
-    is_all = len(lost) == len(facts.cameras) > 1
+    usable = sum(camera.state is not DeviceState.LOST for camera in facts.cameras)
     return HealthCheck(
-        status=_status(fail=is_all),
-        observed_value=len(facts.cameras) - len(lost),
+        status=_status(fail=facts.all_lost is not None),
+        observed_value=usable,
         observed_unit="cameras",
-        detail=_if(is_all, cause_of_all([camera.last_error for camera in lost])),
+        detail=facts.all_lost,
     )
 
 

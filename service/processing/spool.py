@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
-from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.bundling.window import DISARMED
 from service.processing.bundle_files import BundleFiles
@@ -132,10 +131,9 @@ class Spool:
 
 
 def _without_frames(bundle: FrameBundle) -> Loss:
+    if bundle.unreadable is not None:
+        return Loss(reason="unreadable", detail=bundle.unreadable)
     causes = sorted(set(bundle.missing.values()))
-    unreadable = f"{FrameLossReason.UNREADABLE}: "
-    if len(causes) == 1 and causes[0].startswith(unreadable):  # in a recording
-        return Loss(reason="unreadable", detail=causes[0].removeprefix(unreadable))
     if causes == [DISARMED]:
         return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
     return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")

@@ -19,7 +19,7 @@ from support.sinks import Collector
 
 from drivers.errors import CameraUnavailableError
 from drivers.files.recording import open_recording
-from drivers.interfaces import DeviceEvent, FrameLost, PlaybackEnded
+from drivers.interfaces import DeviceEvent, FrameLossReason, FrameLost, PlaybackEnded
 from drivers.replay.belt import MAX_SPACING_NS, Pace, ReplayBelt
 from drivers.replay.camera import ReplayCamera
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
@@ -185,10 +185,11 @@ def test_what_cannot_be_read_still_triggers_after_all_others(tmp_path: Path) -> 
     belt.stop()
     names = [event.name for event in events if isinstance(event, Trigger)]
     assert names == ["00000000", "00000002", "00000001"]
-    reasons = [event.reason for event in events if isinstance(event, FrameLost)]
-    assert reasons[:4] == ["unreadable: does not exist"] * 4
-    assert all(reason.startswith("unreadable: ") for reason in reasons[4:])
-    assert len(reasons) == 8
+    lost = [event for event in events if isinstance(event, FrameLost)]
+    assert {event.reason for event in lost} == {FrameLossReason.UNREADABLE}
+    assert [event.problem for event in lost[:4]] == ["does not exist"] * 4
+    assert all(event.problem for event in lost[4:])
+    assert len(lost) == 8
 
 
 def test_a_bundle_without_a_sound_page_still_triggers(tmp_path: Path) -> None:
@@ -207,8 +208,8 @@ def test_a_bundle_without_a_sound_page_still_triggers(tmp_path: Path) -> None:
     events = until_the_end(sink)
     belt.stop()
     assert isinstance(events[0], Trigger)
-    assert [(event.camera, event.reason) for event in events[1:] if isinstance(event, FrameLost)] == [
-        (camera, "unreadable: every page is damaged") for camera in CAMERAS
+    assert [(event.camera, event.problem) for event in events[1:] if isinstance(event, FrameLost)] == [
+        (camera, "every page is damaged") for camera in CAMERAS
     ]
     assert {event.received_ns - events[0].received_ns for event in events[1:]} == {DELAY_NS + 1_000_000}
 

@@ -61,7 +61,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @asynccontextmanager
 async def kept(device: Device, lost: list[str] | None = None) -> AsyncIterator[Keeper]:
     told = [] if lost is None else lost
-    one = Keeper("c01", device, examine=device.examine, on_lost=told.append)
+    one = Keeper("c01", device, examine=device.examine, on_lost=lambda reason, cause: told.append(reason))
     async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
         one.start(Collector(), tasks)
         await one.settle()
