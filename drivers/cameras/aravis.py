@@ -1,7 +1,7 @@
 """A GigE Vision camera through Aravis.
 
-Control calls to a camera that is gone take 2.5 s to fail and closing it 8 s, so a datagram of our own asks
-first whether it is there; what may block all the same holds this camera's lock and no other.
+Control calls to a camera that is gone take 2.5 s to fail, and closing it takes 8 s. So `gvcp.probe` asks first
+whether it is there; calls that may block all the same hold this camera's lock and no other.
 """
 
 import math
@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any
 
 from drivers import gvcp
-from drivers.cameras.aravis_library import explained, forgetful, load_aravis
-from drivers.cameras.feature_access import Applied, FeatureAccess
+from drivers.cameras.aravis_library import aravis_errors, cleared_tracebacks, load_aravis
+from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import FrameReader, Memory, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
@@ -23,33 +23,34 @@ from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
 
 PROBE_S = 0.25
-"""How long a camera may take to say that it is there."""
+"""How long a camera may take to answer a probe."""
 FULL_LINK_MBIT_S = 1000
 FRAME_RETENTION_US = 250_000
-"""Without a packet for so long a frame is given up: on a busy machine 0.1 s, as Aravis has it, is soon over."""
-POLLED = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
-"""Features `examine` reports, of those a camera has."""
+"""A frame is given up after so long without a packet; Aravis' default of 0.1 s is too short on a busy machine."""
+POLLED_FEATURES = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
+"""Features that `examine` reports where the camera has them."""
 
 _LINK_SPEED, _HEARTBEAT_MS, _CONTROL_PRIVILEGE, _STREAM_PORT = 0x670, 0x938, 0xA00, 0xD00
-"""Bootstrap registers, the same in every camera: in Mbit/s; in ms; 0 when nobody has control; 0 for no stream."""
+"""Bootstrap registers of every camera: link speed in Mbit/s; heartbeat timeout in ms; privilege, 0 when no application
+has control; the stream's port on the host, 0 without a stream."""
 _CONTROL = 0x2
-"""Control privilege: ours to write, others may read."""
+"""Value of the control privilege: its owner may write, others may read."""
 
 
 class AravisCamera:
-    """One GigE camera: found by serial number, address or user name, set and read back, watched by `examine`."""
+    """A GigE camera, found by serial number, address or user name; its settings are read back when it is examined."""
 
     def __init__(self, settings: GigeCameraSettings) -> None:
         self._settings = settings
         self._control = threading.RLock()
         self._device: gvcp.DiscoveredCamera | None = None  # as it was found the last time
-        self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see forgetful
+        self._camera: Any = None  # the only lasting reference to Aravis' object, see `cleared_tracebacks`
         self._stream: Any = None
         self._reader: FrameReader | None = None
         self._memory: Memory = {}
         self._control_lost = threading.Event()
         self._control_lost_signal = 0
-        self._applied: list[Applied] = []
+        self._applied: list[AppliedFeature] = []
         self._polled: dict[str, str] = {}
         self._receive_buffer_bytes = 0
         self._warnings: tuple[str, ...] = ()
@@ -62,12 +63,17 @@ class AravisCamera:
     def open(self) -> None:
         """Find the camera, take control, write all settings and read them back, prepare the stream.
 
-        Raises `CameraUnavailableError` when it is not there, another one, in use, or unable to do what is configured.
+        An open camera is closed first.
+
+        Raises
+        ------
+        CameraUnavailableError
+            It does not answer, is another one, is in use, or cannot be set as configured.
         """
         with self._control:
             self.close()
             try:
-                with forgetful(), explained(self.id, "be opened"):
+                with cleared_tracebacks(), aravis_errors(self.id, "be opened"):
                     self._device = find_camera(self._settings, self._device)
                     self._connect(self._device.address)
                     self._configure()
@@ -84,14 +90,14 @@ class AravisCamera:
             self._reader.start(sink)
             self._is_acquiring = True
             try:
-                with forgetful(), explained(self.id, "start the acquisition"):
+                with cleared_tracebacks(), aravis_errors(self.id, "start the acquisition"):
                     self._camera.start_acquisition()
             except CameraUnavailableError:
                 self.disarm()
                 raise
 
     def examine(self) -> CameraVitals:
-        """Ask within 0.3 s, unless the camera dies right between the questions."""
+        """Return how the camera is; takes 0.3 s at most, unless it dies between the questions."""
         device = self._device
         if self._camera is None or device is None:
             raise CameraUnavailableError(self.id, "is not open")
@@ -101,17 +107,17 @@ class AravisCamera:
         if seen.serial != device.serial:
             problem = f"another camera, serial {seen.serial}, has the address {device.address}"
             raise CameraUnavailableError(self.id, problem, LossCause.WRONG_CAMERA)
-        with self._control, forgetful(), explained(self.id, "be examined"):
+        with self._control, cleared_tracebacks(), aravis_errors(self.id, "be examined"):
             self._require_control()
             self._features().verify(self._applied)
             return self._vitals(device)
 
     def software_trigger(self) -> None:
-        """Expose now, if `TriggerSource` is `Software`."""
-        with self._control, forgetful():
+        """Expose now, if `TriggerSource` is `Software`; raises `CameraUnavailableError`."""
+        with self._control, cleared_tracebacks():
             if self._camera is None:
                 raise CameraUnavailableError(self.id, "is not open")
-            with explained(self.id, "trigger by software"):
+            with aravis_errors(self.id, "trigger by software"):
                 self._camera.software_trigger()
 
     def disarm(self) -> None:
@@ -121,19 +127,21 @@ class AravisCamera:
             if self._is_acquiring:
                 self._is_acquiring = False
                 if self._is_there():
-                    with suppress(CameraUnavailableError), explained(self.id, "stop the acquisition"):
+                    with suppress(CameraUnavailableError), aravis_errors(self.id, "stop the acquisition"):
                         self._camera.stop_acquisition()
 
     def close(self) -> None:
-        """Leave the camera to others; when it is gone this takes up to 8 s, in Aravis and without the GIL."""
+        """Give up control of the camera; when it is gone this takes up to 8 s, in Aravis and without the GIL."""
         with self._control:
             self.disarm()
             if self._camera is not None:
                 if self._is_there():
-                    with suppress(CameraUnavailableError), explained(self.id, "give up control"):
+                    with suppress(CameraUnavailableError), aravis_errors(self.id, "give up control"):
                         self._camera.get_device().leave_control()
                 self._camera.get_device().disconnect(self._control_lost_signal)
-            self._reader = self._stream = None  # first: this ends the thread that receives into the memory
+            self._reader = self._stream = (
+                None  # first: it ends the thread of Aravis that receives into the memory
+            )
             self._camera = None
             self._memory = {}
             self._applied = []
@@ -142,10 +150,10 @@ class AravisCamera:
 
     def _connect(self, address: str) -> None:
         aravis = load_aravis(self.id)
-        with explained(self.id, f"open {address}"):
+        with aravis_errors(self.id, f"open {address}"):
             self._camera = aravis.Camera.new(address)
         self._control_lost = control_lost = threading.Event()
-        # the event, not self: a callback that leads back to the camera keeps it for ever. Comes from Aravis' heartbeat.
+        # Called by Aravis' heartbeat. It refers to the event alone: with `self` it would keep the camera for ever.
         self._control_lost_signal = self._camera.get_device().connect(
             "control-lost", lambda *_: control_lost.set()
         )
@@ -159,12 +167,13 @@ class AravisCamera:
             )
 
     def _configure(self) -> None:
-        """Set a camera that stands still: whoever had it before may have left it running."""
+        """Stop the camera, which may have been left running, then write all settings and read them back."""
         settings, features = self._settings, self._features()
-        with explained(self.id, "stop the acquisition"):
+        with aravis_errors(self.id, "stop the acquisition"):
             self._camera.stop_acquisition()
-        with explained(self.id, "switch the triggers off"):
-            self._camera.clear_triggers()  # AcquisitionStart or FrameBurstStart, left on, waits for ever
+        with aravis_errors(self.id, "switch the triggers off"):
+            # a trigger left on for AcquisitionStart or FrameBurstStart would be waited for without end
+            self._camera.clear_triggers()
         ticks_per_s = self._camera.get_device().get_timestamp_tick_frequency()
         delay_ticks = math.ceil(settings.packet_delay_ns * ticks_per_s / 1e9)
         packets = [("GevSCPD", delay_ticks)]
@@ -173,7 +182,7 @@ class AravisCamera:
         self._applied = features.apply([*all_features(settings), *packets])
         features.verify(self._applied)  # a later setting may have changed an earlier one
         self._polled = {}
-        for name in POLLED:
+        for name in POLLED_FEATURES:
             if own := features.own_name(name):
                 self._polled[name] = own
 
@@ -184,7 +193,7 @@ class AravisCamera:
             adjustment.ALWAYS if settings.packet_size_bytes is None else adjustment.ON_FAILURE
         )
         self._camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-        with explained(self.id, "create the stream"):
+        with aravis_errors(self.id, "create the stream"):
             self._stream = self._camera.create_stream(None, None)
             packet_bytes = self._camera.gv_get_packet_size()
             payload_bytes = self._camera.get_payload()
@@ -197,10 +206,10 @@ class AravisCamera:
                 LossCause.WRONG_SETTINGS,
             )
         if settings.packet_size_bytes is None:
-            self._applied.append(Applied(name="GevSCPSPacketSize", value=packet_bytes))
+            self._applied.append(AppliedFeature(name="GevSCPSPacketSize", value=packet_bytes))
         self._stream.set_property("packet-resend", aravis.GvStreamPacketResend.ALWAYS)
         self._stream.set_property("frame-retention", FRAME_RETENTION_US)
-        # fixed, and not set by Aravis, which would do so only when the first packet is in
+        # not set by Aravis, which would do so only after the first packet
         self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
         self._stream.set_property("socket-buffer-size", 0)
         host = self._camera.get_device().get_interface_address().get_address().to_string()
@@ -210,19 +219,20 @@ class AravisCamera:
         except (LookupError, OSError) as err:
             raise CameraUnavailableError(self.id, f"cannot widen its receive buffer: {err}") from err
         self._warnings = tuple(self._opening_warnings())
-        another_buffer = partial(new_buffer, aravis, payload_bytes, self._memory)
+        make_buffer = partial(new_buffer, aravis, payload_bytes, self._memory)
         for _ in range(settings.n_buffers):
-            self._stream.push_buffer(another_buffer())
+            self._stream.push_buffer(make_buffer())
         self._reader = FrameReader(
             self.id,
             self._stream,
             memory=self._memory,
-            another_buffer=another_buffer,
+            make_buffer=make_buffer,
             image_size_px=settings.image_size_px,
             control_lost=self._control_lost,
         )
 
     def _opening_warnings(self) -> Iterator[str]:
+        """Yield what works but needs attention, with the remedy."""
         wanted = self._settings.receive_buffer_bytes
         if self._receive_buffer_bytes < wanted:
             yield (
@@ -236,16 +246,16 @@ class AravisCamera:
     # --- watching ---
 
     def _require_control(self) -> None:
-        """Raise when the camera forgot us, by switching off and on, or obeys another application."""
+        """Raise `CameraUnavailableError` if the camera was restarted, or another application controls it."""
         is_known = not self._control_lost.is_set() and self._register(_CONTROL_PRIVILEGE) != 0
         if not is_known or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
             raise CameraUnavailableError(
                 self.id,
-                "control was lost: the camera was restarted, or let us go",
+                "control was lost: the camera was restarted, or its heartbeat ended",
                 LossCause.CONTROL_LOST,
             )
         try:
-            with explained(self.id, "keep it"):  # whoever has control may say so again, nobody else
+            with aravis_errors(self.id, "keep it"):  # only the application in control may write this register
                 self._camera.get_device().write_register(_CONTROL_PRIVILEGE, _CONTROL)
         except CameraUnavailableError as err:
             problem = f"control was lost: {err.problem}"
@@ -272,7 +282,7 @@ class AravisCamera:
         )
 
     def _poll(self) -> dict[str, Any]:
-        """Values now, by SFNC name; commands are given, as the latch must be before the offset is read."""
+        """Return the present values by SFNC name; the PTP latch, a command, is executed before its offset is read."""
         features, polled = self._features(), {}
         for name, own in self._polled.items():
             if name == "PtpDataSetLatch":
@@ -286,7 +296,7 @@ class AravisCamera:
         return device is not None and gvcp.probe(device.address, PROBE_S) is not None
 
     def _register(self, address: int) -> int:
-        with explained(self.id, f"read register 0x{address:x}"):
+        with aravis_errors(self.id, f"read register 0x{address:x}"):
             return int(self._camera.get_device().read_register(address))
 
     def _counter(self, name: str) -> int:

@@ -1,4 +1,4 @@
-"""The only importer of `gi`: Aravis through PyGObject, when the first camera is opened and not before."""
+"""Load Aravis through PyGObject when the first camera is opened; the only module that imports `gi`."""
 
 import traceback
 from collections.abc import Iterator
@@ -11,9 +11,12 @@ PACKAGES = "python3-gi gir1.2-aravis-0.8"
 
 
 def load_aravis(device: str) -> Any:
-    """Return the module `Aravis` 0.8, told to leave USB alone: every open would search that bus.
+    """Return the module `Aravis` 0.8, with USB cameras switched off: every `open` would search that bus.
 
-    Raises `CameraUnavailableError` in the name of `device` when the packages are not installed.
+    Raises
+    ------
+    CameraUnavailableError
+        The packages are not installed; names `device`.
     """
     try:
         import gi
@@ -28,12 +31,12 @@ def load_aravis(device: str) -> Any:
 
 
 @contextmanager
-def explained(device: str, doing: str) -> Iterator[None]:
-    """Raise Aravis' errors as `CameraUnavailableError`: `device` cannot do so, and why.
+def aravis_errors(device: str, doing: str) -> Iterator[None]:
+    """Raise errors of Aravis as `CameraUnavailableError`: "`device`: cannot `doing`: reason".
 
-    So are numbers beyond 64 bits and texts that are not UTF-8, which Python and Aravis cannot exchange.
+    The same for numbers beyond 64 bits and texts that are not UTF-8, which Python and Aravis cannot exchange.
     """
-    load_aravis(device)  # says so when there is no `gi` to import from
+    load_aravis(device)  # raises when there is no `gi` to import
     from gi.repository import GLib
 
     try:
@@ -44,8 +47,8 @@ def explained(device: str, doing: str) -> Iterator[None]:
 
 
 @contextmanager
-def forgetful() -> Iterator[None]:
-    """Clear the local variables an error's traceback keeps: it would keep the camera, and our control of it."""
+def cleared_tracebacks() -> Iterator[None]:
+    """Clear the local variables of an error's traceback: as long as it lives they would hold Aravis' camera open."""
     try:
         yield
     except CameraUnavailableError as err:

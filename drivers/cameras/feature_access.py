@@ -1,4 +1,4 @@
-"""Writes the features of an open camera, reads them back and compares, whatever dialect it speaks.
+"""Write the features of an open camera, read them back and compare, in either vendor dialect.
 
 Every read is a round trip on the wire, and takes 2.5 s to fail when the camera is gone.
 """
@@ -8,27 +8,30 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.cameras.aravis_library import explained
-from drivers.cameras.genicam import OTHER_NAMES, UNNEEDED, WRITE_ONLY, Feature, Value
+from drivers.cameras.aravis_library import aravis_errors
+from drivers.cameras.genicam import DEFAULTS_OF_ABSENT, OTHER_NAMES, WRITE_ONLY, Feature, Value
 from drivers.errors import CameraUnavailableError, LossCause
 from pipeline.frames import CameraId
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Applied:
-    """A feature as the camera holds it now."""
+class AppliedFeature:
+    """A feature as the camera held it after it was written."""
 
-    name: str  # in the camera's own dialect
+    name: str  # in the camera's dialect
     value: Value
 
     @property
     def is_selector(self) -> bool:
-        """It says what the features after it belong to; not a setting in itself."""
+        """Whether it chooses what the features after it belong to; it is no setting in itself."""
         return self.name.endswith("Selector")
 
 
 class FeatureAccess:
-    """Reads and writes; every failure is a `CameraUnavailableError` that names the feature."""
+    """Reads and writes features; every failure is a `CameraUnavailableError` that names the feature.
+
+    `own` is always the name of a feature in the camera's dialect, `name` its SFNC name.
+    """
 
     def __init__(self, aravis: Any, camera: CameraId, device: Any) -> None:
         self._aravis = aravis
@@ -36,26 +39,24 @@ class FeatureAccess:
         self._device = device
 
     def own_name(self, name: str) -> str | None:
-        """What this camera calls the feature with that SFNC name; nothing when it has none."""
-        with explained(self._camera, f"ask for {name}"):
+        """Return the camera's name of a feature, given its SFNC name; None when the camera does not have it."""
+        with aravis_errors(self._camera, f"ask for {name}"):
             for own in (name, *OTHER_NAMES.get(name, ())):
                 if self._device.is_feature_available(own):
                     return own
         return None
 
-    def apply(self, features: Iterable[Feature]) -> list[Applied]:
-        """Write in order, read each back; returns what `verify` is to find from now on."""
+    def apply(self, features: Iterable[Feature]) -> list[AppliedFeature]:
+        """Write features in order and read each back; returns what `verify` must find from now on."""
         applied = []
-        for (
-            name,
-            wanted,
-        ) in features:  # no comprehension: its closure would keep the camera as long as its error
+        # no comprehension: the closure in an error's traceback would keep the camera
+        for name, wanted in features:
             if (feature := self._apply(name, wanted)) is not None:
                 applied.append(feature)
         return applied
 
-    def verify(self, applied: Iterable[Applied]) -> None:
-        """Read all features back; raises `CameraUnavailableError` at the first that is not as it was applied."""
+    def verify(self, applied: Iterable[AppliedFeature]) -> None:
+        """Read all features back; raises `CameraUnavailableError` at the first whose value has changed."""
         for feature in applied:
             if feature.is_selector:
                 self._write(feature.name, feature.value)
@@ -63,9 +64,9 @@ class FeatureAccess:
                 raise self._error(f"setting {feature.name} is {got}, should be {feature.value}")
 
     def read(self, own: str) -> Value:
-        """Value of what the camera itself calls so."""
+        """Return the value of a feature."""
         device, kind = self._device, self._kind(own)
-        with explained(self._camera, f"read {own}"):
+        with aravis_errors(self._camera, f"read {own}"):
             if kind is bool:
                 return bool(device.get_boolean_feature_value(own))
             if kind is int:
@@ -75,8 +76,8 @@ class FeatureAccess:
             return str(device.get_string_feature_value(own))
 
     def execute(self, own: str) -> None:
-        """Give the command the camera itself calls so."""
-        with explained(self._camera, f"execute {own}"):
+        """Execute a command."""
+        with aravis_errors(self._camera, f"execute {own}"):
             self._device.execute_command(own)
 
     def _write(self, own: str, value: Value) -> None:
@@ -87,16 +88,16 @@ class FeatureAccess:
             str: self._device.set_string_feature_value,
         }
         try:
-            with explained(self._camera, f"set {own} to {value}"):
+            with aravis_errors(self._camera, f"set {own} to {value}"):
                 setters[type(value)](own, value)
         except CameraUnavailableError as err:
             raise CameraUnavailableError(self._camera, f"{err.problem}{self._range(own)}", err.cause) from err
 
-    def _apply(self, name: str, wanted: Value) -> Applied | None:
-        """Nothing where nothing can be read back: a command, a key, what the camera need not be told."""
+    def _apply(self, name: str, wanted: Value) -> AppliedFeature | None:
+        """Write one feature and read it back; None for what cannot be read back, and for what the camera lacks."""
         own = self.own_name(name)
         if own is None:
-            if (name, wanted) in UNNEEDED:
+            if (name, wanted) in DEFAULTS_OF_ABSENT:
                 return None
             others = "".join(f" nor {other}" for other in OTHER_NAMES.get(name, ()))
             raise self._error(f"has no {name}{others}: remove it from the camera's features")
@@ -107,12 +108,14 @@ class FeatureAccess:
         if name in WRITE_ONLY:
             self._write(own, value)
             return None
-        if not self._agree(own, self.read(own), value):  # as it is, it may be fixed and not writable
+        if not self._is_same(
+            own, self.read(own), value
+        ):  # only then: a feature may be fixed and not writable
             self._write(own, value)
         got = self.read(own)
-        if not self._agree(own, got, value):
-            raise self._error(f"made {own} {got} of {value}{self._range(own)}")
-        return Applied(name=own, value=got)
+        if not self._is_same(own, got, value):
+            raise self._error(f"has {own} at {got} after it was set to {value}{self._range(own)}")
+        return AppliedFeature(name=own, value=got)
 
     def _kind(self, own: str) -> type[Value]:
         node = self._device.get_feature(own)
@@ -124,12 +127,12 @@ class FeatureAccess:
         return int if is_number and not isinstance(node, self._aravis.GcEnumeration) else str
 
     def _converted(self, own: str, wanted: Value) -> Value:
-        """As the camera wants it, without changing what it means."""
+        """Return the value in the type of the feature; raises where that would change its meaning."""
         kind = self._kind(own)
         if own == "GainRaw" and isinstance(wanted, float):
             if wanted != 0.0:
                 raise self._error(
-                    f"knows no {wanted} dB, only GainRaw in steps of its own: set that instead of Gain"
+                    f"cannot set Gain to {wanted} dB: it has only GainRaw, in its own steps; set that instead of Gain"
                 )
             return int(self._device.get_integer_feature_bounds(own)[0])
         if kind is float and type(wanted) is int:
@@ -140,21 +143,21 @@ class FeatureAccess:
             raise self._error(f"wants {own} as {kind.__name__}, not {wanted!r}")
         return wanted
 
-    def _agree(self, own: str, got: Value, wanted: Value) -> bool:
-        """The same, or for a float as near as the camera's increment allows."""
+    def _is_same(self, own: str, got: Value, wanted: Value) -> bool:
+        """Return whether two values are equal, floats within the camera's increment."""
         if not (isinstance(got, float) and isinstance(wanted, float)):
             return got == wanted
         increment = 0.0
-        with suppress(CameraUnavailableError), explained(self._camera, "read an increment"):
-            increment = self._device.get_float_feature_increment(own)  # an error where there is none
+        with suppress(CameraUnavailableError), aravis_errors(self._camera, "read an increment"):
+            increment = self._device.get_float_feature_increment(own)  # raises where there is none
         return abs(got - wanted) <= max(increment, 1e-6 * abs(wanted))
 
     def _range(self, own: str) -> str:
-        """What the camera can do, for a number; silent where it does not say."""
+        """Return the end of a message: the range of a number, empty for other types and where none is given."""
         kind = self._kind(own)
         if kind not in (int, float):
             return ""
-        with suppress(CameraUnavailableError), explained(self._camera, f"read the range of {own}"):
+        with suppress(CameraUnavailableError), aravis_errors(self._camera, f"read the range of {own}"):
             if kind is int:
                 low, high = self._device.get_integer_feature_bounds(own)
             else:

@@ -1,4 +1,4 @@
-"""Which of the cameras on the network belongs in a place of the rig."""
+"""Find the camera on the network that belongs in a place of the rig."""
 
 from collections.abc import Iterable
 
@@ -10,9 +10,12 @@ from drivers.errors import CameraUnavailableError, LossCause
 def find_camera(
     settings: GigeCameraSettings, last: gvcp.DiscoveredCamera | None = None
 ) -> gvcp.DiscoveredCamera:
-    """Find the one camera the settings name: at its address, where it was `last`, or by broadcast.
+    """Find the camera that the settings name: at its address, where it was `last`, or by broadcast.
 
-    Raises `CameraUnavailableError` when there is none, or two, or the one at the address is another one.
+    Raises
+    ------
+    CameraUnavailableError
+        None answers, several match, or the one at the address is another one.
     """
     if settings.address:
         there = gvcp.probe(settings.address)
@@ -33,7 +36,7 @@ def find_camera(
         return there
     try:
         seen = gvcp.discover(settings.interfaces or None)
-    except OSError as err:  # an address of this machine comes and goes with its network port
+    except OSError as err:  # an address of this machine disappears while its network port is down
         raise CameraUnavailableError(settings.id, str(err), LossCause.SILENT) from err
     matching = [device for device in seen if _agrees(device, settings)]
     if len(matching) == 1:

@@ -1,8 +1,8 @@
-"""The thread that takes a camera's frames from Aravis and delivers them, without a copy.
+"""The thread that pulls a camera's frames from Aravis and delivers them without a copy.
 
-Pulled, never pushed: a callback or signal would run in Aravis' receive thread and cost packets. The
-memory that a frame was received into is its image, and Aravis gets a buffer with other memory at once.
-Every other status than success means there is no image.
+Frames are pulled, not pushed: a callback or signal would run in Aravis' receive thread and cost packets. The memory
+that a frame was received into becomes its image, and Aravis gets a buffer with other memory at once. A buffer with
+any status but success is a lost frame.
 """
 
 import threading
@@ -18,17 +18,17 @@ from drivers.interfaces import CameraLost, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, Image
 
 POP_US = 50_000
-"""How long one wait for a frame lasts, and so how long `stop` may take."""
+"""Longest wait for one frame, and so the longest duration of `stop`."""
 Memory = dict[int, NDArray[np.uint8]]
-"""What the buffers that Aravis has receive into, by a buffer's hash, which is its address."""
+"""Arrays (N,) that the buffers held by Aravis receive into, by the hash of the buffer, which is its address."""
 LATEST_LOSS_NS = 500_000_000
-"""A frame that is not whole by then is given up."""
+"""A loss is reported at most so long after its leader; an older time stamp is a leftover of the buffer."""
 OLDEST_NS = 1_000_000_000
-"""A frame is not older than this: else the wall clock was set between its leader and now."""
+"""Greatest age of a frame; it would be exceeded if the wall clock were set after its leader arrived."""
 
 
 def new_buffer(aravis: Any, n_bytes: int, memory: Memory) -> Any:
-    """An `aravis.Buffer` of so many bytes that receives into an array of ours, entered into `memory`."""
+    """Return an `aravis.Buffer` of `n_bytes` that receives into a new array, which is added to `memory`."""
     pixels = np.empty(n_bytes, np.uint8)
     buffer = aravis.Buffer.new(n_bytes, pixels.ctypes.data)
     memory[hash(buffer)] = pixels
@@ -36,7 +36,7 @@ def new_buffer(aravis: Any, n_bytes: int, memory: Memory) -> Any:
 
 
 class FrameReader:
-    """Reads one stream from `start` to `stop`; after `stop` returned nothing more is delivered."""
+    """Reads one stream from `start` to `stop`; once `stop` returns nothing more is delivered."""
 
     def __init__(
         self,
@@ -44,24 +44,24 @@ class FrameReader:
         stream: Any,
         *,
         memory: Memory,
-        another_buffer: Callable[[], Any],
+        make_buffer: Callable[[], Any],
         image_size_px: tuple[int, int],
         control_lost: threading.Event,
     ) -> None:
         self._camera = camera
         self._stream = stream
         self._memory = memory
-        self._another_buffer = another_buffer
+        self._make_buffer = make_buffer
         self._size_px = image_size_px
         self._control_lost = control_lost
         self._is_stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
     def start(self, sink: EventSink) -> None:
-        """Forget what is left from before, then deliver.
+        """Drop the frames of an earlier acquisition, then deliver to `sink`.
 
-        The camera will count its frames from 1 again, which Aravis' receive thread would throw away as late
-        ones of before: only a new thread has no before.
+        The camera counts its frames from 1 again. Aravis' receive thread would drop those as late frames of the
+        earlier acquisition, so a new thread is started.
         """
         self._stream.stop_thread(False)
         while (stale := self._stream.try_pop_buffer()) is not None:
@@ -74,6 +74,7 @@ class FrameReader:
         self._thread.start()
 
     def stop(self) -> None:
+        """End the thread; idempotent."""
         self._is_stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -86,8 +87,8 @@ class FrameReader:
             if buffer is not None:
                 event = self._event(buffer)
                 if isinstance(event, Frame):
-                    del self._memory[hash(buffer)]  # it is the frame's now
-                    buffer = self._another_buffer()
+                    del self._memory[hash(buffer)]  # now the image of the frame
+                    buffer = self._make_buffer()
                 self._stream.push_buffer(buffer)
                 if not self._is_stopping.is_set():
                     sink.deliver(event)
@@ -118,7 +119,7 @@ class FrameReader:
         )
 
     def _image(self, buffer: Any) -> Image | str:
-        """The buffer's pixels, without the chunks behind them; or what is wrong with the picture."""
+        """Return the buffer's pixels (H, W), without the chunks behind them, or what is wrong with them."""
         width_px, height_px = self._size_px
         if buffer.get_n_parts() != 1:
             return f"{buffer.get_n_parts()} images in a frame"
@@ -129,14 +130,14 @@ class FrameReader:
         return pixels.reshape(height_px, width_px)
 
     def _lost(self, reason: str, buffer: Any) -> FrameLost:
-        """A loss is told when Aravis has waited long enough, but belongs to the moment of its leader."""
+        """Return the loss, at the time of the frame's leader: Aravis reports it only after its own time-outs."""
         received_ns, now_ns = _monotonic_ns(buffer.get_system_timestamp()), time.monotonic_ns()
-        if now_ns - received_ns > LATEST_LOSS_NS:  # without a leader there is still the buffer's last one
+        if now_ns - received_ns > LATEST_LOSS_NS:  # no leader came: the time is of the buffer's previous use
             received_ns = now_ns
         return FrameLost(camera=self._camera, received_ns=received_ns, reason=reason)
 
 
 def _monotonic_ns(wall_ns: int) -> int:
-    """When it was on the monotonic clock, at the wall clock's recent time `wall_ns`."""
+    """Return the time of the monotonic clock at `wall_ns`, a recent time of the wall clock."""
     now_ns = time.monotonic_ns()
     return now_ns - min(max(time.time_ns() - wall_ns, 0), OLDEST_NS)

@@ -1,7 +1,7 @@
-"""What a GigE camera is set to, in the words of GenICam's standard feature naming convention (SFNC).
+"""Settings of a GigE camera, named by GenICam's standard feature naming convention (SFNC).
 
-Settings are an ordered list of features, written in that order, read back and compared. Cameras
-from before SFNC 2 have other names for some of them; the first name the camera knows is used.
+Settings are an ordered list of features, written in that order, read back and compared. Cameras from before SFNC 2
+have other names for some features; the first name that the camera has is used.
 """
 
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ OTHER_NAMES: dict[str, tuple[str, ...]] = {
     "PtpStatus": ("GevIEEE1588Status",),
     "TriggerDelay": ("TriggerDelayAbs",),
 }
-"""The same feature in cameras from before SFNC 2. `GainRaw` alone has another unit, the camera's own steps."""
+"""Names of features in cameras from before SFNC 2. `GainRaw` alone has another unit, the camera's own steps."""
 
-UNNEEDED: frozenset[Feature] = frozenset(
+DEFAULTS_OF_ABSENT: frozenset[Feature] = frozenset(
     {
         ("OffsetX", 0),
         ("OffsetY", 0),
@@ -39,12 +39,12 @@ UNNEEDED: frozenset[Feature] = frozenset(
         ("DeviceLinkThroughputLimitMode", "On"),
     }
 )
-"""What a camera without the feature does anyway."""
+"""Settings that need not be written to a camera without the feature: it behaves so anyway."""
 
 WRITE_ONLY = frozenset({"ActionDeviceKey"})
-"""SFNC: whoever may trigger the camera knows the key already."""
+"""Features that cannot be read back: SFNC makes the key write-only."""
 
-_LIMITS = {
+_RANGES = {
     "packet_size_bytes": (576, 9000),
     "packet_delay_ns": (0, 1_000_000_000),
     "throughput_limit_bytes_s": (1, 1 << 40),
@@ -55,28 +55,30 @@ _LIMITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GigeCameraSettings:
-    """Which camera is in a place of the rig, and what it is set to.
+    """The camera in one place of the rig, and its settings.
 
-    Of `serial`, `address` and `user_name` at least one is given; the camera must agree with all that are.
+    At least one of `serial`, `address` and `user_name` is given; the camera must agree with all that are given.
     """
 
     id: CameraId
     serial: str | None = None
     address: str | None = None  # IPv4
     user_name: str | None = None
-    interfaces: tuple[str, ...] = ()  # this machine's IPv4 addresses to look for it; all of them if empty
+    interfaces: tuple[str, ...] = ()  # IPv4 addresses of this machine to search from; empty: all
     image_size_px: tuple[int, int]  # (W, H); the region, from the sensor's corner
     features: tuple[Feature, ...] = ()
-    packet_size_bytes: int | None = 8192  # with IP and UDP headers, so the MTU needed; None: negotiated
+    packet_size_bytes: int | None = (
+        8192  # with IP and UDP headers: the MTU must be so large; None: negotiated
+    )
     packet_delay_ns: int = 0
     throughput_limit_bytes_s: int | None = None
     receive_buffer_bytes: int = 4 << 20  # of the stream's socket
-    n_buffers: int = 8  # frames the reader may be behind
+    n_buffers: int = 8  # how many frames the reader may lag behind
 
     def __post_init__(self) -> None:
         where = f"camera {self.id}"
         if not CAMERA_ID.fullmatch(self.id):
-            raise ValueError(f"{where}: an id is letters, digits, _ and -")
+            raise ValueError(f"{where}: an id consists of letters, digits, _ and -")
         if not (self.serial or self.address or self.user_name):
             raise ValueError(f"{where}: serial, address or user_name must be given")
         for address in (*self.interfaces, *([self.address] if self.address else [])):
@@ -84,7 +86,7 @@ class GigeCameraSettings:
                 IPv4Address(address)
             except ValueError as err:
                 raise ValueError(f"{where}: {err}") from None
-        for name, (low, high) in _LIMITS.items():
+        for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise ValueError(f"{where}: {name} must be in {low}..{high}, not {value}")
@@ -96,7 +98,7 @@ class GigeCameraSettings:
 
 
 def trigger_features(*, source: str, activation: str = "RisingEdge", delay_us: float) -> tuple[Feature, ...]:
-    """One frame an edge of `source` (`Line1`), or a `Software` or action command (`Action1`)."""
+    """Return the features for one frame per edge of `source` (`Line1`) or per command (`Software`, `Action1`)."""
     edge: tuple[Feature, ...] = (("TriggerActivation", activation),) if source.startswith("Line") else ()
     return (
         ("TriggerSelector", "FrameStart"),
@@ -108,7 +110,7 @@ def trigger_features(*, source: str, activation: str = "RisingEdge", delay_us: f
 
 
 def exposure_features(*, exposure_us: float, gain_db: float = 0.0) -> tuple[Feature, ...]:
-    """Fixed: a camera that adapts itself changes what the background model has learned."""
+    """Return the features for a fixed exposure: automatic ones would change what the background model has learned."""
     return (
         ("ExposureAuto", "Off"),
         ("ExposureTime", float(exposure_us)),
@@ -118,12 +120,12 @@ def exposure_features(*, exposure_us: float, gain_db: float = 0.0) -> tuple[Feat
 
 
 def strobe_features(*, line: str) -> tuple[Feature, ...]:
-    """`line` is up while the sensor is exposed."""
+    """Return the features that make `line` an output, high while the sensor is exposed."""
     return (("LineSelector", line), ("LineMode", "Output"), ("LineSource", "ExposureActive"))
 
 
 def action_features(*, device_key: int, group_key: int, group_mask: int) -> tuple[Feature, ...]:
-    """Act upon action commands with these keys and a bit of this mask."""
+    """Return the features that make the camera obey action commands with these keys and a bit of this mask."""
     return (
         ("ActionDeviceKey", device_key),
         ("ActionGroupKey", group_key),
@@ -132,13 +134,13 @@ def action_features(*, device_key: int, group_key: int, group_mask: int) -> tupl
 
 
 def all_features(settings: GigeCameraSettings) -> tuple[Feature, ...]:
-    """What is written to the camera, in order: the picture's format, then the configured features."""
+    """Return all features in the order of writing: the image format, then the configured ones."""
     width_px, height_px = settings.image_size_px
     limit = settings.throughput_limit_bytes_s
     return (
         ("AcquisitionMode", "Continuous"),
         ("PixelFormat", "Mono8"),
-        ("OffsetX", 0),  # first, for they limit the size
+        ("OffsetX", 0),  # before the size, which they limit
         ("OffsetY", 0),
         ("Width", width_px),
         ("Height", height_px),

@@ -1,7 +1,7 @@
-"""Triggers the cameras from this machine, for rigs without a wire from the light gate.
+"""Trigger the cameras from this machine, for rigs without a wire from the light gate.
 
-The camera's own trigger delay still does the timing; what the host adds is its jitter, some milliseconds
-at worst, and each is 2.4 mm of fall.
+The camera's trigger delay still does the timing; the host adds its jitter, some milliseconds at worst, and each
+is 2.4 mm of fall.
 """
 
 import itertools
@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 from drivers.gvcp import GVCP_PORT, action_command, local_addresses
 
-EVERYBODY = "255.255.255.255"
-"""Has no route of its own: it leaves by the interface it is sent out of."""
+BROADCAST = "255.255.255.255"
+"""Address of all cameras; the datagram leaves by the interface that its socket is bound to."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActionKeys:
-    """Whom a GigE Vision action command is for."""
+    """The addressees of a GigE Vision action command: cameras with these keys and a bit of this mask."""
 
     device_key: int = 1
     group_key: int = 1
     group_mask: int = 1
-    targets: tuple[str, ...] = (EVERYBODY,)  # or addresses of cameras: unicast
+    targets: tuple[str, ...] = (BROADCAST,)  # or the addresses of cameras, for unicast
 
     def __post_init__(self) -> None:
         for name in ("device_key", "group_key", "group_mask"):
@@ -34,10 +34,9 @@ class ActionKeys:
 
 
 class ActionTrigger:
-    """One datagram for all cameras, or one for each: no answer is waited for.
+    """Sends an action command when called: one datagram for all cameras or one for each, without acknowledgement.
 
-    Raises `OSError` when called while the network is down: nothing, or nothing out of an interface that was
-    named, could be sent.
+    The call raises `OSError` when no datagram could be sent, or none out of a configured interface.
     """
 
     def __init__(self, keys: ActionKeys, interfaces: Sequence[str] = ()) -> None:
@@ -54,7 +53,7 @@ class ActionTrigger:
             request_id=next(self._request_ids),
         )
         is_sent, is_down, problems = False, False, []
-        for source, target in self._ways():
+        for source, target in self._routes():
             try:
                 _send(datagram, source, target)
                 is_sent = True
@@ -64,10 +63,10 @@ class ActionTrigger:
         if is_down or not is_sent:
             raise OSError(f"no action command to {'; '.join(problems)}")
 
-    def _ways(self) -> Iterator[tuple[str, str]]:
-        """Yield from which address, empty for any, to which."""
+    def _routes(self) -> Iterator[tuple[str, str]]:
+        """Yield address of the sender, empty for any, and of the receiver."""
         for target in self._keys.targets:
-            if target == EVERYBODY:
+            if target == BROADCAST:
                 for interface in self._interfaces or local_addresses():
                     yield interface, target
             else:
@@ -82,9 +81,9 @@ def _send(datagram: bytes, source: str, target: str) -> None:
 
 
 class SoftwareTrigger:
-    """`TriggerSoftware` of every camera at once, each on a thread of its own: a dead one delays nobody.
+    """Executes `TriggerSoftware` of all cameras when called, each on a thread of its own: a dead one delays no other.
 
-    A camera that still does not answer the last one is left out.
+    A camera that has not yet answered the last command is left out.
     """
 
     def __init__(self, fire: Sequence[Callable[[], None]]) -> None:
@@ -96,5 +95,5 @@ class SoftwareTrigger:
         for n, (fire, thread) in enumerate(zip(self._fire, self._threads, strict=True)):
             call = self._calls[n]
             if call is None or call.done():
-                # what goes wrong is seen where it matters: the camera's frame is missing
+                # errors are not collected: the frame of the camera is missing, which is noticed
                 self._calls[n] = thread.submit(fire)

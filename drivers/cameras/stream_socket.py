@@ -1,7 +1,7 @@
-"""The socket a stream comes in by, which Aravis hides and gives enough room only when it is too late.
+"""Enlarge the receive buffer of a stream's socket, which Aravis hides, before the camera sends.
 
-Aravis applies its own `socket-buffer-size` when the first packet is in: the default buffer loses two
-frames in three, theirs one to three of the first (measured). This sets it before the camera sends.
+Aravis applies its own `socket-buffer-size` only after the first packet, which loses one to three of the first
+frames; the default buffer loses two frames in three (measured).
 """
 
 import os
@@ -11,25 +11,28 @@ from contextlib import suppress
 from pathlib import Path
 
 _SO_RCVBUFFORCE = 33
-"""As SO_RCVBUF, beyond net.core.rmem_max, for those with CAP_NET_ADMIN."""
+"""Socket option like SO_RCVBUF, but beyond net.core.rmem_max; needs CAP_NET_ADMIN."""
 
 
 def widen_receive_buffer(local: tuple[str, int], wanted_bytes: int) -> int:
-    """Give the UDP socket of this process with that local address and port room; returns what the kernel granted.
+    """Enlarge the buffer of this process's UDP socket at a local address and port; returns the bytes granted.
 
-    Raises `LookupError` when there is no such socket.
+    Raises
+    ------
+    LookupError
+        There is no such socket.
     """
     with _own_socket(local) as stream:
         try:
             stream.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, wanted_bytes)
         except PermissionError:
             stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
-        # the kernel doubles what it grants, for its own book-keeping
+        # the kernel reports twice what it grants: half is for its own book-keeping
         return stream.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
 def _own_socket(local: tuple[str, int]) -> socket.socket:
-    """Duplicate of the descriptor; closing it leaves the stream's own open."""
+    """Return a duplicate of the socket; closing it leaves the stream's own open."""
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # closed meanwhile by another thread, or no socket
             fd = int(entry.name)

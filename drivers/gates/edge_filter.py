@@ -1,8 +1,8 @@
-"""One stone, one trigger: merges the bounces of a beam that closes and opens. No clock; times are arguments.
+"""Debounce the edges of a beam, so that one stone is one pulse. No clock; times are arguments.
 
-A stone is announced at its first edge, at once. A beam that closes again within the debounce time after its
-last edge is the same stone's; how long it was closed is known only when it has been open for that time.
-Two stones in quick succession stay two: what becomes of the second is not for the gate to decide.
+A stone is announced at its first edge, at once. A beam that closes again within the debounce time after its last
+edge was closed by the same stone; how long it was closed is known only when it has been open for that time. Two
+stones in quick succession stay two: the gate does not decide what becomes of the second.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Bounced:
-    """The beam closed once more, by the same stone."""
+    """The beam was closed once more by the same stone."""
 
     at_ns: int
 
@@ -36,7 +36,10 @@ Pulse = Began | Ended | Bounced
 
 
 class EdgeFilter:
-    """Feed it every edge in order, and the time when `settles_at_ns` is due; begins with an open beam."""
+    """Turns edges into pulses; needs every edge in order, and `settle` when `settles_at_ns` is due.
+
+    The beam is open at the beginning.
+    """
 
     def __init__(self, debounce_ns: int) -> None:
         if debounce_ns < 0:
@@ -51,7 +54,7 @@ class EdgeFilter:
 
     @property
     def settles_at_ns(self) -> int | None:
-        """When the pulse that ended last can no longer go on; nothing when none is pending."""
+        """When the last pulse is certain to have ended; None while no end is pending."""
         return self._last_ns + self._debounce_ns if self._state == "opened" else None
 
     def settle(self, now_ns: int) -> list[Pulse]:
@@ -73,9 +76,11 @@ class EdgeFilter:
     def _close(self, at_ns: int) -> Pulse:
         is_bounce = at_ns - self._last_ns < self._debounce_ns
         self._last_ns = at_ns
-        if not (is_bounce and self._state == "idle"):  # told too late, it no longer counts for the width
+        if not (
+            is_bounce and self._state == "idle"
+        ):  # a bounce after the settled end does not count for the width
             self._state = "closed"
         if is_bounce:
             return Bounced(at_ns)
-        self._began_ns = at_ns  # also when the opening before it was missed: that width stays unknown
+        self._began_ns = at_ns  # also when the opening before it was missed; that width stays unknown
         return Began(at_ns)

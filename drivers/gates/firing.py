@@ -1,4 +1,4 @@
-"""For a rig without a wire from the light gate to the cameras: the host triggers them at every stone."""
+"""A light gate that wraps another one and triggers the cameras from the host, for rigs without a trigger wire."""
 
 import time
 from collections.abc import Callable
@@ -12,23 +12,23 @@ from pipeline.frames import BundleKind, Trigger
 
 
 class FiringGate(WrappedGate):
-    """Calls `fire` at every trigger of another gate, then passes the trigger on.
+    """Calls `fire` at every trigger of the wrapped gate, then passes the trigger on.
 
     `fire` runs on the gate's thread and must return within a millisecond: an action command is one datagram;
-    software triggers, which may block for seconds, belong to threads of their own. It raises `OSError` or
-    `DriverError` when no camera could be triggered. Then the stone is lost, which its trigger will tell, and
-    so will be the next: the gate is given up as `GateLost`.
+    software triggers, which may block for seconds, need threads of their own. It raises `OSError` or `DriverError`
+    when no camera could be triggered. The trigger is delivered all the same, so that the stone is counted as lost,
+    followed by `GateLost`, as the next stones would be lost as well.
     """
 
     def __init__(self, gate: LightGate, fire: Callable[[], None]) -> None:
         super().__init__(gate)
         self._fire = fire
-        self._n_fired = 0  # test pulses, which the other gate does not count
-        self._shift = 0  # of the last trigger's number, and so of its width
+        self._n_fired = 0  # test pulses, which the wrapped gate does not count
+        self._shift = 0  # added to the number of the last trigger, and so to that of its pulse width
         self._last_sequence = -1
 
     def test_pulse(self) -> None:
-        """Trigger the cameras."""
+        """Trigger the cameras and deliver a `BACKGROUND` trigger; raises `GateUnavailableError`."""
         with self._lock:
             sink = self._sink
             if sink is None:

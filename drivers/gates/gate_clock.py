@@ -1,36 +1,36 @@
-"""When by the host's clock something happened that a gate dates by its own.
+"""Convert times of a gate's clock to the host's clock.
 
-Every line of the gate is read some time after the moment it tells of: transmission, 1 to 16 ms of a USB
-converter, whatever the host was busy with. The line that took least tells how the two clocks stand to each
-other, and so dates all others. Clocks drift apart: only the lines of the last seconds count.
+Every line of the gate is read some time after the moment that it reports: transmission, 1 to 16 ms of a USB
+converter, other work of the host. The line with the least delay gives the offset of the two clocks, and so dates
+all others. Clocks drift apart: only the lines of the last seconds count.
 """
 
 from collections import deque
 
 WINDOW_NS = 20_000_000_000
-"""Long enough for a prompt line among one a second; a crystal that is off by 100 ppm moves by 2 ms in it."""
+"""Long enough to hold a prompt line where one comes each second; a crystal that is off by 100 ppm drifts by 2 ms."""
 MAX_LINES = 256
 
 
 class GateClock:
-    """Dates what a gate tells; feed it every line that carries the gate's time."""
+    """The offset between the clocks of gate and host, estimated from every line that carries the gate's time."""
 
     def __init__(self) -> None:
-        self._lines: deque[tuple[int, int]] = deque(maxlen=MAX_LINES)  # latest time, host's minus gate's
+        self._lines: deque[tuple[int, int]] = deque(maxlen=MAX_LINES)  # host's time, host's minus gate's time
 
     def restart(self) -> None:
         """Forget everything: the gate's clock began again."""
         self._lines.clear()
 
     def host_ns(self, device_ns: int, latest_ns: int) -> int:
-        """Host time of the gate's `device_ns`, of which the host knew at `latest_ns`; never later than that."""
+        """Return the host's time of `device_ns`, which the host learnt at `latest_ns`; it is never later than that."""
         self._lines.append((latest_ns, latest_ns - device_ns))
         while latest_ns - self._lines[0][0] > WINDOW_NS:
             self._lines.popleft()
         return device_ns + self._offset_ns
 
     def device_ns(self, host_ns: int) -> int | None:
-        """Time on the gate's clock, rather too early than too late; nothing before the first line."""
+        """Return the gate's time of `host_ns`, rather too early than too late; None before the first line."""
         return host_ns - self._offset_ns if self._lines else None
 
     @property

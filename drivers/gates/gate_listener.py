@@ -1,4 +1,4 @@
-"""What the lines of a serial gate mean: bytes in, events out. No port, no thread; every loss is an event."""
+"""Turn the bytes of a serial gate into events, without port or thread; every loss is an event."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -29,23 +29,23 @@ BITS_A_BYTE = 10
 
 @dataclass(slots=True, kw_only=True)
 class GateCounters:
-    """What was heard since the gate was made, armed or not."""
+    """What was received from the gate since the driver was made, armed or not."""
 
-    lines: int = 0  # valid
-    garbage: int = 0  # damaged lines, and what was between lines
-    edges: int = 0  # announced by the gate, repetitions apart
+    lines: int = 0  # valid ones
+    garbage: int = 0  # damaged lines, and bytes between lines
+    edges: int = 0  # announced by the gate, without repeated lines
     test_pulses: int = 0
-    bounces: int = 0  # of the edges, merged by the host
+    bounces: int = 0  # edges merged by the host
     ignored: int = 0  # edges merged by the gate
-    repeated: int = 0
-    missed: int = 0  # counted by the gate, never announced
-    restarts: int = 0
+    repeated: int = 0  # lines
+    missed: int = 0  # edges counted by the gate and never announced
+    restarts: int = 0  # of the gate
 
 
 class GateListener:
-    """Feed it what was read, in order; it keeps what it knows of the gate when the port is opened again.
+    """Decodes what was read from the port, in order; keeps its state of the gate when the port is opened again.
 
-    Then it may be another gate: nothing counts until it has said who it is.
+    After `reopen` all lines are ignored until the gate has identified itself: it may be another one.
     """
 
     def __init__(self, *, baud: int, debounce_ns: int) -> None:
@@ -69,7 +69,7 @@ class GateListener:
         return replace(self._counters, garbage=self._counters.garbage + self._lines.n_discarded)
 
     def reopen(self) -> None:
-        """Forget what does not outlive a closed port: half a line, half a pulse, how late lines are."""
+        """Forget what does not outlive a closed port: half a line, half a pulse, the offset of the clocks."""
         self._lines.discard()
         self._clock.restart()
         self._filter.reset()
@@ -77,11 +77,11 @@ class GateListener:
         self._is_recognised = False
 
     def blocked_s(self, now_ns: int) -> float:
-        """For how long the beam has been closed, by the statuses."""
+        """Return for how long the beam has been closed, in s, by the gate's statuses."""
         return 0.0 if self._blocked_since_ns is None else (now_ns - self._blocked_since_ns) / 1e9
 
     def hear(self, data: bytes, read_ns: int) -> list[DeviceEvent]:
-        """Take what was read at `read_ns`; whatever it is, it does no more than count as garbage."""
+        """Return the events of what was read at `read_ns`; damaged data is counted as garbage and never raises."""
         events: list[DeviceEvent] = []
         for line in self._lines.feed(data):
             try:
@@ -91,7 +91,7 @@ class GateListener:
                 log.debug("light gate: garbage: %s", err)
                 continue
             self._counters.lines += 1
-            # bytes follow one another: the first of the line was sent no later than this
+            # the first byte of the line was sent no later than the bytes after it take
             events += self._take(record, read_ns - line.age_bytes * self._byte_ns)
         return events + self.settle(read_ns)
 
@@ -109,14 +109,14 @@ class GateListener:
                 return self._take_edge(record, latest_ns)
             case Width(sequence=sequence, width_us=width_us):
                 if self._edge is None or self._edge.sequence != sequence:
-                    return []  # the line of its edge was lost
+                    return []  # the line that announced its edge was lost
                 opened_ns = (self._edge.device_us + width_us) * 1000
                 return self._filtered(is_closed=False, device_ns=opened_ns, received_ns=latest_ns)
             case Status():
                 return self._take_status(record, latest_ns)
             case Identity():
                 if self.identity not in (None, record):
-                    log.warning("light gate: now it is %s, before it was %s", record, self.identity)
+                    log.warning("light gate was replaced: now %s, before %s", record, self.identity)
                     self._counter.forget()
                     self._begin_anew(ignored=None)
                 self.identity, self._is_recognised = record, True
@@ -155,7 +155,7 @@ class GateListener:
         return events
 
     def _begin_anew(self, *, ignored: int | None) -> None:
-        """Forget what another gate, or the same one before it restarted, has said."""
+        """Forget the state of another gate, or of this one before it was restarted."""
         self._clock.restart()
         self._filter.reset()
         self._edge = None
@@ -165,8 +165,8 @@ class GateListener:
         if step.has_restarted:
             self._counters.restarts += 1
             self._begin_anew(ignored=None if step.missed is None else 0)
-            missed = "nobody knows how many" if step.missed is None else step.missed
-            log.warning("light gate counts anew, missed: %s; check its power supply", missed)
+            missed = "an unknown number" if step.missed is None else step.missed
+            log.warning("light gate was restarted, stones missed: %s; check its power supply", missed)
         if not step.missed:
             return []
         self._counters.missed += step.missed

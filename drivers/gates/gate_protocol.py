@@ -1,4 +1,4 @@
-r"""What a microcontroller light gate says on its serial line, for the driver and for whoever writes the firmware.
+r"""The protocol of a microcontroller light gate on a serial line, for the driver and for the author of the firmware.
 
 A record is one line of ASCII, ``$<type>,<fields...>*<crc>\r\n``: `crc` is the CRC-16/CCITT-FALSE (polynomial
 1021, start FFFF; of "123456789" it is 29B1) of all characters between ``$`` and ``*``, as four upper-case hex
@@ -10,10 +10,10 @@ from the gate
 ``$T,<seq>,<us>``                     the cameras were triggered on command: no stone, the same counter
 ``$W,<seq>,<width_us>``               the beam of `seq` is open again, after `width_us`
 ``$S,<us>,<last>,<ignored>,<0|1>``    every second: last sequence number sent, edges merged, beam blocked now
-``$I,<name>,<serial>,<version>``      who I am
+``$I,<name>,<serial>,<version>``      identity of the gate
 to the gate, without checksum
-``?\n``                               identify: `I` and at once an `S`; asked when the port is opened, and
-                                      nothing counts until it is answered
+``?\n``                               identify: send `I` and at once an `S`; sent when the port is opened, and
+                                      the host ignores all lines until it is answered
 ``T\n``                               pulse the cameras' trigger line once
 ====================================  ========================================================================
 
@@ -40,9 +40,9 @@ IDENTIFY: Final = b"?\n"
 TEST_PULSE: Final = b"T\n"
 
 SEQUENCES: Final = 1 << 32
-"""Numbers of `seq` and `ignored` before they start again at 0."""
+"""How many values `seq` and `ignored` have before they start again at 0."""
 MAX_LINE_BYTES: Final = 128
-"""No record is longer: what comes without a line end is garbage."""
+"""No record is longer: more bytes without a line end are garbage."""
 
 _LINE = re.compile(rb"\$([^$*]*)\*([0-9A-F]{4})")
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,19}", re.ASCII)
@@ -77,7 +77,7 @@ class Width:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """Sent every second."""
+    """The state of the gate, sent every second."""
 
     device_us: int
     last_sequence: int  # 0 before the first
@@ -87,7 +87,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who the gate is."""
+    """Name, serial number and firmware version of the gate."""
 
     name: str
     serial: str
@@ -98,7 +98,7 @@ Record = Edge | TestPulse | Width | Status | Identity
 
 
 def encode(record: Record) -> bytes:
-    """Return the line of a record, with its line end; `ValueError` for a value that has no place in it."""
+    """Return the line of a record, with its line end; `ValueError` for a value that the protocol cannot carry."""
     fields = [str(int(value) if isinstance(value, bool) else value) for value in astuple(record)]
     body = ",".join([_LETTERS[type(record)], *fields]).encode("ascii", "replace")
     line = b"$%b*%04X\r\n" % (body, checksum(body))
@@ -150,23 +150,23 @@ class Line(NamedTuple):
     """A line without its line end."""
 
     text: bytes
-    age_bytes: int  # that came from its first byte on, itself included
+    age_bytes: int  # how many bytes came from its first one on, that included
 
 
 class LineSplitter:
-    """Cuts a stream of bytes into lines; a line begins at its last ``$``, so that half a line costs no other."""
+    """Cuts a stream of bytes into lines; each begins at its last ``$``, so that half a line does not spoil the next."""
 
     def __init__(self) -> None:
         self._rest = b""
         self.n_discarded = 0
-        """Pieces of garbage thrown away: half lines, and what had no line end."""
+        """Number of pieces of garbage: half lines, and bytes without a line end."""
 
     def discard(self) -> None:
-        """Forget the line that is not complete."""
+        """Forget the bytes of an incomplete line."""
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Line]:
-        """Return the lines that are complete now."""
+        """Take more bytes; returns the lines that are complete now."""
         *texts, self._rest = (self._rest + data).split(b"\n")
         age_bytes = len(self._rest)
         lines = []

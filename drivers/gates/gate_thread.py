@@ -1,4 +1,4 @@
-"""What all live gates have in common: a thread that reads the device, and one sink it delivers to."""
+"""The thread that every live gate has: it reads the device and delivers to one sink."""
 
 import errno
 import threading
@@ -15,7 +15,7 @@ from pipeline.frames import BundleKind, Trigger
 def trigger_at(
     received_ns: int, sequence: int, *, device_ns: int = 0, kind: BundleKind = BundleKind.PARTICLE
 ) -> Trigger:
-    """Return the trigger of an edge at `received_ns` of the host's clock; a gate without clock has `device_ns` 0."""
+    """Return the trigger of an edge at `received_ns` of the host's clock; a gate without a clock has `device_ns` 0."""
     utc = utc_ago(time.monotonic_ns() - received_ns)
     return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
 
@@ -33,10 +33,9 @@ def port_problem(error: Exception) -> str:
 
 
 class GateThread:
-    """Takes turns at reading until it is stopped or the device fails; a failure is told once, as `GateLost`.
+    """Calls a function that reads the device, until it is stopped or fails; a failure is delivered once, as `GateLost`.
 
-    `port` names the gate in errors. A turn blocks for a tenth of a second at most; `OSError` and
-    `GateUnavailableError` end the thread.
+    `port` names the gate in errors.
     """
 
     def __init__(self, port: str) -> None:
@@ -45,14 +44,15 @@ class GateThread:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self.failure: str | None = None
-        """Why the gate was lost; nothing while it is well."""
+        """Why the gate was lost; None while it works."""
 
     @property
     def is_running(self) -> bool:
-        """Between `start` and `stop`, also when the gate was lost."""
+        """Whether it was started and not stopped; true also after the gate was lost."""
         return self._thread is not None
 
     def start(self, turn: Callable[[], None]) -> None:
+        """Call `turn` again and again; each blocks for 0.1 s at most, `OSError` or `GateUnavailableError` ends all."""
         self._stopping.clear()
         self.failure = None
         self._thread = threading.Thread(
@@ -69,16 +69,16 @@ class GateThread:
             self._thread = None
 
     def arm(self, sink: EventSink) -> None:
-        """Deliver to `sink` from now on; raises `GateUnavailableError` unless the gate is open and well."""
+        """Deliver to `sink` from now on; raises `GateUnavailableError` unless the gate is open and not lost."""
         if self._thread is None:
             raise self.error("is not open")
         self._outlet.plug(sink)
-        if self.failure is not None:  # looked at last: a failure after this line is delivered
+        if self.failure is not None:  # checked last: a failure after this line is delivered
             self._outlet.unplug()
             raise self.error(self.failure)
 
     def disarm(self) -> None:
-        """Deliver nothing more once this returns."""
+        """Deliver nothing more once this returns; idempotent."""
         self._outlet.unplug()
 
     @property
@@ -86,10 +86,11 @@ class GateThread:
         return self._outlet.is_plugged
 
     def deliver(self, event: DeviceEvent) -> None:
-        """Hand over to whoever armed the gate, if anyone."""
+        """Deliver an event to the sink; dropped while the gate is disarmed."""
         self._outlet.deliver(event)
 
     def error(self, problem: str) -> GateUnavailableError:
+        """Return an error that names the gate."""
         return GateUnavailableError(f"light gate {self._port}", problem)
 
     def _run(self, turn: Callable[[], None]) -> None:

@@ -1,6 +1,6 @@
-"""A light gate on a GPIO line: the kernel dates every edge (to microseconds) and numbers it, so loss shows.
+"""A light gate on a GPIO line: the kernel dates every edge (to microseconds) and numbers it, which reveals losses.
 
-A second line, an output in parallel with the sensor on the cameras' trigger line, makes test pulses.
+A second line, an output wired in parallel with the sensor to the cameras' trigger line, makes test pulses.
 """
 
 import time
@@ -13,22 +13,24 @@ from drivers.errors import GateUnavailableError
 from drivers.gates.line_gate import LineGate
 
 WAIT_S = 0.02
+"""Longest wait for edges in one turn of the thread."""
 MAX_SETTLING_US = 1_000_000
+"""Greatest debounce and glitch time."""
 EVENT_BUFFER = 1024
-"""Edges the kernel keeps for us; when more come it drops the oldest, and their numbers are missing."""
+"""How many edges the kernel keeps; when more come it drops the oldest, and their numbers are missing."""
 ECHO_NS = 1_000_000
-"""So long after a test pulse its edges are taken for its own, should the input see them."""
+"""Edges on the input until so long after a test pulse belong to it, and are ignored."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GpioGateSettings:
-    """Which line of which chip says that the beam is closed."""
+    """The GPIO line that carries the output of the sensor, and the line for test pulses."""
 
     chip: str  # such as /dev/gpiochip0
     line: int | str  # offset or name
     active_low: bool = False  # the line is low while the beam is closed
-    debounce_us: int = 10_000  # what follows the last edge within this is the same stone
-    glitch_us: int = 0  # shorter disturbances the kernel swallows; dates its edges that much later
+    debounce_us: int = 10_000  # edges within this time after the last one belong to the same stone
+    glitch_us: int = 0  # the kernel ignores shorter pulses; it dates its edges that much later
     test_line: int | str | None = None
     test_pulse_us: int = 1_000
 
@@ -48,18 +50,18 @@ class GpioGateSettings:
 
 
 class LineEdge(NamedTuple):
-    """One edge, as the kernel saw it."""
+    """One edge, as the kernel reports it."""
 
     is_closed: bool
     at_ns: int  # CLOCK_MONOTONIC, the clock of `time.monotonic_ns`
-    number: int  # of all edges of this line, from 1; a gap is a loss
+    number: int  # counts all edges of this line, from 1; a gap is a loss
 
 
 class GpioLines(Protocol):
-    """The gate's line and its test line; `OSError` when the chip is gone."""
+    """The gate's line and its test line; both calls raise `OSError` when the chip is gone."""
 
     def wait(self, timeout_s: float) -> Sequence[LineEdge]:
-        """Edges in order; none when none came in time."""
+        """Return the edges in order, none when none came in time."""
         ...
 
     def drive(self, line: int | str, *, is_active: bool) -> None:
@@ -112,7 +114,7 @@ class GpiodLines:
 
 
 class GpioGate(LineGate):
-    """Delivers `TriggersLost` as well; `received_ns` is the kernel's time of the edge."""
+    """A gate on a GPIO line; `received_ns` is the kernel's time of the edge, losses are `TriggersLost`."""
 
     def __init__(
         self, settings: GpioGateSettings, open_lines: Callable[[GpioGateSettings], GpioLines] = GpiodLines
@@ -129,14 +131,14 @@ class GpioGate(LineGate):
             lines = self._held = self._lines = self._open_lines(self._settings)
         except (OSError, ValueError) as err:
             raise self._thread.error(
-                f"cannot be had: {err}; the chip must be there, the line free, "
+                f"cannot be opened: {err}; the chip must exist, the line be free, "
                 "and the service's user in the group dialout"
             ) from err
         self._last = None
         return lambda: self._turn(lines)
 
     def test_pulse(self) -> None:
-        """Pulse the test line."""
+        """Pulse the test line and deliver a `BACKGROUND` trigger; raises `GateUnavailableError`."""
         test_line = self._settings.test_line
         if test_line is None:
             raise self._thread.error("has no test line to trigger the cameras with")
@@ -157,7 +159,7 @@ class GpioGate(LineGate):
         self._lines = None
 
     def _turn(self, lines: GpioLines) -> None:
-        now_ns = time.monotonic_ns()  # before asking: every edge up to now is among those that come
+        now_ns = time.monotonic_ns()  # before the call: every edge up to now is among those it returns
         for edge in lines.wait(WAIT_S):
             self._take(edge)
         self._pulses.settle(now_ns)
@@ -165,7 +167,7 @@ class GpioGate(LineGate):
     def _take(self, edge: LineEdge) -> None:
         last, self._last = self._last, edge
         if last is not None and (n_missed := edge.number - last.number - 1) > 0:
-            # they alternate, so every second one closed the beam
+            # edges alternate, so every second one closed the beam
             n_closed = (n_missed + (not last.is_closed)) // 2
             self._pulses.lose(n_closed, f"{n_missed} edges dropped by the kernel")
         at_ns = edge.at_ns - self._settings.glitch_us * 1000

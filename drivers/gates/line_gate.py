@@ -1,4 +1,4 @@
-"""What the gates on a bare line have in common: a modem line or a GPIO, looked at by a thread of ours."""
+"""The base of gates on a bare line, a modem line or a GPIO, which a thread of the host polls."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -12,13 +12,16 @@ from drivers.interfaces import EventSink
 
 
 class Closable(Protocol):
-    """What is held open."""
+    """Anything that is held open and can be closed."""
 
     def close(self) -> None: ...
 
 
 class LineGate(ABC):
-    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored` and, once, `GateLost`; numbers start at 0 with the object."""
+    """A `LightGate` on a bare line: delivers `Trigger`, `PulseEnded`, `TriggersIgnored` and, once, `GateLost`.
+
+    The line itself counts nothing: sequence numbers start at 0 when the object is made.
+    """
 
     def __init__(self, name: str, debounce_us: int) -> None:
         self._thread = GateThread(name)
@@ -56,4 +59,4 @@ class LineGate(ABC):
 
     @abstractmethod
     def _connect(self) -> Callable[[], None]:
-        """Open the line, note it as held, and return what a turn of the thread does; raises `GateUnavailableError`."""
+        """Open the line, set `_held`, and return the function that the thread calls; raises `GateUnavailableError`."""

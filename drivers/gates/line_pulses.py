@@ -1,4 +1,4 @@
-"""The pulses of a bare line, as a modem line or a GPIO: numbered and timed here, as nobody else counts them."""
+"""Turn the edges of a bare line, a modem line or a GPIO, into numbered events."""
 
 import threading
 import time
@@ -11,7 +11,7 @@ from pipeline.frames import BundleKind
 
 
 class LinePulses:
-    """Turns edges into events; numbers go on for as long as it lives, also over what was lost."""
+    """Debounces edges and delivers them as events; sequence numbers are never reset, and include lost stones."""
 
     def __init__(self, debounce_us: int, deliver: Callable[[DeviceEvent], None]) -> None:
         self._filter = EdgeFilter(debounce_us * 1000)
@@ -25,24 +25,24 @@ class LinePulses:
         self._filter.reset()
 
     def edge(self, *, is_closed: bool, at_ns: int) -> None:
-        """Take an edge, at the host's time."""
+        """Take an edge at `at_ns` of the host's clock."""
         for pulse in self._filter.edge(is_closed=is_closed, at_ns=at_ns):
             self._tell(pulse, at_ns)
 
     def settle(self, now_ns: int) -> None:
-        """Tell the end of the last pulse once it is certain."""
+        """Deliver the end of the last pulse once it is certain."""
         for pulse in self._filter.settle(now_ns):
             self._tell(pulse, now_ns)
 
     def lose(self, count: int, reason: str) -> None:
-        """Tell of stones whose edges nobody saw."""
+        """Deliver `TriggersLost` for `count` stones whose edges were missed, and forget the pulse that is going on."""
         self._filter.reset()
         if count:
             self._next_number(count)
             self._deliver(TriggersLost(received_ns=time.monotonic_ns(), count=count, reason=reason))
 
     def test_pulse(self, at_ns: int) -> None:
-        """Tell that the cameras were triggered without a stone."""
+        """Deliver the `BACKGROUND` trigger of a test pulse."""
         self._deliver(trigger_at(at_ns, self._next_number(), kind=BundleKind.BACKGROUND))
 
     def _tell(self, pulse: Pulse, now_ns: int) -> None:
@@ -51,7 +51,7 @@ class LinePulses:
                 self._sequence = self._next_number()
                 self._deliver(trigger_at(at_ns, self._sequence))
             case Ended(width_ns=0):
-                pass  # both edges were found at one look: how long it lasted is not known
+                pass  # both edges were found at one look, so the width is not known
             case Ended(width_ns=width_ns):
                 self._deliver(PulseEnded(sequence=self._sequence, received_ns=now_ns, width_ns=width_ns))
             case Bounced(at_ns=at_ns):

@@ -1,12 +1,12 @@
-"""A light gate on a modem line of a serial port: its output on CTS, DSR, RI or CD, no protocol.
+"""A light gate on a modem line of a serial port: the sensor's output on CTS, DSR, RI or CD, no protocol.
 
-The line is looked at every millisecond. Waiting for it in the kernel (TIOCMIWAIT) would be finer, but nothing
-but an edge or a signal ends that wait, and many USB converters cannot do it at all; a millisecond is 2.4 mm
-of fall in a picture that shows 45, and the cameras are triggered by the wire, not by this. What the looks
-miss the kernel has counted (TIOCGICOUNT): no stone passes unseen, only its time and width suffer. RI is
-counted by half (its end only), so that line is only looked at.
+The line is polled every millisecond. Waiting for it in the kernel (TIOCMIWAIT) would be finer, but only an edge or
+a signal ends that wait, and many USB converters cannot do it at all; a millisecond is 2.4 mm of fall in an image
+that shows 45, and the cameras are triggered by the wire, not by this. Edges between two polls are counted by the
+kernel (TIOCGICOUNT): no stone is missed, only its time and width are less accurate. Of RI the kernel counts only
+one of two edges, so that line is only polled.
 
-A pseudo-terminal has no modem lines: tests bring a line of their own.
+A pseudo-terminal has no modem lines: tests use a `ModemLine` of their own.
 """
 
 import errno
@@ -23,13 +23,15 @@ from drivers.gates.gate_thread import port_problem
 from drivers.gates.line_gate import LineGate
 
 LOOK_S = 0.001
+"""Interval of polling."""
 COUNTS = 1 << 32
+"""How many values the kernel's counters have before they start again at 0."""
 COUNTER_WORDS = 20
-"""Of the kernel's `serial_icounter_struct`: cts, dsr, rng, dcd, and what does not matter here."""
+"""Length of the kernel's `serial_icounter_struct` in 32-bit words; the first four are cts, dsr, rng, dcd."""
 
 ModemLineName = Literal["CTS", "DSR", "RI", "CD"]
 
-_COUNTED: dict[ModemLineName, int] = {"CTS": 0, "DSR": 1, "CD": 3}
+_COUNTER_WORD: dict[ModemLineName, int] = {"CTS": 0, "DSR": 1, "CD": 3}
 _BITS: dict[ModemLineName, int] = {
     "CTS": termios.TIOCM_CTS,
     "DSR": termios.TIOCM_DSR,
@@ -40,12 +42,12 @@ _BITS: dict[ModemLineName, int] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModemLineSettings:
-    """Which line of which port says that the beam is closed."""
+    """The modem line that carries the output of the sensor."""
 
     port: str  # a name that outlives replugging: /dev/serial/by-id/...
     line: ModemLineName = "CTS"
     is_inverted: bool = False  # the line is off while the beam is closed
-    debounce_us: int = 10_000  # what follows the last edge within this is the same stone
+    debounce_us: int = 10_000  # edges within this time after the last one belong to the same stone
 
     def __post_init__(self) -> None:
         if not self.port:
@@ -60,11 +62,11 @@ class Look(NamedTuple):
     """The line at one moment."""
 
     is_on: bool
-    n_edges: int | None  # counted by the kernel, both directions, 32 bits; None: not counted
+    n_edges: int | None  # the kernel's 32-bit count of both directions; None: not counted
 
 
 class ModemLine(Protocol):
-    """A line that can be looked at; `OSError` when it is gone."""
+    """A line that can be polled; `look` raises `OSError` when it is gone."""
 
     def look(self) -> Look: ...
 
@@ -72,11 +74,11 @@ class ModemLine(Protocol):
 
 
 class TtyLine:
-    """The line of a real port, for us alone."""
+    """The line of a real port, locked against other programs."""
 
     def __init__(self, settings: ModemLineSettings) -> None:
         self._bit = _BITS[settings.line]
-        self._word = _COUNTED.get(settings.line)
+        self._word = _COUNTER_WORD.get(settings.line)
         self._fd = os.open(settings.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -88,7 +90,7 @@ class TtyLine:
     def look(self) -> Look:
         n_edges = self._count()
         if n_edges is None or n_edges != self._last.n_edges:
-            # the level costs a USB transfer with some converters, the count none
+            # with some converters reading the level costs a USB transfer, reading the count none
             self._last = self._read(n_edges)
         return self._last
 
@@ -96,6 +98,7 @@ class TtyLine:
         os.close(self._fd)
 
     def _count_if_it_can(self) -> int | None:
+        """Return the count; notes when the port cannot count."""
         try:
             return self._count()
         except OSError:
@@ -114,25 +117,26 @@ class TtyLine:
 
 
 class EdgesBetween:
-    """How many edges lie between two looks, from the level and the count: each may be ahead of the other."""
+    """Counts the edges between two looks, from level and count, each of which may be ahead of the other."""
 
     def __init__(self, first: Look) -> None:
         self._last = first
-        self._ahead = 0  # edges told that the kernel had not counted when it was asked
+        self._ahead = 0  # edges returned that the kernel had not yet counted
 
     def step(self, look: Look) -> int:
+        """Return the number of edges since the last look."""
         has_changed = look.is_on != self._last.is_on
-        n_told = int(has_changed)
+        n_edges = int(has_changed)
         if look.n_edges is not None and self._last.n_edges is not None:
             n_counted = (look.n_edges - self._last.n_edges) % COUNTS - self._ahead
-            n_told = max(n_counted + (n_counted % 2 != has_changed), n_told)
-            self._ahead = n_told - n_counted
+            n_edges = max(n_counted + (n_counted % 2 != has_changed), n_edges)
+            self._ahead = n_edges - n_counted
         self._last = look
-        return n_told
+        return n_edges
 
 
 class ModemLineGate(LineGate):
-    """It has no way to trigger the cameras: put `FiringGate` around it for test pulses."""
+    """A gate on a modem line; it cannot trigger the cameras, so test pulses need a `FiringGate` around it."""
 
     def __init__(
         self, settings: ModemLineSettings, open_line: Callable[[ModemLineSettings], ModemLine] = TtyLine
@@ -142,7 +146,7 @@ class ModemLineGate(LineGate):
         self._open_line = open_line
 
     def test_pulse(self) -> None:
-        """Never: the line is an input; raises `GateUnavailableError`."""
+        """Raise `GateUnavailableError`: the line is an input."""
         raise self._thread.error("cannot trigger the cameras")
 
     def _connect(self) -> Callable[[], None]:

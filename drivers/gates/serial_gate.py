@@ -1,4 +1,4 @@
-"""The light gate of a microcontroller on a serial line; `gate_protocol` says what it speaks."""
+"""A light gate with a microcontroller on a serial line, which speaks `gate_protocol`."""
 
 import termios
 import threading
@@ -16,23 +16,24 @@ from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
 from pipeline.frames import BundleKind, Trigger
 
 READ_S = 0.02
-"""Of silence on the line, then it is looked whether a pulse has ended, or the gate is lost."""
+"""Time-out of a read; after each the end of a pulse and the silence of the gate are checked."""
 ASK_AGAIN_S = 0.5
+"""How long an answer to `IDENTIFY` is waited for before it is sent again."""
 WRITE_S = 0.5
 TEST_PULSE_S = 0.5
-"""From the command to the gate's answer at most."""
+"""Longest time from the command for a test pulse to the gate's answer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialGateSettings:
-    """Where the gate is, and when it is taken for lost."""
+    """The port of the gate, and the times after which it counts as lost or blocked."""
 
     port: str  # a name that outlives replugging: /dev/serial/by-id/...
     baud: int = 115_200  # a board with native USB has none: 4000000
-    debounce_us: int = 10_000  # what follows the last edge within this is the same stone, if told at all
-    answer_timeout_s: float = 3.0  # for its first status; a board that restarts when opened needs 2
-    silence_s: float = 3.0  # without a valid line; it sends a status every second
-    blocked_s: float = 2.0  # no stone closes the beam for that long
+    debounce_us: int = 10_000  # edges within this time after the last one belong to the same stone
+    answer_timeout_s: float = 3.0  # for its first status; a board that restarts when it is opened needs 2
+    silence_s: float = 3.0  # lost after so long without a valid line; it sends a status every second
+    blocked_s: float = 2.0  # a beam closed for longer is blocked: no stone takes so long
 
     def __post_init__(self) -> None:
         if not self.port:
@@ -48,13 +49,13 @@ class SerialGateSettings:
 
 
 class SerialGate:
-    """Delivers `Trigger`, `PulseEnded`, `TriggersIgnored`, `TriggersLost` and, once, `GateLost`.
+    """A `LightGate` that delivers `Trigger`, `PulseEnded`, `TriggersIgnored`, `TriggersLost` and, once, `GateLost`.
 
-    `received_ns` is when the beam closed: when its line was read, less its transmission and less the
-    latency that the gate's own clock reveals. Numbers are the gate's, continued when it restarts.
+    `received_ns` is when the beam closed: when its line was read, less its transmission and less the latency that
+    the gate's own clock reveals. Sequence numbers are the gate's, counted on when it restarts.
 
-    What the gate counted and did not announce is `TriggersLost`; when an armed gate was lost, also what it
-    counted until it was armed again. What passes a gate that was disarmed on purpose is nobody's loss.
+    What the gate counted and did not announce is `TriggersLost`; when an armed gate was lost, also what it counted
+    until it was armed again. What passes a gate that was disarmed on purpose is not lost.
     """
 
     def __init__(self, settings: SerialGateSettings) -> None:
@@ -64,7 +65,7 @@ class SerialGate:
         self._listener = GateListener(baud=settings.baud, debounce_ns=settings.debounce_us * 1000)
         self._heard = threading.Condition()  # guards the listener and all below
         self._heard_ns = 0
-        self._is_owed = False  # who armed the gate has not disarmed it while it was well
+        self._is_owed = False  # the gate was armed and not disarmed before it was lost: report what it counts
         self._n_owed = 0
 
     @property
@@ -74,23 +75,23 @@ class SerialGate:
 
     @property
     def identity(self) -> Identity | None:
-        """Who the gate says it is."""
+        """Name, serial number and firmware of the gate; None before it answered."""
         return self._listener.identity
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What works but should be looked at, with the remedy."""
+        """What works but needs attention, with the remedy; never blocks."""
         with self._heard:
             blocked_s = self._listener.blocked_s(time.monotonic_ns())
         if blocked_s < self._settings.blocked_s:
             return ()
         return (
             f"light gate {self._settings.port}: the beam has been closed for {blocked_s:.0f} s: "
-            "remove what lies in it, clean and align it",
+            "remove what blocks it, clean and align sensor and light",
         )
 
     def open(self) -> None:
-        """Open the port for us alone and wait for the gate's first status."""
+        """Open and lock the port and wait for the gate's first status; raises `GateUnavailableError`."""
         if self._thread.is_running and self._thread.failure is None:
             return
         self.close()
@@ -114,7 +115,7 @@ class SerialGate:
             raise
 
     def arm(self, sink: EventSink) -> None:
-        """Deliver to `sink` from now on; first, how many edges passed since an armed gate was lost."""
+        """Deliver to `sink` from now on; first the stones that were counted since an armed gate was lost."""
         with self._heard:
             self._thread.arm(sink)
             if self._n_owed:
@@ -125,7 +126,7 @@ class SerialGate:
             self._is_owed, self._n_owed = True, 0
 
     def test_pulse(self) -> None:
-        """Let the gate trigger the cameras; returns when it said so."""
+        """Let the gate trigger the cameras, and wait until it has; raises `GateUnavailableError`."""
         if not self._thread.is_armed:
             raise self._thread.error("is not armed")
         if not self._answers(TEST_PULSE, lambda: self._listener.counters.test_pulses, TEST_PULSE_S):
@@ -160,7 +161,7 @@ class SerialGate:
             raise self._thread.error(port_problem(err)) from err
 
     def _answers(self, command: bytes, count: Callable[[], int], timeout_s: float) -> bool:
-        """Send a command and wait for what it must raise."""
+        """Send a command; returns whether `count` increased within `timeout_s`."""
         if self._port is None:
             raise self._thread.error("is not open")
         with self._heard:
@@ -168,7 +169,7 @@ class SerialGate:
         try:
             self._port.write(command)
         except OSError as err:
-            raise self._thread.error(f"takes no command: {err}") from err
+            raise self._thread.error(f"cannot be sent a command: {err}") from err
         with self._heard:
             return self._heard.wait_for(lambda: count() > before, timeout_s)
 
@@ -185,10 +186,11 @@ class SerialGate:
             self._heard.notify_all()
         if now_ns - self._heard_ns > self._settings.silence_s * 1e9:
             raise self._thread.error(
-                f"has said nothing for {self._settings.silence_s:g} s: check its cable and its power supply"
+                f"has sent nothing for {self._settings.silence_s:g} s: check its cable and its power supply"
             )
 
     def _hand_over(self, event: DeviceEvent) -> None:
+        """Deliver an event, or count the stones it stands for until the gate is armed again."""
         if self._thread.is_armed:
             self._thread.deliver(event)
         elif self._is_owed:

@@ -1,4 +1,4 @@
-"""What the gates around another gate have in common: all is passed on, events come through `deliver`."""
+"""The base of gates that wrap another gate."""
 
 import threading
 from abc import ABC, abstractmethod
@@ -8,14 +8,12 @@ from drivers.interfaces import DeviceEvent, EventSink, LightGate
 
 
 class WrappedGate(ABC):
-    """Is its own sink of the other gate, from `arm` to `disarm`."""
+    """Passes all calls on to the wrapped gate, and is its sink from `arm` to `disarm`."""
 
     def __init__(self, gate: LightGate) -> None:
         self._gate = gate
         self._sink: EventSink | None = None
-        self._lock = (
-            threading.Lock()
-        )  # who arms, disarms and sends test pulses is another thread than the gate's
+        self._lock = threading.Lock()  # events come on another thread than calls
         self._is_lost = False
 
     @property
@@ -48,10 +46,10 @@ class WrappedGate(ABC):
             self._sink = None
 
     def deliver(self, event: DeviceEvent) -> bool:
-        """Take what the other gate delivers; called on its thread."""
+        """Take an event of the wrapped gate; called on its thread."""
         with self._lock:
             return True if self._sink is None else self._pass_on(event, self._sink)
 
     @abstractmethod
     def _pass_on(self, event: DeviceEvent, sink: EventSink) -> bool:
-        """Deliver what becomes of an event; returns whether all of it was taken."""
+        """Deliver to `sink` what becomes of an event; returns whether all of it was taken."""

@@ -225,7 +225,7 @@ def test_impossible_settings_are_named(feature: Feature, problem: str) -> None:
 def test_gain_in_steps_of_its_own_is_not_taken_for_db() -> None:
     with powered(design(dialect="legacy")) as simulated:
         settings = settings_for(design(), features=exposure_features(exposure_us=50.0, gain_db=6.0))
-        assert "knows no 6.0 dB, only GainRaw" in refusal(settings)
+        assert "cannot set Gain to 6.0 dB: it has only GainRaw" in refusal(settings)
         camera = AravisCamera(replace(settings, features=(("GainRaw", 60),)))
         camera.open()
         assert simulated.feature("Gain") == pytest.approx(6.0)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.cameras import host_trigger
-from drivers.cameras.host_trigger import EVERYBODY, ActionKeys, ActionTrigger, SoftwareTrigger
+from drivers.cameras.host_trigger import BROADCAST, ActionKeys, ActionTrigger, SoftwareTrigger
 from drivers.gvcp import GVCP_PORT
 
 CAMERA = f"127.33.{os.getpid() % 256}.201"
@@ -33,7 +33,7 @@ def test_a_camera_with_an_address_is_told_once(camera: socket.socket) -> None:
 
 
 def test_a_named_interface_that_is_down_is_told() -> None:
-    with pytest.raises(OSError, match=rf"no action command to {EVERYBODY} out of {FOREIGN}: "):
+    with pytest.raises(OSError, match=rf"no action command to {BROADCAST} out of {FOREIGN}: "):
         ActionTrigger(ActionKeys(), ["127.0.0.1", FOREIGN])()
 
 

@@ -180,7 +180,7 @@ def test_it_must_be_open_to_be_armed(gate: GpioGate) -> None:
 
 def test_a_chip_that_is_not_there_is_refused_by_the_real_library() -> None:
     gate = GpioGate(replace(SETTINGS, chip="/dev/no-such-chip"))
-    with pytest.raises(GateUnavailableError, match=r"no-such-chip gate: cannot be had: .*group dialout"):
+    with pytest.raises(GateUnavailableError, match=r"no-such-chip gate: cannot be opened: .*group dialout"):
         gate.open()
 
 

@@ -177,7 +177,7 @@ def test_silence_is_a_loss(device: PtyGate, settings: SerialGateSettings) -> Non
         gate.arm(sink := Collector())
         lost = sink.next()
         assert isinstance(lost, GateLost)
-        assert "has said nothing for 1.1 s" in lost.reason
+        assert "has sent nothing for 1.1 s" in lost.reason
         device.edge()
         gate.disarm()
         device.answers = False
