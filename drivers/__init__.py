@@ -1,1 +1,1 @@
-"""Cameras, light gates and recordings: what speaks to devices and disks. Nothing here computes."""
+"""Cameras, light gates, recordings and their simulation: all I/O with devices and disks, no computation."""

@@ -1,4 +1,4 @@
-"""From the description of a rig to its devices; the one place that knows every backend."""
+"""Build the devices of a rig from its description; the one module that knows every backend."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -28,13 +28,13 @@ GateDevice = SerialGateSettings | ModemLineSettings | GpioGateSettings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayBackend:
-    """A recording instead of devices."""
+    """A recording played in the place of devices."""
 
     recording: Path
     pace: Pace = "recorded"
-    speed: float = 1.0  # of the recorded pace
+    speed: float = 1.0  # times the recorded pace
     loop: bool = False
-    faults: FaultPlan | None = None
+    faults: FaultPlan | None = None  # injected by the faulty twins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,27 +43,27 @@ class AravisBackend:
 
     cameras: tuple[GigeCameraSettings, ...]
     gate: GateDevice
-    interfaces: tuple[str, ...] = ()  # of this machine, towards the cameras
-    fired_by: ActionKeys | Literal["software"] | None = None  # None: by a wire from the gate
+    interfaces: tuple[str, ...] = ()  # IPv4 addresses of this machine, towards the cameras
+    fired_by: ActionKeys | Literal["software"] | None = None  # None: the cameras are wired to the gate
     is_simulated: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Devices:
-    """A rig's devices, not yet opened."""
+    """The devices of a rig, not yet opened."""
 
     cameras: Mapping[CameraId, Camera]  # in page order
     gate: LightGate
     clock: Callable[[], int] = time.monotonic_ns
-    """What `received_ns` is read from."""
+    """The clock of `received_ns`, in ns."""
     belt: ReplayBelt | None = None
-    """Grants permits and tells what was skipped, in replay."""
+    """Plays the recording, in replay; the paces `stepped` and `fast` need its permits."""
     is_simulated: bool = False
     """Whether the images are synthetic."""
 
 
 def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
-    """The devices of a backend.
+    """Return the devices of a backend.
 
     Raises
     ------
@@ -71,21 +71,21 @@ def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
         The recording to replay cannot be opened.
     """
     if isinstance(backend, AravisBackend):
-        return _live(backend)
+        return _live_devices(backend)
     recording = open_recording(backend.recording)
     belt = ReplayBelt(recording, pace=backend.pace, speed=backend.speed, loop=backend.loop)
     cameras: dict[CameraId, Camera] = {camera: ReplayCamera(camera, belt) for camera in recording.camera_ids}
     gate: LightGate = ReplayGate(belt)
     if plan := backend.faults:
         cameras = {camera: FaultyCamera(device, plan) for camera, device in cameras.items()}
-        # a swallowed trigger becomes no bundle, so nobody would give its permit back
+        # a swallowed trigger becomes no bundle, whose end would give its permit back
         gate = FaultyGate(gate, plan, on_swallowed=belt.permit)
     return Devices(
         cameras=cameras, gate=gate, clock=belt.clock, belt=belt, is_simulated=recording.is_simulated
     )
 
 
-def _live(backend: AravisBackend) -> Devices:
+def _live_devices(backend: AravisBackend) -> Devices:
     cameras = {settings.id: AravisCamera(settings) for settings in backend.cameras}
     gate = _gate(backend.gate)
     match backend.fired_by:

@@ -1,8 +1,7 @@
-"""GigE Vision's control protocol (GVCP) as far as the rig speaks it by itself: who is there, and expose now.
+"""The part of GigE Vision's control protocol (GVCP) that Aravis cannot do: quick discovery and action commands.
 
-Aravis does the rest. It cannot do these two: its discovery takes a second, opening an address where
-nobody answers blocks all cameras for 2.5 s, and it has no action command. Layouts as in Aravis'
-`arvgvcpprivate.h` and Wireshark's `packet-gvcp.c`, big-endian.
+Discovery by Aravis takes a second, opening an address where no camera answers blocks all cameras for 2.5 s, and
+there is no action command. Layouts as in Aravis' `arvgvcpprivate.h` and Wireshark's `packet-gvcp.c`, big-endian.
 """
 
 import array
@@ -20,18 +19,18 @@ GVCP_PORT = 3956
 KEY = 0x42
 """First byte of every command."""
 ACK_REQUIRED = 0x01
-"""Flag: the device is to answer."""
+"""Flag of a command: the device shall acknowledge it."""
 SCHEDULED = 0x80
 """Flag of an action command: it carries the time at which to act."""
 DISCOVERY, DISCOVERY_ACK = 0x02, 0x03
 READ_MEMORY, READ_MEMORY_ACK = 0x84, 0x85
 ACTION, ACTION_ACK = 0x100, 0x101
 HEADER = struct.Struct(">BBHHH")
-"""Of a command: key, flags, command, bytes that follow, request id."""
+"""Header of a command: key, flags, command, bytes that follow, request id."""
 ACK_HEADER = struct.Struct(">HHHH")
-"""Of an answer: status, command, bytes that follow, request id."""
+"""Header of an acknowledgement: status, command, bytes that follow, request id."""
 DISCOVERY_BYTES = 0xF8
-"""What a discovery answer holds: the first registers of the device."""
+"""Size of a discovery acknowledgement's body: a copy of the device's first registers."""
 
 _MAC = slice(0x0A, 0x10)
 _VENDOR, _MODEL, _VERSION = slice(0x48, 0x68), slice(0x68, 0x88), slice(0x88, 0xA8)
@@ -43,8 +42,8 @@ _IFREQ = struct.Struct("20x4s16x")  # name, family and port; IPv4 address; rest 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Device:
-    """What a camera tells anybody who asks."""
+class DiscoveredCamera:
+    """What a camera reports to any application that asks, whoever controls it."""
 
     address: str
     serial: str
@@ -55,26 +54,31 @@ class Device:
     mac: str  # lower case, with colons
 
 
-def probe(address: str, timeout_s: float = 0.1) -> Device | None:
-    """Ask one IPv4 address; nothing when no camera answers in time.
+def probe(address: str, timeout_s: float = 0.1) -> DiscoveredCamera | None:
+    """Return the camera at one IPv4 address, None when none answers in time.
 
-    The question is put twice: one lost datagram does not make a camera dead.
+    It is asked twice within `timeout_s`: one lost datagram does not make a camera dead.
     """
     peer = (str(IPv4Address(address)), GVCP_PORT)
-    # refused: a machine without a camera; unreachable: not even that
+    # OSError: the address refuses (a machine without a camera) or is unreachable
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         control.connect(peer)
         for request_id in (1, 2):
-            control.send(_discovery(request_id))
-            if device := next(_answers([control], timeout_s / 2), None):
+            control.send(_discovery_command(request_id))
+            if device := next(_acknowledgements([control], timeout_s / 2), None):
                 return device
     return None
 
 
-def discover(interfaces: Sequence[str] | None = None, timeout_s: float = 0.5) -> list[Device]:
-    """Ask everybody by broadcast, out of all of this machine's IPv4 addresses or of those given; sorted by address.
+def discover(interfaces: Sequence[str] | None = None, timeout_s: float = 0.5) -> list[DiscoveredCamera]:
+    """Return the cameras that answer a broadcast within `timeout_s`, sorted by address.
 
-    Raises `OSError` when nobody can be asked out of an address that was given.
+    The broadcast leaves by all IPv4 addresses of this machine, or by `interfaces`.
+
+    Raises
+    ------
+    OSError
+        It cannot leave by an address in `interfaces`.
     """
     with ExitStack() as stack:
         sockets = []
@@ -82,8 +86,8 @@ def discover(interfaces: Sequence[str] | None = None, timeout_s: float = 0.5) ->
             asking = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             try:
-                asking.bind((address, 0))  # which also makes the broadcast leave there
-                asking.sendto(_discovery(1), ("255.255.255.255", GVCP_PORT))
+                asking.bind((address, 0))  # also chooses the interface by which the broadcast leaves
+                asking.sendto(_discovery_command(1), ("255.255.255.255", GVCP_PORT))
             except OSError as err:
                 if not interfaces:
                     continue
@@ -92,12 +96,12 @@ def discover(interfaces: Sequence[str] | None = None, timeout_s: float = 0.5) ->
                     f"this machine has {', '.join(local_addresses())}",
                 ) from err
             sockets.append(asking)
-        found = set(_answers(sockets, timeout_s))
+        found = set(_acknowledgements(sockets, timeout_s))
     return sorted(found, key=lambda device: (IPv4Address(device.address), device.mac))
 
 
 def local_addresses() -> list[str]:
-    """IPv4 addresses of this machine's interfaces, loopback included."""
+    """Return the IPv4 addresses of this machine's interfaces, loopback included."""
     room = array.array("B", bytes(_IFREQ.size * 256))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         request = _IFCONF.pack(len(room), room.buffer_info()[0])
@@ -108,9 +112,10 @@ def local_addresses() -> list[str]:
 def action_command(
     *, device_key: int, group_key: int, group_mask: int, request_id: int, at_ns: int | None = None
 ) -> bytes:
-    """Datagram upon which every camera that holds both keys and a bit of the mask acts at once, unanswered.
+    """Return the datagram that makes all cameras with both keys and a bit of the mask act, without acknowledgement.
 
-    `at_ns` is the time to act on the cameras' common clock (PTP). `request_id` is not 0, and not the last one's.
+    They act at once, or at `at_ns` of their common clock (PTP). `request_id` (1 to 65535) must differ from that of
+    the command before.
     """
     if not 0 < request_id <= 0xFFFF:
         raise ValueError(f"request_id must be 1 to 65535, not {request_id}")
@@ -121,27 +126,28 @@ def action_command(
     return HEADER.pack(KEY, flags, ACTION, len(body), request_id) + body
 
 
-def _discovery(request_id: int) -> bytes:
+def _discovery_command(request_id: int) -> bytes:
     return HEADER.pack(KEY, ACK_REQUIRED, DISCOVERY, 0, request_id)
 
 
-def _answers(sockets: Sequence[socket.socket], timeout_s: float) -> Iterator[Device]:
-    """Cameras that answer on these sockets until the time is over; what is no answer is passed over."""
+def _acknowledgements(sockets: Sequence[socket.socket], timeout_s: float) -> Iterator[DiscoveredCamera]:
+    """Yield the cameras that answer on these sockets within `timeout_s`; other datagrams are skipped."""
     deadline_s = time.monotonic() + timeout_s
-    with selectors.PollSelector() as selector:  # select() knows no descriptor above 1023
-        for each in sockets:
-            selector.register(each, selectors.EVENT_READ, each)
+    with selectors.PollSelector() as selector:  # select() fails for descriptors above 1023
+        for udp_socket in sockets:
+            selector.register(udp_socket, selectors.EVENT_READ, udp_socket)
         left_s = timeout_s
         while left_s > 0:
-            left_s = deadline_s - time.monotonic()  # when it is over: what came while this thread had no core
+            # once it is negative, the sockets are read a last time: this thread may have had no core meanwhile
+            left_s = deadline_s - time.monotonic()
             for key, _ in selector.select(max(left_s, 0)):
-                with suppress(BlockingIOError):  # what came was damaged, and is gone
+                with suppress(BlockingIOError):  # the kernel dropped the datagram: its checksum was wrong
                     datagram, (address, _) = key.data.recvfrom(2048, socket.MSG_DONTWAIT)
-                    if device := _device(datagram, address):
+                    if device := _parse_acknowledgement(datagram, address):
                         yield device
 
 
-def _device(datagram: bytes, address: str) -> Device | None:
+def _parse_acknowledgement(datagram: bytes, address: str) -> DiscoveredCamera | None:
     body = datagram[ACK_HEADER.size :]
     if len(body) < DISCOVERY_BYTES or ACK_HEADER.unpack_from(datagram)[:2] != (0, DISCOVERY_ACK):
         return None
@@ -149,8 +155,8 @@ def _device(datagram: bytes, address: str) -> Device | None:
     def text(field: slice) -> str:
         return body[field].split(b"\0")[0].decode("latin-1").strip()
 
-    return Device(
-        address=address,  # where it answers from, which is where it can be spoken to
+    return DiscoveredCamera(
+        address=address,  # the sender's, at which it can be reached, whatever its registers say
         serial=text(_SERIAL),
         user_name=text(_USER_NAME),
         vendor=text(_VENDOR),

@@ -1,4 +1,4 @@
-"""Where the devices' threads end and the event loop begins: bounded, and never blocking either side."""
+"""The bounded queue from the threads of the devices to the event loop; it blocks neither side."""
 
 import asyncio
 import threading
@@ -9,11 +9,11 @@ from drivers.interfaces import DeviceEvent, FrameLost
 from pipeline.frames import Frame
 
 RESERVE = 256
-"""Room beyond the capacity for what is not a frame: a refused trigger would be a stone nobody counts."""
+"""Room beyond the capacity for events other than frames: a refused trigger would be a stone that is not counted."""
 
 
 class EventInbox:
-    """Takes events from any thread; one task on the loop gets them in the order of delivery."""
+    """An `EventSink` for any number of threads; one task on the loop gets the events in the order of delivery."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int) -> None:
         if capacity < 1:
@@ -22,31 +22,31 @@ class EventInbox:
         self._capacity = capacity
         self._events: deque[DeviceEvent] = deque()
         self._arrived = asyncio.Event()
-        # among producers only: the loop takes from the deque without it and so never waits
+        # shared by producers only: the loop takes from the deque without it and so never waits
         self._delivering = threading.Lock()
         self._refused: Counter[str] = Counter()
 
     @property
     def refused(self) -> Mapping[str, int]:
-        """How many events of each kind (`Frame`, `Trigger`, ...) found no room."""
+        """How many events of each class (`Frame`, `Trigger`, ...) were refused for want of room."""
         return dict(self._refused)
 
     def deliver(self, event: DeviceEvent) -> bool:
-        """Take the event without blocking; `False` when it was refused and counted."""
+        """Take an event without blocking, from any thread; `False` when it was refused and counted."""
         limit = self._capacity if isinstance(event, Frame | FrameLost) else self._capacity + RESERVE
         with self._delivering:
             if len(self._events) >= limit or self._loop.is_closed():
                 self._refused[type(event).__name__] += 1
                 return False
             self._events.append(event)
-            # the loop only waits when there is none: for those before it was woken
+            # the loop waits only while there is no event: for earlier ones it was woken already
             if len(self._events) == 1:
                 self._loop.call_soon_threadsafe(self._arrived.set)
         return True
 
     async def get(self, timeout_s: float | None = None) -> DeviceEvent | None:
-        """Next event, or nothing when none came in time."""
-        if self._events:  # as for nearly all of a stone's frames
+        """Return the next event, None when none came within `timeout_s`; from one task at a time."""
+        if self._events:  # the usual case: the frames of a stone come together
             return self._events.popleft()
         try:
             async with asyncio.timeout(timeout_s):

@@ -1,36 +1,56 @@
-"""The two seams to the hardware: `Camera` and `LightGate`, and the events they deliver.
+"""The protocols of the hardware, `Camera`, `LightGate` and `EventSink`, and the events that devices deliver.
 
-Every call may block for seconds (a GigE control call takes 2.5 s to fail): callers keep them off
-the event loop. Events come from any thread through a sink that never blocks. A loss is an event.
+Threads: every call of a device may block for seconds (a GigE control call takes 2.5 s to fail), so callers keep
+them off the event loop. Calls to one device may come from any thread, but one at a time. A device delivers its
+events from a thread of its own to the sink that it was armed with.
+
+Errors: calls raise `drivers.errors.DeviceError`. What goes wrong between calls is no exception but an event:
+`FrameLost`, `CameraLost`, `TriggersLost`, `GateLost`.
+
+Times: `received_ns` is the host's monotonic clock (in replay the clock of the belt) at the moment of the event.
 """
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
+from drivers.errors import LossCause
 from pipeline.frames import CameraId, Frame, Trigger
+
+
+class FrameLossReason(StrEnum):
+    """Reasons of a lost frame that code decides by; all other reasons are text for people."""
+
+    DAMAGED = "damaged"
+    """Its page in a bundle file is torn or does not match its checksum."""
+    ABSENT = "absent"
+    """The bundle file neither has the frame nor says why."""
+    UNREADABLE = "unreadable"
+    """Its bundle file cannot be read; followed by a colon and what is wrong with the file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameLost:
-    """The camera exposed, or should have, and the image did not arrive whole."""
+    """The camera exposed, or should have, and its image did not arrive whole."""
 
     camera: CameraId
     received_ns: int
-    reason: str
+    reason: str  # a `FrameLossReason`, or what the driver of the camera says
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraLost:
-    """The camera no longer answers; its session is over until it is opened again."""
+    """The camera can no longer be used; it delivers nothing until it is closed, opened and armed again."""
 
     camera: CameraId
     received_ns: int
     reason: str
+    cause: LossCause = LossCause.OTHER
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraBack:
-    """The camera is armed again; told by whoever brought it back."""
+    """A lost camera is armed again; delivered by the caller that opened it anew, not by the camera."""
 
     camera: CameraId
     received_ns: int
@@ -38,7 +58,7 @@ class CameraBack:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateLost:
-    """The light gate no longer answers."""
+    """The light gate can no longer be used; it delivers nothing until it is closed, opened and armed again."""
 
     received_ns: int
     reason: str
@@ -46,7 +66,7 @@ class GateLost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriggersIgnored:
-    """The gate merged or skipped edges (bounce, double, too fast a sequence): counted, no bundle."""
+    """The gate merged `count` edges with the stone before them (a bounce, a repeated line): they get no bundle."""
 
     received_ns: int
     count: int
@@ -55,7 +75,7 @@ class TriggersIgnored:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PulseEnded:
-    """The beam is open again: how long the stone of trigger `sequence` interrupted it."""
+    """The beam is open again; the stone of trigger `sequence` had closed it for `width_ns`."""
 
     sequence: int
     received_ns: int
@@ -64,7 +84,7 @@ class PulseEnded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriggersLost:
-    """The gate's own counter went on by more than was announced: the cameras may have exposed."""
+    """The gate counted `count` more stones than it announced; the cameras may have exposed for them."""
 
     received_ns: int
     count: int
@@ -73,7 +93,7 @@ class TriggersLost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaybackEnded:
-    """A replayed recording is through; devices of a real rig never say this."""
+    """A replayed recording has been delivered to its end; real devices never deliver this."""
 
     received_ns: int
 
@@ -94,7 +114,7 @@ DeviceEvent = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraVitals:
-    """What a camera and its stream tell about themselves; None where the device cannot say."""
+    """What a camera and its stream report about themselves; None where the device cannot say."""
 
     serial: str | None = None
     model: str | None = None
@@ -106,68 +126,117 @@ class CameraVitals:
     failed_frames: int = 0  # received in part, or given up
     missing_packets: int = 0
     resent_packets: int = 0
-    warnings: tuple[str, ...] = ()  # what works but should be looked at, with the remedy
+    warnings: tuple[str, ...] = ()  # what works but needs attention, with the remedy
 
 
 class EventSink(Protocol):
-    """Where devices deliver; callable from any thread."""
+    """Receiver of the events of any number of devices."""
 
     def deliver(self, event: DeviceEvent) -> bool:
-        """Take the event without blocking; `False` when it was refused because the sink is full."""
+        """Take an event; `False` when the sink is full and refused it.
+
+        Callable from any thread, never blocks, never raises. A device goes on after a refusal; the sink counts it.
+        """
         ...
 
 
 class Camera(Protocol):
-    """One camera of the rig: `open`, then any number of `arm` / `disarm`, then `close`.
+    """One camera of the rig, in the states closed, open and armed.
 
-    `close` is idempotent and allowed in every state; after `disarm` returns nothing more is delivered.
-    Calls come from any thread, but one at a time.
+    `open` and `close` lead from closed to open and back, `arm` and `disarm` from open to armed and back, any number
+    of times. `disarm` and `close` are allowed in every state, do nothing where there is nothing to do, and raise
+    nothing.
     """
 
     @property
-    def id(self) -> CameraId: ...
+    def id(self) -> CameraId:
+        """The camera's place in the rig, not the serial number of the device in it."""
+        ...
 
     def open(self) -> None:
-        """Connect and configure; raises `drivers.errors.CameraUnavailableError`."""
+        """Connect to the camera, configure it, and verify the configuration.
+
+        Raises
+        ------
+        CameraUnavailableError
+            It does not answer, is another one, is in use, or cannot be set as configured; it is closed then.
+        """
         ...
 
     def arm(self, sink: EventSink) -> None:
-        """Expose at every trigger from now on and deliver to `sink`."""
+        """Expose at every trigger from now on, and deliver each exposure to `sink`, as `Frame` or `FrameLost`.
+
+        Frames come in the order of exposure with consecutive `frame_id`, their images read-only and never written
+        again. A camera that is lost delivers one `CameraLost`.
+
+        Raises
+        ------
+        CameraUnavailableError
+            The camera is not open, or refuses to start.
+        """
         ...
 
     def examine(self) -> CameraVitals:
-        """Ask an open or armed camera how it is.
+        """Return how an open or armed camera is, after asking the device itself.
 
-        Raises `CameraUnavailableError` when it does not answer, is no longer ours, or is not set as `open` set it.
+        Raises
+        ------
+        CameraUnavailableError
+            It is not open, does not answer, is another one, is no longer under our control, or is not set as `open`
+            set it. The caller closes it then and opens it anew.
         """
         ...
 
-    def disarm(self) -> None: ...
+    def disarm(self) -> None:
+        """Stop exposing; once this returns nothing more is delivered, not even what was on its way."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Disarm and let go of the camera, so that others can use it."""
+        ...
 
 
 class LightGate(Protocol):
-    """The light gate; the same life cycle as a camera, armed last and disarmed first."""
+    """The light gate, with the states and rules of a `Camera`; armed last and disarmed first.
+
+    An armed gate delivers a `Trigger` for every stone at once, then `PulseEnded` where it can tell the width.
+    `Trigger.sequence` counts what exposes the cameras, stones and test pulses alike, and goes on when the gate is
+    closed and opened again. A gate that is lost delivers one `GateLost`.
+    """
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What works but should be looked at, with the remedy; never blocks."""
+        """What works but needs attention, with the remedy; never blocks, allowed in every state."""
         ...
 
     def open(self) -> None:
-        """Connect; raises `drivers.errors.GateUnavailableError`."""
-        ...
+        """Connect to the gate and wait until it answers.
 
-    def arm(self, sink: EventSink) -> None: ...
-
-    def test_pulse(self) -> None:
-        """Expose without a stone: a `BACKGROUND` trigger follows.
-
-        Raises `GateUnavailableError` when this gate has no way to trigger the cameras, or is not armed.
+        Raises
+        ------
+        GateUnavailableError
+            It is not there, is in use, or does not answer; it is closed then.
         """
         ...
 
-    def disarm(self) -> None: ...
+    def arm(self, sink: EventSink) -> None:
+        """Deliver to `sink` from now on; raises `GateUnavailableError` when the gate is not open."""
+        ...
 
-    def close(self) -> None: ...
+    def test_pulse(self) -> None:
+        """Expose all cameras without a stone; a `BACKGROUND` trigger is delivered like any other.
+
+        Raises
+        ------
+        GateUnavailableError
+            The gate is not armed, does not answer, or has no way to trigger the cameras.
+        """
+        ...
+
+    def disarm(self) -> None:
+        """Deliver nothing more once this returns; a live gate goes on triggering the cameras by its wire."""
+        ...
+
+    def close(self) -> None:
+        """Disarm and let go of the gate's port or line."""
+        ...

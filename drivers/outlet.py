@@ -1,4 +1,4 @@
-"""Between a device's thread and whoever armed the device."""
+"""The connection between a device's thread and the sink that the device was armed with."""
 
 import threading
 
@@ -6,7 +6,7 @@ from drivers.interfaces import DeviceEvent, EventSink
 
 
 class Outlet:
-    """Where a device's sink is plugged in; once `unplug` returns nothing more is delivered."""
+    """Holds at most one sink; once `unplug` returns nothing more is delivered to it. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -17,14 +17,17 @@ class Outlet:
         return self._sink is not None
 
     def plug(self, sink: EventSink) -> None:
+        """Deliver to `sink` from now on."""
         with self._lock:
             self._sink = sink
 
     def unplug(self) -> None:
+        """Drop what is delivered from now on; waits for a delivery under way."""
         with self._lock:
             self._sink = None
 
     def deliver(self, event: DeviceEvent) -> None:
+        """Hand an event to the sink; without a sink it is dropped."""
         with self._lock:
             if self._sink is not None:
                 self._sink.deliver(event)

@@ -1,4 +1,4 @@
-"""From sixteen frames to the measured stone: pure functions over arrays.
+"""Pure functions over arrays that turn the frames of one exposure into a measured stone.
 
-Nothing in here reads a file, a clock or a device, logs, or starts a thread.
+Nothing in here reads a file, a clock or a device, logs, or starts a thread. The guide is `pipeline/README.md`.
 """

@@ -7,6 +7,7 @@ device's own clock; the two are never subtracted from one another.
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import NewType
 
@@ -21,6 +22,26 @@ CAMERA_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 Image = NDArray[np.uint8]
 """Grey image (H, W), row major, pixel centres on integers, (u, v) = (column, row)."""
+
+
+def rfc3339(moment: datetime | str, timespec: str = "milliseconds") -> str:
+    """Return a moment as every file and every answer has it: RFC 3339 in UTC, so that text order is time order.
+
+    A text is any that ISO 8601 allows.
+
+    Raises
+    ------
+    ValueError
+        The moment has no offset from UTC, or is out of range in UTC.
+    """
+    given = datetime.fromisoformat(moment) if isinstance(moment, str) else moment
+    if given.tzinfo is None:
+        raise ValueError(f"time {str(moment)!r} has no offset from UTC")
+    try:
+        utc = given.astimezone(UTC)
+    except OverflowError:
+        raise ValueError(f"time {str(moment)!r} is out of range") from None
+    return utc.isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
 class BundleKind(StrEnum):

@@ -53,7 +53,7 @@ class PipelineParameters:
     views: ViewsParameters = field(default_factory=ViewsParameters)
     consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     carving: CarvingParameters = field(default_factory=CarvingParameters)
-    mesher: Mesher = "leaves"
+    mesher: Mesher = Mesher.LEAVES
     body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
 
@@ -93,6 +93,16 @@ class ParticleMeasurement:
     def equivalent_diameter_mm(self) -> float:
         """Diameter of the sphere of the corrected volume."""
         return _sphere_diameter_mm(self.volume_mm3)
+
+    @property
+    def volume_raw_mm3(self) -> float:
+        """Volume of the visual hull, uncorrected."""
+        return self.hull.volume_mm3
+
+    @property
+    def equivalent_diameter_raw_mm(self) -> float:
+        """Diameter of the sphere of the hull's volume."""
+        return self.hull.equivalent_diameter_mm
 
 
 def _sphere_diameter_mm(volume_mm3: float) -> float:

@@ -1,4 +1,4 @@
-"""A picture of a mesh for people: softly lit, smooth, with a scale bar."""
+"""Rendered picture of a mesh: smoothly shaded, softly lit, with a scale bar."""
 
 import cv2
 import numpy as np
@@ -6,28 +6,29 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
+from pipeline.arrays import Floats, Indices32, Matrix33, PointsMM, Singles, Values
 from pipeline.geometry.bounds import bounds
 
-Array = NDArray[np.float64]
-FloatArray = NDArray[np.float32]
-
+ColorImage = NDArray[np.uint8]
+"""(H, W, 3) RGB."""
 VIEW_DIRECTION = (-0.55, 0.70, -0.45)
-"""From the viewer into the picture: the body is seen from the front, the right and above."""
-FILLING = 0.80
-"""Part of the picture that the larger side of the body's box takes."""
+"""Viewing direction in the world frame: the body is seen from the front, the right and above."""
+BODY_SHARE = 0.80
+"""Extent of the body over the edge of the picture."""
 SAMPLES_PER_PIXEL = 2  # along each axis
 LIGHTS = (
-    # toward the light, in the frame of the picture (right, down, away); brightness
+    # direction towards the light, in the frame of the picture (right, down, away); brightness
     ((-0.55, -0.65, -0.52), 0.62),
     ((0.80, -0.10, -0.59), 0.22),
 )
 AMBIENT = 0.16
-EVEN_LIGHT = 0.6
-"""Of what lights vertices whose colours mean something: shade must not change them much."""
+UNSHADED_SHARE = 0.6
+"""Share of unshaded light on vertices of individual colours, which shading must not change much."""
 STONE_RGB = (0.80, 0.75, 0.68)
 TOP_RGB, BOTTOM_RGB = (0.965, 0.97, 0.975), (0.87, 0.88, 0.895)
 INK_RGB = (70, 74, 80)
 BAR_LENGTHS_MM = (10.0, 1.0, 0.1)
+"""Lengths of the scale bar; the first that fits is drawn."""
 
 
 def render_preview(
@@ -37,11 +38,16 @@ def render_preview(
     *,
     colors_rgb: ArrayLike = STONE_RGB,
     view_direction: tuple[float, float, float] = VIEW_DIRECTION,
-) -> NDArray[np.uint8]:
-    """RGB image (size, size, 3) of a closed mesh, vertices (N, 3) in mm and faces (M, 3).
+) -> ColorImage:
+    """Return an RGB image (size, size, 3) of a closed mesh with vertices (N, 3) in mm and faces (M, 3).
 
-    Parallel projection along `view_direction`, z up, scaled to fill the picture; a bar of 10 mm (1 mm
-    for a tiny body) shows the scale. `colors_rgb` (3,) or (N, 3), 0..1, of all vertices or of each.
+    Parallel projection along `view_direction`, z up, scaled to fill the picture, with a scale bar of 10 mm (1 mm
+    for a tiny body). `colors_rgb`, 0..1, is one colour (3,) or one for each vertex (N, 3).
+
+    Raises
+    ------
+    ValueError
+        The mesh has no faces.
     """
     triangles = np.asarray(faces, dtype=np.int32)
     if len(triangles) == 0:
@@ -50,7 +56,7 @@ def render_preview(
     used_mm = points_mm[triangles.ravel()]
     low, high = bounds(used_mm)
     points_mm -= (low + high) / 2
-    px_per_mm = FILLING * size_px / float((high - low)[:2].max())
+    px_per_mm = BODY_SHARE * size_px / float((high - low)[:2].max())
 
     n_samples = size_px * SAMPLES_PER_PIXEL
     axis_mm = (np.arange(n_samples) + 0.5 - n_samples / 2) / (px_per_mm * SAMPLES_PER_PIXEL)
@@ -61,7 +67,7 @@ def render_preview(
     colors = np.asarray(colors_rgb, dtype=np.float32)
     brightness = _vertex_brightness(points_mm, triangles)[:, None]
     if colors.ndim == 2:
-        brightness = EVEN_LIGHT + (1 - EVEN_LIGHT) * brightness
+        brightness = UNSHADED_SHARE + (1 - UNSHADED_SHARE) * brightness
     lit_rgb = brightness * colors
     canvas[body] = _shaded(
         points_mm, triangles, lit_rgb, axis_mm[columns], axis_mm[rows], half_depth_mm, canvas[body]
@@ -72,8 +78,8 @@ def render_preview(
     return image
 
 
-def _picture_frame(view_direction: tuple[float, float, float]) -> Array:
-    """World-to-picture rotation (3, 3); rows right, down, away from the viewer."""
+def _picture_frame(view_direction: tuple[float, float, float]) -> Matrix33:
+    """Return the rotation from the world to the picture; rows are right, down, away from the viewer."""
     away = np.array(view_direction) / np.linalg.norm(view_direction)
     right = np.cross(away, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -81,15 +87,15 @@ def _picture_frame(view_direction: tuple[float, float, float]) -> Array:
 
 
 def _shaded(
-    points_mm: Array,
-    triangles: NDArray[np.int32],
-    lit_rgb: FloatArray,
-    u_mm: Array,
-    v_mm: Array,
+    points_mm: PointsMM,
+    triangles: Indices32,
+    lit_rgb: Singles,
+    u_mm: Values,
+    v_mm: Values,
     half_depth_mm: float,
-    behind: FloatArray,
-) -> FloatArray:
-    """The body (rows, columns, 3), vertices coloured `lit_rgb` (N, 3), in front of `behind`; at every u of every v."""
+    backdrop_rgb: Singles,
+) -> Singles:
+    """Return the image (V, U, 3) of the body, with vertex colours `lit_rgb` (N, 3), in front of the backdrop."""
     scene = EmbreeScene()
     TriangleMesh(scene, points_mm.astype(np.float32), triangles)
     origins = np.empty((len(v_mm), len(u_mm), 3), dtype=np.float32)
@@ -101,25 +107,25 @@ def _shaded(
 
     corners_rgb = lit_rgb[triangles[hits["primID"][is_hit]]]
     u, v = hits["u"][is_hit, None], hits["v"][is_hit, None]
-    shaded = behind.reshape(-1, 3).copy()
+    shaded = backdrop_rgb.reshape(-1, 3).copy()
     shaded[is_hit] = (1 - u - v) * corners_rgb[:, 0] + u * corners_rgb[:, 1] + v * corners_rgb[:, 2]
-    return shaded.reshape(behind.shape)
+    return shaded.reshape(backdrop_rgb.shape)
 
 
-def _vertex_brightness(points_mm: Array, triangles: NDArray[np.int32]) -> FloatArray:
-    """How bright each vertex (N,) looks, 0..1, by the mean normal of its faces weighted by area."""
+def _vertex_brightness(points_mm: PointsMM, triangles: Indices32) -> Singles:
+    """Return the brightness (N,), 0..1, of each vertex, from the mean normal of its faces weighted by area."""
     a, b, c = (points_mm[triangles[:, k]] for k in range(3))
     face_normals = np.cross(b - a, c - a)
     corners = triangles.ravel()
     sums = [np.bincount(corners, np.repeat(face_normals[:, k], 3), len(points_mm)) for k in range(3)]
-    normals: Array = np.column_stack(sums)
+    normals: Floats = np.column_stack(sums)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     # half Lambert: soft light from a wide source, no hard terminator
     light = AMBIENT + sum(strength * (0.5 + 0.5 * normals @ toward) ** 2 for toward, strength in LIGHTS)
     return np.asarray(light ** (1 / 2.2), dtype=np.float32)
 
 
-def _draw_scale_bar(image: NDArray[np.uint8], px_per_mm: float) -> None:
+def _draw_scale_bar(image: ColorImage, px_per_mm: float) -> None:
     size_px = len(image)
     length_mm = next((mm for mm in BAR_LENGTHS_MM if mm * px_per_mm < 0.6 * size_px), BAR_LENGTHS_MM[-1])
     margin, thickness = round(0.04 * size_px), max(1, size_px // 160)

@@ -18,7 +18,7 @@ from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import FrameReader, Memory, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
 from drivers.cameras.stream_socket import widen_receive_buffer
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
 
@@ -42,7 +42,7 @@ class AravisCamera:
     def __init__(self, settings: GigeCameraSettings) -> None:
         self._settings = settings
         self._control = threading.RLock()
-        self._device: gvcp.Device | None = None  # as it was found the last time
+        self._device: gvcp.DiscoveredCamera | None = None  # as it was found the last time
         self._camera: Any = None  # nothing else may refer to Aravis' objects for long, see forgetful
         self._stream: Any = None
         self._reader: FrameReader | None = None
@@ -97,10 +97,10 @@ class AravisCamera:
             raise CameraUnavailableError(self.id, "is not open")
         seen = gvcp.probe(device.address, PROBE_S)
         if seen is None:
-            raise CameraUnavailableError(self.id, f"does not answer at {device.address}")
+            raise CameraUnavailableError(self.id, f"does not answer at {device.address}", LossCause.SILENT)
         if seen.serial != device.serial:
             problem = f"another camera, serial {seen.serial}, has the address {device.address}"
-            raise CameraUnavailableError(self.id, problem)
+            raise CameraUnavailableError(self.id, problem, LossCause.WRONG_CAMERA)
         with self._control, forgetful(), explained(self.id, "be examined"):
             self._require_control()
             self._features().verify(self._applied)
@@ -155,6 +155,7 @@ class AravisCamera:
                 self.id,
                 f"is in use by another application at {address}; if it was a predecessor of this one, "
                 f"killed, its heartbeat ends within {heartbeat_s:g} s",
+                LossCause.IN_USE,
             )
 
     def _configure(self) -> None:
@@ -193,6 +194,7 @@ class AravisCamera:
                 self.id,
                 f"packets of {wanted} bytes do not get through, {packet_bytes} do: set the MTU of the network "
                 f"port and of the switch to {wanted} or more, or packet_size_bytes to {packet_bytes}",
+                LossCause.WRONG_SETTINGS,
             )
         if settings.packet_size_bytes is None:
             self._applied.append(Applied(name="GevSCPSPacketSize", value=packet_bytes))
@@ -237,14 +239,19 @@ class AravisCamera:
         """Raise when the camera forgot us, by switching off and on, or obeys another application."""
         is_known = not self._control_lost.is_set() and self._register(_CONTROL_PRIVILEGE) != 0
         if not is_known or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
-            raise CameraUnavailableError(self.id, "control was lost: the camera was restarted, or let us go")
+            raise CameraUnavailableError(
+                self.id,
+                "control was lost: the camera was restarted, or let us go",
+                LossCause.CONTROL_LOST,
+            )
         try:
             with explained(self.id, "keep it"):  # whoever has control may say so again, nobody else
                 self._camera.get_device().write_register(_CONTROL_PRIVILEGE, _CONTROL)
         except CameraUnavailableError as err:
-            raise CameraUnavailableError(self.id, f"control was lost: {err.problem}") from err
+            problem = f"control was lost: {err.problem}"
+            raise CameraUnavailableError(self.id, problem, LossCause.CONTROL_LOST) from err
 
-    def _vitals(self, device: gvcp.Device) -> CameraVitals:
+    def _vitals(self, device: gvcp.DiscoveredCamera) -> CameraVitals:
         polled, warnings, ptp_offset_ns = self._poll(), list(self._warnings), None
         if polled.get("PtpEnable"):
             ptp_offset_ns = polled.get("PtpOffsetFromMaster")

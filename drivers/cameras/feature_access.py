@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.cameras.aravis_library import explained
 from drivers.cameras.genicam import OTHER_NAMES, UNNEEDED, WRITE_ONLY, Feature, Value
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 from pipeline.frames import CameraId
 
 
@@ -90,7 +90,7 @@ class FeatureAccess:
             with explained(self._camera, f"set {own} to {value}"):
                 setters[type(value)](own, value)
         except CameraUnavailableError as err:
-            raise self._error(f"{err.problem}{self._range(own)}") from err
+            raise CameraUnavailableError(self._camera, f"{err.problem}{self._range(own)}", err.cause) from err
 
     def _apply(self, name: str, wanted: Value) -> Applied | None:
         """Nothing where nothing can be read back: a command, a key, what the camera need not be told."""
@@ -163,4 +163,4 @@ class FeatureAccess:
         return ""
 
     def _error(self, problem: str) -> CameraUnavailableError:
-        return CameraUnavailableError(self._camera, problem)
+        return CameraUnavailableError(self._camera, problem, LossCause.WRONG_SETTINGS)

@@ -4,10 +4,12 @@ from collections.abc import Iterable
 
 from drivers import gvcp
 from drivers.cameras.genicam import GigeCameraSettings
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 
 
-def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -> gvcp.Device:
+def find_camera(
+    settings: GigeCameraSettings, last: gvcp.DiscoveredCamera | None = None
+) -> gvcp.DiscoveredCamera:
     """Find the one camera the settings name: at its address, where it was `last`, or by broadcast.
 
     Raises `CameraUnavailableError` when there is none, or two, or the one at the address is another one.
@@ -18,10 +20,13 @@ def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -
             raise CameraUnavailableError(
                 settings.id,
                 f"does not answer at {settings.address}: check its power, its cable and its IP address",
+                LossCause.SILENT,
             )
         if not _agrees(there, settings):
             raise CameraUnavailableError(
-                settings.id, f"should be {_wanted(settings)}, but the camera there is {_named(there)}"
+                settings.id,
+                f"should be {_wanted(settings)}, but the camera there is {_named(there)}",
+                LossCause.WRONG_CAMERA,
             )
         return there
     if last is not None and (there := gvcp.probe(last.address)) and _agrees(there, settings):
@@ -29,22 +34,25 @@ def find_camera(settings: GigeCameraSettings, last: gvcp.Device | None = None) -
     try:
         seen = gvcp.discover(settings.interfaces or None)
     except OSError as err:  # an address of this machine comes and goes with its network port
-        raise CameraUnavailableError(settings.id, str(err)) from err
+        raise CameraUnavailableError(settings.id, str(err), LossCause.SILENT) from err
     matching = [device for device in seen if _agrees(device, settings)]
     if len(matching) == 1:
         return matching[0]
     if matching:
         raise CameraUnavailableError(
-            settings.id, f"is ambiguous: {_wanted(settings)} are {_list(matching)}; give the serial number"
+            settings.id,
+            f"is ambiguous: {_wanted(settings)} are {_list(matching)}; give the serial number",
+            LossCause.WRONG_CAMERA,
         )
     raise CameraUnavailableError(
         settings.id,
         f"{_wanted(settings)} does not answer; found {_list(seen) or 'no camera at all'}: check its power, its cable, "
         "and that it has an address in the network of this machine's port",
+        LossCause.SILENT,
     )
 
 
-def _agrees(device: gvcp.Device, settings: GigeCameraSettings) -> bool:
+def _agrees(device: gvcp.DiscoveredCamera, settings: GigeCameraSettings) -> bool:
     return settings.serial in (None, device.serial) and settings.user_name in (None, device.user_name)
 
 
@@ -57,10 +65,10 @@ def _wanted(settings: GigeCameraSettings) -> str:
     return ", ".join(f"{what} {value}" for what, value in parts if value)
 
 
-def _named(device: gvcp.Device) -> str:
+def _named(device: gvcp.DiscoveredCamera) -> str:
     user_name = f" ({device.user_name})" if device.user_name else ""
     return f"serial {device.serial}{user_name} at {device.address}"
 
 
-def _list(devices: Iterable[gvcp.Device]) -> str:
+def _list(devices: Iterable[gvcp.DiscoveredCamera]) -> str:
     return ", ".join(map(_named, devices))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.errors import LossCause
 from drivers.interfaces import CameraLost, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, Image
 
@@ -92,8 +93,14 @@ class FrameReader:
                     sink.deliver(event)
             elif self._control_lost.is_set() and not is_told:
                 is_told = True
-                reason = "control was lost"
-                sink.deliver(CameraLost(camera=self._camera, received_ns=time.monotonic_ns(), reason=reason))
+                sink.deliver(
+                    CameraLost(
+                        camera=self._camera,
+                        received_ns=time.monotonic_ns(),
+                        reason="control was lost",
+                        cause=LossCause.CONTROL_LOST,
+                    )
+                )
 
     def _event(self, buffer: Any) -> Frame | FrameLost:
         status = buffer.get_status().value_nick

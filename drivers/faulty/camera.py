@@ -1,4 +1,4 @@
-"""A camera that fails as planned, around any other."""
+"""A camera that wraps another one and injects the faults of a plan."""
 
 from dataclasses import replace
 
@@ -9,12 +9,12 @@ from pipeline.frames import CameraId, Frame, Image
 
 
 class FaultyCamera:
-    """Passes the other camera's frames on, with the faults of a plan."""
+    """Passes on the frames of the wrapped camera, with the faults of a plan."""
 
     def __init__(self, camera: Camera, plan: FaultPlan) -> None:
         self._camera = camera
-        suffers = not plan.cameras or camera.id in plan.cameras
-        self._plan = plan if suffers else FaultPlan(seed=plan.seed)
+        is_affected = not plan.cameras or camera.id in plan.cameras
+        self._plan = plan if is_affected else FaultPlan(seed=plan.seed)
         self._dice = Dice(plan.seed, camera.id)
         self._sink: EventSink | None = None
         self._is_lost = False
@@ -48,14 +48,14 @@ class FaultyCamera:
         self._camera.close()
 
     def deliver(self, event: DeviceEvent) -> bool:
-        """Take what the other camera delivers; called on its thread."""
+        """Take an event of the wrapped camera; called on its thread."""
         if self._sink is None or self._is_lost:
             return True
         if not isinstance(event, Frame):
             return self._sink.deliver(event)
         index, self._n_frames = self._n_frames, self._n_frames + 1
         plan = self._plan
-        # every die is thrown for every frame, so that one fault does not shift the others
+        # every fault draws its random number for every frame, so that one fault does not shift the others
         lost, delayed, doubled, swapped, frozen, disconnected = (
             self._dice.strikes(fault, index)
             for fault in (plan.lose, plan.delay, plan.duplicate, plan.swap, plan.freeze, plan.disconnect)
@@ -75,8 +75,8 @@ class FaultyCamera:
         self._delayed.clear()
         arriving += [frame, frame] if doubled else [frame]
         is_taken = True
-        for each in arriving:
-            is_taken &= self._sink.deliver(each)
+        for arrived in arriving:
+            is_taken &= self._sink.deliver(arrived)
         return is_taken
 
     def _with_wrong_image(self, frame: Frame, *, swapped: bool, frozen: bool) -> Frame:

@@ -1,4 +1,4 @@
-"""Which faults the faulty twins inject, and when: by index or by chance, the same for the same seed."""
+"""The faults that the faulty twins inject: by index or by chance, the same for the same seed."""
 
 import random
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from pipeline.frames import CameraId
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Strikes with a probability, and at the given indices (a device's own events, counted from 0)."""
+    """When a fault strikes: with a probability, and at the given indices of a device's events, counted from 0."""
 
     probability: float = 0.0
     at: frozenset[int] = frozenset()
@@ -23,10 +23,10 @@ NEVER = Fault()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultPlan:
-    """What goes wrong in a rig."""
+    """The faults of a rig's cameras and gate."""
 
     seed: int = 0
-    cameras: frozenset[CameraId] = frozenset()  # which ones suffer; none named: every one
+    cameras: frozenset[CameraId] = frozenset()  # the affected ones; empty: all
 
     lose: Fault = NEVER
     """The frame never arrives."""
@@ -35,27 +35,28 @@ class FaultPlan:
     duplicate: Fault = NEVER
     """The frame arrives twice."""
     swap: Fault = NEVER
-    """The frame shows what the camera's previous one showed."""
+    """The frame has the image of the camera's previous one."""
     freeze: Fault = NEVER
     """From this frame on the image stays the same under new ids."""
     disconnect: Fault = NEVER
     """The camera is lost until it is opened again."""
 
     lose_trigger: Fault = NEVER
-    """The cameras expose, the gate says nothing."""
+    """The cameras expose, the gate does not announce the stone."""
     double_trigger: Fault = NEVER
     """The gate counts one stone twice."""
     bounce_trigger: Fault = NEVER
-    """The gate's edge bounces and the gate merges it."""
+    """The beam's edge bounces, and the gate merges the bounce."""
     disconnect_gate: Fault = NEVER
     """The gate is lost until it is opened again."""
 
 
 class Dice:
-    """One device's chances; which fault strikes does not depend on the other devices."""
+    """Random numbers of one device, independent of those of all other devices."""
 
     def __init__(self, seed: int, device: str) -> None:
         self._random = random.Random(f"{seed}/{device}")  # noqa: S311 - nothing secret
 
     def strikes(self, fault: Fault, index: int) -> bool:
+        """Return whether a fault strikes the device's event of this index; draws one random number."""
         return (self._random.random() < fault.probability) | (index in fault.at)

@@ -1,4 +1,4 @@
-"""A light gate that fails as planned, around any other."""
+"""A light gate that wraps another one and injects the faults of a plan."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,13 +9,13 @@ from drivers.interfaces import DeviceEvent, EventSink, GateLost, LightGate, Trig
 from pipeline.frames import Trigger
 
 BOUNCE_NS = 3_000_000
-"""From an edge to its echo."""
+"""From an edge to its bounce, or to the second trigger of a stone that is counted twice."""
 
 
 class FaultyGate(WrappedGate):
-    """Passes the other gate's triggers on, with the faults of a plan.
+    """Passes on the triggers of the wrapped gate, with the faults of a plan.
 
-    `on_swallowed` is told of every trigger that nobody else will hear of.
+    `on_swallowed` is called for every trigger that is not passed on.
     """
 
     def __init__(

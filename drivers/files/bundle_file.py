@@ -1,8 +1,8 @@
-"""One bundle in one TIFF: a page a camera, and a JSON header in the first page's ImageDescription.
+"""The bundle file: one TIFF with a page for each camera, and a JSON header in the first page's ImageDescription.
 
-What is read is what was written: the header carries a checksum of itself and one of every page's
-pixels. A page that does not match is a missing view with reason `damaged`; without a sound header
-nothing of the file is used. Uncompressed pixels lie one behind the other, so that they can be mapped.
+The header carries a checksum of itself and one of every page's pixels. A page that does not match is a missing
+view with reason `damaged`; without a sound header nothing of the file is used. Uncompressed pixels of all pages
+lie one behind the other, so that they can be mapped.
 """
 
 import logging
@@ -21,19 +21,16 @@ from imagecodecs import zstd_encode
 from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
-from drivers.files.bundle_header import BundleHeader, FrameEntry, crc32, described, parsed
+from drivers.files.bundle_header import BundleHeader, FrameEntry, crc32, header_text, parse_header
 from drivers.files.durable import replacing
+from drivers.interfaces import FrameLossReason
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 
 Compression = Literal["none", "zstd"]
 
-DAMAGED = "damaged"
-"""Reason of a view whose page is torn or does not match its checksum."""
-ABSENT = "absent"
-"""Reason of a view of which the file says nothing."""
 
 MAPPED_FILES = 4
-"""So many stay mapped, for those that are written over again and again: to map 21 MB takes 2 ms, page by page."""
+"""How many files stay mapped, for those that are written over again and again: mapping 21 MB anew takes 2 ms."""
 
 TIFF_DAMAGE = (
     tifffile.TiffFileError,
@@ -48,15 +45,17 @@ TIFF_DAMAGE = (
     RuntimeError,  # the root of imagecodecs' errors
     OSError,
 )
-"""What tifffile and imagecodecs raise on damaged files: they parse without checking."""
+"""Errors that tifffile and imagecodecs raise on damaged files: they parse without checking."""
 
-logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # it also logs each damage, which is ours to tell
+logging.getLogger("tifffile").setLevel(
+    logging.CRITICAL
+)  # it logs each damage, which is raised here as an error
 
 
 def write_bundle(
     path: Path, bundle: FrameBundle, camera_ids: Sequence[CameraId], *, compression: Compression
 ) -> None:
-    """Write a bundle, one page a camera in the order of `camera_ids`; durable when this returns.
+    """Write a bundle durably, one page for each camera in the order of `camera_ids`.
 
     Raises
     ------
@@ -64,14 +63,14 @@ def write_bundle(
         The bundle has no frame, frames of different sizes, or a frame of a camera not in `camera_ids`.
     """
     frames = _frames_in_order(path, bundle, camera_ids)
-    with replacing(path) as unfinished, unfinished.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         _write_pages(file, bundle, frames, compression)
 
 
 def overwrite_bundle(path: Path, bundle: FrameBundle, camera_ids: Sequence[CameraId]) -> None:
-    """Write a bundle, uncompressed, into the file that is there, if there is one; of no use after a power cut.
+    """Write a bundle uncompressed over the file that is there, if any; neither durable nor atomic.
 
-    On tmpfs new memory costs as much as filling it. Nobody may look at the file while it is overwritten.
+    For tmpfs, where new memory costs as much as filling it. The file must not be read meanwhile.
 
     Raises
     ------
@@ -84,6 +83,7 @@ def overwrite_bundle(path: Path, bundle: FrameBundle, camera_ids: Sequence[Camer
 
 
 def _frames_in_order(path: Path, bundle: FrameBundle, camera_ids: Sequence[CameraId]) -> list[Frame]:
+    """Return the frames of a bundle that can be written; raises `RecordingError` as `write_bundle` does."""
     frames = [bundle.frames[camera] for camera in camera_ids if camera in bundle.frames]
     if foreign := sorted(set(bundle.frames) - set(camera_ids)):
         raise RecordingError(path, f"bundle {bundle.name} has frames of unknown cameras {', '.join(foreign)}")
@@ -99,41 +99,42 @@ def _write_pages(
 ) -> None:
     images = [np.ascontiguousarray(frame.image) for frame in frames]
     pages: Iterator[Image] | Iterator[bytes] = iter(images)
-    packing: dict[str, Any] = {}
+    tags: dict[str, Any] = {}
     if compression == "zstd":
-        pages, packing = map(_differences_packed, images), {"compression": "zstd", "predictor": True}
+        pages, tags = map(_predicted_page, images), {"compression": "zstd", "predictor": True}
     with tifffile.TiffWriter(file) as tiff:
         tiff.write(
             pages,
             shape=(len(images), *images[0].shape),
             dtype=np.uint8,
             photometric="minisblack",
-            description=described(bundle, frames, images),
+            description=header_text(bundle, frames, images),
             metadata=None,
             software=False,
             rowsperstrip=images[0].shape[0],
             maxworkers=1,
-            **packing,
+            **tags,
         )
 
 
-def _differences_packed(image: Image) -> bytes:
-    """A page (H, W) as tifffile would compress it, which takes four times as long for the differences.
+def _predicted_page(image: Image) -> bytes:
+    """Return the compressed page of an image (H, W), with the horizontal predictor of TIFF.
 
-    Horizontal predictor and zstd-1 halve the images at a fifth of PNG's cost.
+    Predictor and zstd-1 halve the images at a fifth of PNG's cost. tifffile would do the same, but takes four times
+    as long for the differences.
     """
     differences = image.copy()
     np.subtract(image[:, 1:], image[:, :-1], out=differences[:, 1:])
-    return packed(differences)
+    return zstd_page(differences)
 
 
-def packed(page: Image) -> bytes:
-    """A page (H, W) in zstd-1, as a TIFF has it; given arrays tifffile would copy each first."""
+def zstd_page(page: Image) -> bytes:
+    """Return a page (H, W) compressed by zstd-1, as a TIFF holds it; tifffile would copy the array first."""
     return bytes(zstd_encode(page, level=1))  # type: ignore[arg-type]  # its stub knows no array
 
 
 def read_header(path: Path) -> BundleHeader:
-    """The header alone, without reading pixels.
+    """Read the header alone, no pixels.
 
     Raises
     ------
@@ -147,30 +148,36 @@ def read_header(path: Path) -> BundleHeader:
 def read_bundle(
     path: Path, camera_ids: Sequence[CameraId], *, mapped: bool = False, checked: bool = True
 ) -> FrameBundle:
-    """The bundle with its images; a damaged page is a missing view.
+    """Read a bundle with its images; a damaged page is a missing view.
 
-    `mapped`: images that are not compressed are views of the file, without a copy. If it is cut or its disk
-    fails while they are in use, that kills the process.
-    `checked`: pixels are compared with their checksums, which takes a pass over all of them.
+    Parameters
+    ----------
+    camera_ids
+        All cameras of the recording; those that the file does not name are missing with reason `absent`.
+    mapped
+        Uncompressed images are views of the mapped file, without a copy. If the file is cut or its disk fails while
+        they are in use, the process is killed (SIGBUS).
+    checked
+        Pixels are compared with their checksums, which takes a pass over all of them.
 
     Raises
     ------
     RecordingError
-        As `read_header`, or a camera is not in `camera_ids`, or every page is damaged.
+        As `read_header`, or the file names a camera that is not in `camera_ids`, or every page is damaged.
     """
     frames: dict[CameraId, Frame] = {}
     with _open(path) as tiff:
         header = _header(path, tiff)
         require_cameras_of(header, camera_ids)
-        tiff.pages.useframes = True  # all pages are alike: only where each one lies is read
+        tiff.pages.useframes = True  # all pages are alike: only their offsets are read
         pixels = _mapped_pixels(tiff) if mapped else None
-        missing = {camera: ABSENT for camera in camera_ids if camera not in header.frames} | dict(
-            header.missing
-        )
+        absent = [camera for camera in camera_ids if camera not in header.frames]
+        missing: dict[CameraId, str] = dict.fromkeys(absent, FrameLossReason.ABSENT)
+        missing.update(header.missing)
         for camera, entry in header.frames.items():
             image = _image(tiff, pixels, entry, header.image_size_px)
             if image is None or (checked and crc32(image.data) != entry.crc32):
-                missing[camera] = DAMAGED
+                missing[camera] = FrameLossReason.DAMAGED
                 continue
             frames[camera] = Frame(
                 camera=camera,
@@ -185,7 +192,7 @@ def read_bundle(
 
 
 def require_cameras_of(header: BundleHeader, camera_ids: Sequence[CameraId]) -> None:
-    """Refuse a bundle with a view that its recording does not know."""
+    """Raise `RecordingError` if a bundle names a camera that is not in `camera_ids`."""
     if foreign := sorted({*header.frames, *header.missing} - set(camera_ids)):
         raise RecordingError(header.path, f"names cameras its recording does not have: {', '.join(foreign)}")
 
@@ -200,7 +207,7 @@ def _open(path: Path) -> tifffile.TiffFile:
 
 
 def _mapped_pixels(tiff: tifffile.TiffFile) -> NDArray[np.uint8] | None:
-    """A view of the file from the first page's pixels on, those of the others follow; nothing of a compressed one."""
+    """Map the pixels (N,) of all pages, one behind the other; None if the file is compressed or damaged."""
     try:
         first = tiff.pages.first
         if first.compression != tifffile.COMPRESSION.NONE:
@@ -214,7 +221,7 @@ def _mapped_pixels(tiff: tifffile.TiffFile) -> NDArray[np.uint8] | None:
 
 @lru_cache(MAPPED_FILES)
 def _mapping(path: Path, device: int, inode: int, size: int) -> mmap.mmap:
-    """The file, as long as it is this one and of this size: a mapping keeps its inode from being another's."""
+    """Map a whole file; kept until device, inode or size change. The mapping keeps the inode from being reused."""
     with path.open("rb") as file:
         return mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
 
@@ -222,7 +229,7 @@ def _mapping(path: Path, device: int, inode: int, size: int) -> mmap.mmap:
 def _image(
     tiff: tifffile.TiffFile, pixels: NDArray[np.uint8] | None, entry: FrameEntry, size_px: tuple[int, int]
 ) -> Image | None:
-    """Image (H, W) of a page, or nothing when it cannot be read."""
+    """Return the image (H, W) of a page, None when it cannot be read."""
     width_px, height_px = size_px
     n_pixels = width_px * height_px
     try:
@@ -232,7 +239,7 @@ def _image(
             if page.shape != (height_px, width_px) or page.dtype != "uint8":
                 return None
             image = page.asarray()
-        else:  # to look for the pages takes nearly as long as to check their pixels
+        else:  # without parsing the pages, which takes nearly as long as verifying their pixels
             image = pixels[entry.page * n_pixels :][:n_pixels].reshape(height_px, width_px)
     except TIFF_DAMAGE:
         return None
@@ -244,4 +251,4 @@ def _header(path: Path, tiff: tifffile.TiffFile) -> BundleHeader:
         description = tiff.pages.first.description
     except TIFF_DAMAGE as err:
         raise RecordingError(path, f"has no readable first page: {err}") from err
-    return parsed(path, description)
+    return parse_header(path, description)

@@ -1,4 +1,4 @@
-"""The JSON header of a bundle file (format "stonefall-bundle/1"), with a checksum of itself and of every page."""
+"""The JSON header of a bundle file, format "stonefall-bundle/1", with a checksum of itself and of every page."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameEntry:
-    """What the header says of one frame."""
+    """What the header records of one frame."""
 
     page: int
     frame_id: int
@@ -30,7 +30,7 @@ class FrameEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundleHeader:
-    """All of a bundle but its pixels."""
+    """A bundle without its pixels."""
 
     path: Path
     trigger: Trigger
@@ -56,22 +56,22 @@ class BundleHeader:
 
 
 def crc32(data: bytes | memoryview) -> int:
-    """As zlib's, at 7 GB/s instead of 3."""
+    """Return the CRC-32 of zlib, at 7 GB/s instead of 3."""
     return deflate_crc32(data)  # type: ignore[arg-type]  # its stub knows no memoryview
 
 
-def described(bundle: FrameBundle, frames: Sequence[Frame], images: Sequence[Image]) -> str:
-    """The header of a bundle whose pages are `images`, contiguous, in the order of `frames`."""
+def header_text(bundle: FrameBundle, frames: Sequence[Frame], images: Sequence[Image]) -> str:
+    """Return the header of a bundle whose pages are `images`, contiguous and in the order of `frames`."""
     return json.dumps(_document(bundle, frames, images))
 
 
-def parsed(path: Path, description: str) -> BundleHeader:
-    """What a description written by `described` says; `path` is that of its file.
+def parse_header(path: Path, description: str) -> BundleHeader:
+    """Parse a text that `header_text` made; `path` is that of its file.
 
     Raises
     ------
     RecordingError
-        It is none, of another version, or damaged.
+        The text is no header, of another version, or damaged.
     """
     try:
         document = json.loads(description)
@@ -123,7 +123,7 @@ def _document(bundle: FrameBundle, frames: Sequence[Frame], images: Sequence[Ima
 
 
 def _checksum(document: Mapping[str, Any]) -> str:
-    """crc32 (hex) of the canonical JSON without the member `checksum`."""
+    """Return the CRC-32, in hex, of the canonical JSON without the member `checksum`."""
     bare = {key: value for key, value in document.items() if key != "checksum"}
     return f"{crc32(json.dumps(bare, sort_keys=True, separators=(',', ':')).encode()):08x}"
 
@@ -162,12 +162,14 @@ def _parse(path: Path, document: Mapping[str, Any]) -> BundleHeader:
 
 
 def _instant(value: Any) -> str:
+    """Return `value` as it is; raises if it is no ISO 8601 time with an offset from UTC."""
     if datetime.fromisoformat(_typed(value, str)).tzinfo is None:
         raise ValueError(f"time {value!r} has no offset from UTC")
     return str(value)
 
 
 def _typed(value: Any, kind: type[T]) -> T:
+    """Return `value`; raises `TypeError` if it is of another type (a boolean is no integer)."""
     if not isinstance(value, kind) or isinstance(value, bool):
         raise TypeError(f"expected {kind.__name__}, found {value!r}")
     return value

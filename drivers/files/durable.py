@@ -1,4 +1,8 @@
-"""Files that are there whole or not at all, and JSON that may be damaged."""
+"""The one way to write durably: a file or folder is there whole or not at all, also after a power cut.
+
+`replacing` writes a file, `new_folder` a folder, `write_json` a document. Each writes under another name in
+the same folder, flushes to the device, renames, and flushes the folder that holds the name.
+"""
 
 import errno
 import fcntl
@@ -14,12 +18,15 @@ from typing import Any
 from drivers.errors import RecordingError
 
 BLOCK = 4096
-"""What goes past the page cache begins and ends at multiples of this; a device that asks for more refuses it."""
+"""Alignment in bytes of direct writes (O_DIRECT); a device that needs a larger one refuses them."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place, durably, when the block ends without error."""
+    """Yield a temporary path beside `path`; it takes the place of `path`, durably, when the block ends without error.
+
+    Two writers of one path at the same time are not provided for: the temporary path is always the same.
+    """
     temporary = unfinished(path)
     try:
         yield temporary
@@ -32,13 +39,15 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def unfinished(path: Path) -> Path:
-    """What is to take the place of `path`, until it does."""
+    """Return the temporary path of `replacing`: what a process that was killed while it wrote left behind."""
     return path.with_name(f"{path.name}.tmp")
 
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A hidden folder beside `path` that takes its place when the block ends without error.
+    """Yield a hidden folder beside `path`; it takes the place of `path` when the block ends without error.
+
+    The rename is durable; files in the folder are if whoever wrote them flushed them.
 
     Raises
     ------
@@ -58,21 +67,21 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def require_unused(path: Path) -> None:
-    """Refuse to write where something is."""
+    """Raise `RecordingError` unless `path` is free or an empty folder."""
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise RecordingError(path, "exists already")
 
 
 def copy_past_cache(source: Path, target: Path) -> None:
-    """Copy a file that is not empty without leaving it in memory, where the file system can.
+    """Copy a file that is not empty past the page cache (O_DIRECT), or through it where the file system cannot.
 
-    So the machine does not copy it into the page cache first, and from there later. `target` may exist; it is not
-    synced.
+    That spares the machine a second copy of the data, and the kernel's writing back later. `target` may exist; it
+    is not flushed.
 
     Raises
     ------
     OSError
-        As of any copy; `target` may be incomplete then.
+        The copy failed; `target` may be incomplete.
     """
     descriptor = -1
     try:
@@ -83,7 +92,7 @@ def copy_past_cache(source: Path, target: Path) -> None:
                 while at < end:
                     with view[at:end] as rest:
                         at += os.write(descriptor, rest)
-                fcntl.fcntl(descriptor, fcntl.F_SETFL, 0)  # for the rest, which is less than a block
+                fcntl.fcntl(descriptor, fcntl.F_SETFL, 0)  # clears O_DIRECT for the rest, less than a block
                 os.write(descriptor, content[end:])
     except OSError as err:
         if err.errno != errno.EINVAL:
@@ -104,17 +113,18 @@ def sync(path: Path) -> None:
 
 
 def write_json(path: Path, document: Any) -> None:
-    with replacing(path) as unfinished:
-        unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    """Write a JSON document durably, indented by one space; `ValueError` for numbers that are not finite."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> Any:
-    """Parsed content of a JSON file.
+    """Return the parsed content of a JSON file.
 
     Raises
     ------
     RecordingError
-        The file is not there, or is not JSON.
+        The file cannot be read, or is not JSON.
     """
     try:
         return json.loads(path.read_bytes())

@@ -1,9 +1,10 @@
-"""Meshes on disk: binary PLY, what every mesh program reads."""
+"""Write meshes as binary PLY, which every mesh program reads."""
 
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pipeline.arrays import Faces, PointsMM
 
 HEADER = """\
 ply
@@ -20,8 +21,8 @@ end_header
 FACE = np.dtype([("n_corners", "u1"), ("a", "<i4"), ("b", "<i4"), ("c", "<i4")])
 
 
-def write_mesh(path: Path, vertices_mm: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-    """Write vertices (N, 3), in single precision, and faces (M, 3)."""
+def write_mesh(path: Path, vertices_mm: PointsMM, faces: Faces) -> None:
+    """Write vertices (N, 3) in single precision and faces (M, 3); neither durable nor atomic."""
     rows = np.empty(len(faces), FACE)
     rows["n_corners"], (rows["a"], rows["b"], rows["c"]) = 3, faces.T
     with path.open("wb") as file:

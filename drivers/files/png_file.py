@@ -1,4 +1,4 @@
-"""8-bit grey PNG: how other people's images come in and ours go out."""
+"""Read and write 8-bit grey PNG, the format of imported and exported images."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from pipeline.frames import Image
 
 
 def read_png(path: Path, size_px: tuple[int, int]) -> Image:
-    """Image (H, W) of a file that must have size `size_px` (W, H).
+    """Read an image (H, W) that must have the size `size_px` (W, H).
 
     Raises
     ------
@@ -36,5 +36,5 @@ def read_png(path: Path, size_px: tuple[int, int]) -> Image:
 
 
 def write_png(path: Path, image: Image) -> None:
-    """Write an image (H, W), lossless."""
+    """Write an image (H, W); neither durable nor atomic."""
     path.write_bytes(imagecodecs.png_encode(image, level=1))  # level 9 saves 5 % for ten times the work

@@ -1,12 +1,11 @@
-"""The recording: a folder of bundles, the only format on disk for spool, archive and replay.
+"""The recording: a folder of bundle files, their cameras and the calibrated rig.
 
-`recording.json` says what was recorded and by which cameras, `rig.json` (optional) how they were
-calibrated, `bundles/<name>.tiff` holds one bundle each.
+`recording.json` names the cameras and what was recorded, `rig.json` (optional) is the rig file, and
+`bundles/<name>.tiff` are the bundles.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,6 +15,7 @@ from drivers.files.bundle_file import Compression, read_bundle, read_header, req
 from drivers.files.bundle_header import BundleHeader
 from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
+from drivers.files.times import utc_now
 from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
 from pipeline.rig.cameras import RigCalibration
 
@@ -40,31 +40,31 @@ MAX_SPEED_MM_S = 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """A recording on disk, without its pixels."""
+    """An opened recording, without pixels."""
 
     path: Path
     camera_ids: tuple[CameraId, ...]
     image_size_px: tuple[int, int]  # W, H
     rig_name: str
     is_simulated: bool
-    speed_at_gate_mm_s: float  # of the stones, as the gate's beam closed
+    speed_at_gate_mm_s: float  # of the stones when they closed the beam of the gate
     rig: RigCalibration | None
     document: Mapping[str, Any]
-    """Content of recording.json."""
+    """The content of recording.json."""
     headers: tuple[BundleHeader, ...]
-    """In order of sequence."""
+    """The bundles that can be used, in order of sequence."""
     unreadable: tuple[RecordingError, ...]
-    """Bundles that cannot be used, and why."""
+    """The bundles that cannot be used, and why."""
 
 
 def open_recording(path: Path) -> Recording:
-    """Read what a recording says of itself; reads every header and no pixels.
+    """Open a recording; reads recording.json, rig.json and the header of every bundle, no pixels.
 
     Raises
     ------
     RecordingError
-        recording.json or rig.json is missing, damaged or of another version, the rig is one of other
-        cameras, or no bundle can be used.
+        recording.json is missing, it or rig.json is damaged or of another version, the rig is one of other cameras,
+        or no bundle can be used.
     """
     document_path = path / "recording.json"
     if not document_path.is_file():
@@ -98,7 +98,7 @@ def open_recording(path: Path) -> Recording:
 
 
 def playback_order(recording: Recording) -> list[BundleHeader]:
-    """Bundles by sequence; backgrounds first when otherwise a stone would come before any of them."""
+    """Return the bundles by sequence, but all backgrounds first if a stone would come before the first of them."""
     headers = list(recording.headers)
     if headers and headers[0].kind is not BundleKind.BACKGROUND:
         headers.sort(key=lambda header: header.kind is not BundleKind.BACKGROUND)
@@ -106,9 +106,9 @@ def playback_order(recording: Recording) -> list[BundleHeader]:
 
 
 def unreadable_triggers(recording: Recording) -> list[tuple[Trigger, RecordingError]]:
-    """A trigger for each bundle that cannot be used, with the reason: nobody may overlook that a stone fell.
+    """Return a trigger for each bundle that cannot be used, with the error, so that every stone is accounted for.
 
-    They come after all others; when they were taken is not known, and their time says so.
+    They follow after all other triggers. When they were recorded is not known: their time is in 1970.
     """
     last = recording.headers[-1].trigger
     return [
@@ -127,9 +127,9 @@ def unreadable_triggers(recording: Recording) -> list[tuple[Trigger, RecordingEr
 
 
 class RecordingWriter:
-    """Writes a recording under a hidden name; the folder takes its own when the block ends without error.
+    """Writes a recording as a context manager: the folder takes its name when the block ends without error.
 
-    Files that belong beside the bundles (`truth.jsonl`) go into `folder` meanwhile.
+    Files that belong beside the bundles (such as `truth.jsonl`) are written into `folder` meanwhile.
 
     Raises
     ------
@@ -160,7 +160,7 @@ class RecordingWriter:
         self._names: set[str] = set()
         self._document = {
             "format": FORMAT,
-            "created_at": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            "created_at": utc_now("seconds"),
             "cameras": list(camera_ids),
             "image_size_px": list(image_size_px),
             "rig_name": rig_name or (rig.name if rig else ""),
@@ -186,7 +186,7 @@ class RecordingWriter:
         Raises
         ------
         RecordingError
-            Its name is no file name or taken, its images are of another size, or `write_bundle` refuses it.
+            Its name is not fit for a file or is taken, its images have another size, or `write_bundle` refuses it.
         """
         path = self.folder / "bundles" / f"{bundle.name}.tiff"
         if bundle.name != path.stem or path.parent.name != "bundles" or bundle.name.startswith("."):
@@ -232,12 +232,12 @@ def _read_headers(
 
 
 def require_rig_of(recording: Recording, rig: RigCalibration, path: Path) -> None:
-    """Refuse a rig, read from `path`, that is not the one of the recording.
+    """Check that a rig, read from `path`, has the cameras of a recording.
 
     Raises
     ------
     RecordingError
-        Naming `path` and the cameras it lacks, or the camera with images of another size.
+        Names `path` and the cameras it lacks, or the camera with images of another size.
     """
     _require_rig_of(path, rig, recording.camera_ids, recording.image_size_px)
 
@@ -263,7 +263,9 @@ def _camera_ids(path: Path, document: Mapping[str, Any]) -> tuple[CameraId, ...]
         raise RecordingError(path, f"cameras: must be a list of camera ids, not {ids!r}")
     for camera in ids:
         if not CAMERA_ID.fullmatch(camera):
-            raise RecordingError(path, f"cameras: {camera!r} is no camera id (letters, digits, '-' and '_')")
+            raise RecordingError(
+                path, f"cameras: {camera!r} is not a camera id (letters, digits, '-' and '_')"
+            )
     if len(set(ids)) < len(ids):
         raise RecordingError(path, "cameras: an id occurs twice")
     return tuple(CameraId(item) for item in ids)
@@ -278,7 +280,7 @@ def _image_size(path: Path, document: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def _speed_at_gate_mm_s(path: Path, document: Mapping[str, Any]) -> float:
-    """A recording that says nothing is one of stones that were let go at the beam."""
+    """Return the speed that recording.json gives; without one the stones were let go at the beam, so it is 0."""
     match document.get("gate_settings", {}):
         case {"speed_at_gate_mm_s": int(speed) | float(speed)} if 0 <= speed <= MAX_SPEED_MM_S:
             return float(speed)

@@ -1,4 +1,4 @@
-"""The rig file: the JSON document of `pipeline.rig.cameras` on disk."""
+"""Read and write rig files: the JSON document of `pipeline.rig.document` on disk."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from pipeline.rig.document import rig_from_document
 
 
 def read_rig(path: Path) -> RigCalibration:
-    """The rig described by a file.
+    """Read a rig file.
 
     Raises
     ------
     RecordingError
-        Naming the file and the field that is damaged, missing or implausible.
+        Names the file and the field that is damaged, missing or implausible.
     """
     document = read_json(path)
     try:
@@ -25,5 +25,5 @@ def read_rig(path: Path) -> RigCalibration:
 
 
 def write_rig(path: Path, rig: RigCalibration) -> None:
-    """Write the rig with its checksum; the file is there whole or not at all."""
+    """Write a rig with its checksum, durably."""
     write_json(path, rig_to_document(rig))

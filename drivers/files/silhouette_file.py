@@ -1,6 +1,6 @@
-"""The silhouettes of one particle in one TIFF: a page a view, of the region around the body alone.
+"""The silhouettes of one particle in one TIFF: a page for each view, of the region around the body alone.
 
-The first page's description names the views, their regions, and the size of the whole images.
+The first page's description is JSON: format, size of the whole images, cameras and their regions.
 """
 
 import json
@@ -11,30 +11,39 @@ import numpy as np
 import tifffile
 
 from drivers.errors import RecordingError
-from drivers.files.bundle_file import TIFF_DAMAGE, packed
+from drivers.files.bundle_file import TIFF_DAMAGE, zstd_page
 from pipeline.frames import CameraId, Image
 
-FORMAT, OF_WHOLE_IMAGES = "stonefall-silhouettes/2", "stonefall-silhouettes/1"
-"""What is written, and what was: releases before wrote whole images."""
+FORMAT = "stonefall-silhouettes/2"
+WHOLE_IMAGES_FORMAT = "stonefall-silhouettes/1"
+"""The format of earlier releases, which wrote whole images; it is still read."""
 
 
 def write_silhouettes(
     path: Path, regions: Mapping[CameraId, tuple[tuple[int, int], Image]], size_px: tuple[int, int]
 ) -> None:
-    """Write at least one view: the upper left corner (u, v) and the labels (h, w) of a region, beyond which they are 0.
+    """Write the labels of each view in its region; neither durable nor atomic.
 
-    `size_px` is (W, H) of all images. To write these whole takes several times as long.
+    Writing whole images takes several times as long.
+
+    Parameters
+    ----------
+    regions
+        At least one view: upper left corner (u, v) and labels (h, w) of its region. Labels outside of it are 0.
+    size_px
+        Size (W, H) of all images.
     """
     height, width = (
-        max(1, *sizes) for sizes in zip(*(seen.shape for _, seen in regions.values()), strict=True)
+        max(1, *sizes) for sizes in zip(*(labels.shape for _, labels in regions.values()), strict=True)
     )
     views = [
-        {"camera": camera, "offset_uv": offset_uv, "size_px": seen.shape[::-1]}
-        for camera, (offset_uv, seen) in regions.items()
+        {"camera": camera, "offset_uv": offset_uv, "size_px": labels.shape[::-1]}
+        for camera, (offset_uv, labels) in regions.items()
     ]
+    page = np.zeros((height, width), np.uint8)
     with tifffile.TiffWriter(path) as tiff:
         tiff.write(
-            map(packed, _pages([seen for _, seen in regions.values()], np.zeros((height, width), np.uint8))),
+            map(zstd_page, _pages([labels for _, labels in regions.values()], page)),
             shape=(len(regions), height, width),
             dtype=np.uint8,
             photometric="minisblack",
@@ -47,35 +56,35 @@ def write_silhouettes(
 
 
 def _pages(regions: Sequence[Image], page: Image) -> Iterator[Image]:
-    """Regions, one after the other in the corner of the same page (H, W), which has room for any."""
-    for seen in regions:
+    """Yield `page` (H, W), large enough for all regions, with one region after the other in its upper left corner."""
+    for labels in regions:
         page[:] = 0
-        page[: seen.shape[0], : seen.shape[1]] = seen
+        page[: labels.shape[0], : labels.shape[1]] = labels
         yield page
 
 
 def read_silhouettes(path: Path) -> dict[CameraId, Image]:
-    """The labels (H, W) of each view.
+    """Read the labels (H, W) of each view.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, is another one, or is damaged.
+        The file cannot be read, holds something else, or is damaged.
     """
     try:
         with tifffile.TiffFile(path) as tiff:
             document = json.loads(tiff.pages.first.description)
             pages = (page.asarray() for page in list(tiff.pages))
-            if document["format"] == OF_WHOLE_IMAGES:
+            if document["format"] == WHOLE_IMAGES_FORMAT:
                 return dict(zip(map(CameraId, document["cameras"]), pages, strict=True))
             if document["format"] != FORMAT:
-                raise RecordingError(path, "holds no silhouettes of ours")
+                raise RecordingError(path, f'holds no silhouettes: its format is not "{FORMAT}"')
             width_px, height_px = document["image_size_px"]
-            found = {}
+            silhouettes = {}
             for view, page in zip(document["views"], pages, strict=True):
                 (u, v), (width, height) = view["offset_uv"], view["size_px"]
-                image = found[CameraId(view["camera"])] = np.zeros((height_px, width_px), np.uint8)
+                image = silhouettes[CameraId(view["camera"])] = np.zeros((height_px, width_px), np.uint8)
                 image[v : v + height, u : u + width] = page[:height, :width]
-            return found
+            return silhouettes
     except TIFF_DAMAGE as err:
-        raise RecordingError(path, f"is no sound TIFF of silhouettes: {err}") from err
+        raise RecordingError(path, f"is not a sound TIFF of silhouettes: {err}") from err

@@ -4,9 +4,9 @@ import errno
 import threading
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 
 from drivers.errors import GateUnavailableError
+from drivers.files.times import utc_ago
 from drivers.interfaces import DeviceEvent, EventSink, GateLost
 from drivers.outlet import Outlet
 from pipeline.frames import BundleKind, Trigger
@@ -16,8 +16,7 @@ def trigger_at(
     received_ns: int, sequence: int, *, device_ns: int = 0, kind: BundleKind = BundleKind.PARTICLE
 ) -> Trigger:
     """Return the trigger of an edge at `received_ns` of the host's clock; a gate without clock has `device_ns` 0."""
-    age = timedelta(microseconds=(time.monotonic_ns() - received_ns) / 1000)
-    utc = (datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    utc = utc_ago(time.monotonic_ns() - received_ns)
     return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
 
 

@@ -15,13 +15,13 @@ from typing import Literal
 
 from drivers.errors import CameraUnavailableError
 from drivers.gige_simulator.clock import CameraClock
-from drivers.gige_simulator.control_port import ControlPort
 from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.device import CameraDevice, make_registers
 from drivers.gige_simulator.faults import Faults
 from drivers.gige_simulator.features import Feature
-from drivers.gige_simulator.gvcp import ControlChannel, Peer
+from drivers.gige_simulator.gvcp_channel import GvcpChannel, Peer
+from drivers.gige_simulator.gvcp_port import GvcpPort
 from drivers.gige_simulator.imaging import Exposure, ImageSource
 from drivers.gige_simulator.registers import Value
 from drivers.gige_simulator.sensor import Sensor, Strobe
@@ -89,11 +89,11 @@ class SimulatedCamera:
             note=self._note,
             restart=lambda: self._power_off(BOOT_S),
         )
-        self._channel = ControlChannel(self._registers, self._device)
+        self._channel = GvcpChannel(self._registers, self._device)
         self._stream_port = 0
         self._unplugged_until_ns = 0
         self._off_until_ns: int | None = None
-        self._port = ControlPort(
+        self._port = GvcpPort(
             design.id,
             answer=self._answer,
             next_due_ns=self._next_due_ns,

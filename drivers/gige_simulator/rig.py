@@ -18,11 +18,11 @@ import numpy as np
 from drivers.files.recording import Recording
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
-from drivers.gige_simulator.control import RigControl, counters_of
 from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.gige_simulator.hopper import Fall, Hopper, read_fall
-from drivers.gige_simulator.json_socket import JsonSocket
+from drivers.gige_simulator.request_socket import request_socket
+from drivers.gige_simulator.rig_requests import RigRequests, counters_of
 from drivers.gige_simulator.sources import SIGHT_MS, Images, Scene
 from drivers.gige_simulator.uplink import Uplink
 from pipeline.frames import BundleKind, CameraId
@@ -96,8 +96,8 @@ class SimulatedRig:
         )
         hopper = Hopper(recording, is_looping=design.is_looping)
         self.belt = Belt(hopper, self._drop, rate_hz=design.rate_hz)
-        control = RigControl(cameras=self.cameras, gate=self.gate, belt=self.belt)
-        self._control = JsonSocket(design.control, control.answer) if design.control else None
+        self._control = design.control
+        self._requests = RigRequests(cameras=self.cameras, gate=self.gate, belt=self.belt)
         self._running = ExitStack()
         self._last_edge_ns = 0
         self._linger_ns = round(design.fall_ms * 1e6) + LINGER_NS
@@ -121,8 +121,7 @@ class SimulatedRig:
             self.belt.open()
             running.callback(self.belt.close)
             if self._control is not None:
-                self._control.open()
-                running.callback(self._control.close)
+                running.enter_context(request_socket(self._control, self._requests.answer))
             self._running = running.pop_all()
 
     def close(self) -> None:

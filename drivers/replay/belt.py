@@ -1,11 +1,11 @@
-"""What the belt, the wire and the strobe are to a real rig: plays a recording to a gate and its cameras.
+"""The player of a recording: delivers its triggers to a gate and its frames to the cameras, at their times.
 
-One thread delivers every event at its time on the belt's own clock: a trigger to the gate, 259 ms
-later the frames to the cameras, the next trigger maybe in between. Within a bundle times differ as
-recorded; from trigger to trigger too, unless the bundles were put into another order.
+One thread delivers every event at its time on the belt's own clock: a trigger to the gate, 259 ms later the
+frames to the cameras, the next trigger maybe in between. Intervals within a bundle are as recorded; so are those
+from trigger to trigger, unless the bundles were put into another order.
 
-The clock runs with the host's monotonic clock (times `speed`) and never passes an event that is not
-yet delivered: a belt that falls behind slows time instead of losing frames.
+The clock runs with the host's monotonic clock (times `speed`) and never passes an event that is not yet
+delivered: a belt that falls behind slows time instead of losing frames.
 """
 
 import heapq
@@ -19,30 +19,25 @@ from statistics import median_low
 from typing import Literal, NamedTuple
 
 from drivers.errors import RecordingError
-from drivers.files.bundle_file import DAMAGED
 from drivers.files.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
-from drivers.interfaces import DeviceEvent, EventSink, FrameLost, PlaybackEnded
+from drivers.interfaces import DeviceEvent, EventSink, FrameLossReason, FrameLost, PlaybackEnded
 from drivers.outlet import Outlet
 from pipeline.frames import CameraId, Frame, Trigger
 
 Pace = Literal["recorded", "stepped", "fast"]
-"""`recorded`: in real time, times `speed`. `stepped`, `fast`: without waiting, a bundle a permit."""
+"""`recorded`: in real time, times `speed`. `stepped` and `fast`: without waiting, one bundle for each permit."""
 
 SPACING_NS = 250_000_000
-"""From a trigger to the next where the recording does not tell."""
+"""From a trigger to the next where the recording does not say."""
 MAX_SPACING_NS = 60_000_000_000
-"""Longer pauses are shortened: between two recordings put together lie days."""
+"""Longer pauses are shortened to this: between two recordings that were put together lie days."""
 FRAME_DELAY_NS = 259_400_000
-"""From a trigger to its frames where the recording does not tell."""
-
-
-UNREADABLE = "unreadable"
-"""How the reason of every frame of an unreadable bundle begins."""
+"""From a trigger to its frames where the recording does not say."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Playable:
-    """A bundle in memory, its times as recorded."""
+    """A bundle in memory, with the times of the recording."""
 
     trigger: Trigger
     frames: tuple[Frame, ...]
@@ -50,17 +45,26 @@ class _Playable:
 
 
 class _Due(NamedTuple):
+    """An event to be delivered; sorts by time, and by order of scheduling where times are equal."""
+
     at_ns: int
-    order: int  # of equal times
+    order: int
     outlet: Outlet
     event: DeviceEvent
 
 
 class ReplayBelt:
-    """Plays while the gate is plugged in; keeps its place when it is unplugged.
+    """Plays while the gate is plugged in; keeps its place while it is unplugged.
 
-    A damaged page is delivered as `FrameLost`; of a bundle that cannot be read at all every frame is. At the
-    end, and again whenever the gate is plugged in after that, the gate gets `PlaybackEnded`.
+    A damaged page is delivered as `FrameLost`, as are all frames of a bundle that cannot be read. At the end, and
+    again whenever the gate is plugged in after that, the gate gets `PlaybackEnded`.
+
+    Attributes
+    ----------
+    recording
+        What is played.
+    gate, cameras
+        The outlets that replay devices plug their sinks into.
     """
 
     def __init__(
@@ -77,7 +81,7 @@ class ReplayBelt:
         self._unreadable = unreadable_triggers(recording)
         self._loop = loop
         self._position = 0  # in all rounds
-        self._sound: set[Path] = set()
+        self._verified: set[Path] = set()
         self._delay_ns = _frame_delay_ns(self._headers)
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
@@ -92,13 +96,13 @@ class ReplayBelt:
         self._clock: tuple[int, int, int | None] = (now_ns, now_ns, None)  # played, real, held at
 
     def clock(self) -> int:
-        """Time on the belt, in ns: what `received_ns` of every event is read from."""
+        """Return the time on the belt in ns: the clock of every event's `received_ns`."""
         played_ns, real_ns, held_ns = self._clock
         now_ns = played_ns + round((time.monotonic_ns() - real_ns) * self._speed)
         return now_ns if held_ns is None else min(now_ns, held_ns)
 
     def permit(self, n_bundles: int = 1) -> None:
-        """Let so many more bundles pass (stepped and fast pace)."""
+        """Let `n_bundles` more pass, in the paces `stepped` and `fast`."""
         with self._changed:
             self._permits += n_bundles
             self._changed.notify_all()
@@ -108,7 +112,7 @@ class ReplayBelt:
         self.permit(1)
 
     def start(self, sink: EventSink) -> None:
-        """Plug the gate in and run."""
+        """Plug the gate in and play."""
         self.gate.plug(sink)
         with self._changed:
             self._has_told_end = False
@@ -119,13 +123,13 @@ class ReplayBelt:
             self._changed.notify_all()
 
     def pause(self) -> None:
-        """Unplug the gate: the frames of its last trigger still come, no further trigger."""
+        """Unplug the gate: the frames of its last trigger are still delivered, no further trigger is."""
         self.gate.unplug()
         with self._changed:
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Pause and end the thread; the frames still due are gone."""
+        """Pause and end the thread; frames that are still due are dropped."""
         self.pause()
         with self._changed:
             thread, self._thread = self._thread, None
@@ -150,7 +154,7 @@ class ReplayBelt:
                 due.outlet.deliver(due.event)
 
     def _wait_for_due(self) -> _Due | None:
-        """What is to be delivered now; nothing when something changed and the question is a new one."""
+        """Return the event to deliver now; None when something changed meanwhile, so that the caller asks again."""
         start_ns = self._next_start_ns()
         times_ns = [
             at_ns for at_ns in (start_ns, self._due[0].at_ns if self._due else None) if at_ns is not None
@@ -172,7 +176,7 @@ class ReplayBelt:
         return heapq.heappop(self._due)
 
     def _next_start_ns(self) -> int | None:
-        """When the next trigger is due; nothing without a bundle, a gate or a permit."""
+        """Return when the next trigger is due; None without a bundle, a plugged gate or a permit."""
         is_permitted = self._pace == "recorded" or self._permits > 0
         if self._next is None or not self.gate.is_plugged or not is_permitted:
             return None
@@ -185,6 +189,7 @@ class ReplayBelt:
         return max(played_ns + min(spacing_ns, MAX_SPACING_NS), self.clock())
 
     def _idle(self) -> _Due | None:
+        """Wait for a change when nothing is due; returns `PlaybackEnded` once at the end."""
         self._hold(None)
         if self._next is None and self.gate.is_plugged and not self._has_told_end:
             self._has_told_end = True
@@ -194,11 +199,12 @@ class ReplayBelt:
         return None
 
     def _hold(self, at_ns: int | None) -> None:
+        """Let the clock run up to `at_ns` and no further; None: without end."""
         played_ns, real_ns, _ = self._clock
         self._clock = (played_ns, real_ns, at_ns)
 
     def _schedule(self, bundle: _Playable, start_ns: int) -> None:
-        """Put the bundle's events on the belt, shifted as one."""
+        """Schedule all events of a bundle, shifted in time by the same amount."""
         trigger = bundle.trigger
         self._last = (trigger.received_ns, start_ns)
         shift_ns = start_ns - trigger.received_ns
@@ -223,9 +229,9 @@ class ReplayBelt:
             put(self.cameras[camera], lost)
 
     def _load_next(self) -> _Playable | None:
-        """Read the next bundle, numbered on from the last round; nothing at the end.
+        """Read the next bundle, numbered on from the last round; None at the end.
 
-        The unreadable ones end the first round, and are in no other.
+        Unreadable bundles come at the end of the first round, and in no other.
         """
         n_first = len(self._headers) + len(self._unreadable)
         if self._position < n_first:
@@ -243,17 +249,17 @@ class ReplayBelt:
 
     def _read(self, header: BundleHeader) -> _Playable:
         try:
-            # a file that was sound is not checked in every round: that takes a pass over all pixels
-            is_unknown = header.path not in self._sound
-            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=is_unknown)
+            # checksums are verified in the first round only: that takes a pass over all pixels
+            is_unverified = header.path not in self._verified
+            bundle = read_bundle(header.path, self.recording.camera_ids, mapped=True, checked=is_unverified)
         except RecordingError as err:
             return self._without_frames(header.trigger, err)
-        if DAMAGED not in bundle.missing.values():
-            self._sound.add(header.path)
+        if FrameLossReason.DAMAGED not in bundle.missing.values():
+            self._verified.add(header.path)
         return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
 
     def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:
-        lost = dict.fromkeys(self.recording.camera_ids, f"{UNREADABLE}: {error.problem}")
+        lost = dict.fromkeys(self.recording.camera_ids, f"{FrameLossReason.UNREADABLE}: {error.problem}")
         return _Playable(trigger=trigger, frames=(), lost=lost)
 
     def _renumbered(self, bundle: _Playable, header: BundleHeader, played_round: int) -> _Playable:
@@ -278,11 +284,12 @@ class ReplayBelt:
 
 
 def _shifted(device_ns: int, shift_ns: int) -> int:
-    return device_ns + shift_ns if device_ns else 0  # 0: the device has no clock
+    """Return the shifted time of a device's clock; 0 stands for a device without one."""
+    return device_ns + shift_ns if device_ns else 0
 
 
 def _frame_delay_ns(headers: list[BundleHeader]) -> int:
-    """When a frame comes after its trigger, typically."""
+    """Return the median time from a trigger to its frames."""
     delays_ns = [
         entry.received_ns - header.trigger.received_ns
         for header in headers

@@ -1,4 +1,4 @@
-"""A camera of a recorded rig."""
+"""The twin of a camera that delivers the frames of a recording."""
 
 from drivers.errors import CameraUnavailableError
 from drivers.interfaces import CameraVitals, EventSink
@@ -7,7 +7,7 @@ from pipeline.frames import CameraId
 
 
 class ReplayCamera:
-    """Delivers what its belt carries past it while it is armed; exposures without it are gone."""
+    """Delivers its frames of the belt's recording while it is armed; those played at other times are dropped."""
 
     def __init__(self, camera: CameraId, belt: ReplayBelt) -> None:
         self._id = camera
@@ -19,7 +19,7 @@ class ReplayCamera:
         return self._id
 
     def open(self) -> None:
-        """Find the camera in the recording; raises `CameraUnavailableError`."""
+        """Raise `CameraUnavailableError` if the recording has no such camera."""
         if self._id not in self._belt.cameras:
             raise CameraUnavailableError(self._id, f"is not in the recording {self._belt.recording.path}")
         self._is_open = True

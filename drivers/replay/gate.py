@@ -1,4 +1,7 @@
-"""The light gate of a recorded rig; arming it starts the belt, closing it ends the belt's thread."""
+"""The twin of a light gate that delivers the triggers of a recording.
+
+Arming it starts the belt that plays the recording, disarming pauses it, closing ends the belt's thread.
+"""
 
 from drivers.errors import GateUnavailableError
 from drivers.interfaces import EventSink
@@ -25,7 +28,7 @@ class ReplayGate:
         self._belt.start(sink)
 
     def test_pulse(self) -> None:
-        """Never: a recording cannot expose; raises `GateUnavailableError`."""
+        """Raise `GateUnavailableError`: a recording cannot expose."""
         raise GateUnavailableError("gate", "a recording has no rig to expose")
 
     def disarm(self) -> None:

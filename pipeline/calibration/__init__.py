@@ -3,9 +3,8 @@
 from pipeline.calibration.ball_outline import observe_ball
 from pipeline.calibration.calibration import calibrate
 from pipeline.calibration.drops import BallDrop, BallView
-from pipeline.calibration.problem import Problem
-from pipeline.calibration.report import CalibrationReport, report_document
-from pipeline.errors import CalibrationError
+from pipeline.calibration.report import CalibrationReport, ScaleSource, report_document
+from pipeline.errors import CalibrationError, Problem
 
 __all__ = [
     "BallDrop",
@@ -13,6 +12,7 @@ __all__ = [
     "CalibrationError",
     "CalibrationReport",
     "Problem",
+    "ScaleSource",
     "calibrate",
     "observe_ball",
     "report_document",

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.nearest_point import nearest_point
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings, misfit, rays_of
+from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration
 
 Array = NDArray[np.float64]

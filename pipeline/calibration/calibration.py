@@ -14,8 +14,7 @@ from pipeline.calibration.diagnosis import diagnose_after, diagnose_before
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.gravity import fall_of, upright
 from pipeline.calibration.held_out import held_out_px, located_offsets_px, rms_by_camera
-from pipeline.calibration.problem import Problem
-from pipeline.calibration.report import CalibrationReport, Estimate, Uncertainty
+from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource, Uncertainty
 from pipeline.calibration.robust import Adjusted, adjust
 from pipeline.calibration.sphere_image import view_offsets_px
 from pipeline.calibration.uncertainty import (
@@ -24,7 +23,7 @@ from pipeline.calibration.uncertainty import (
     covariance,
     length_sd_percent,
 )
-from pipeline.errors import CalibrationError, RigError
+from pipeline.errors import CalibrationError, Problem, ProblemCode, RigError
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
@@ -100,7 +99,7 @@ def by_bundle_adjustment(
         residuals_before_px=rms_by_camera(sightings, before_px, initial.camera_ids),
         residuals_after_px=after_px,
         held_out_px=held_out_px(adjusted, tolerances),
-        scale="ball_diameter" if diameters_mm else "not_observable",
+        scale=ScaleSource.BALL_DIAMETER if diameters_mm else ScaleSource.NOT_OBSERVABLE,
         edge_offset_px=solution.edge_px if adjusted.free_edge else None,
         ball_centers_mm=_named(adjusted.drops, solution.centers_mm @ R.T),
         distance_factor=distance_factor,
@@ -127,7 +126,7 @@ def by_paper(
     used = [drop for drop in drops if sum(camera in drop.views for camera in initial.camera_ids) >= 2]
     problems = [
         Problem(
-            code="camera_saw_too_few",
+            code=ProblemCode.CAMERA_SAW_TOO_FEW,
             detail=f"camera {camera} saw {n} drops whole, the paper's method needs {paper.LEAST_DROPS}: "
             "drop more balls",
             camera=camera,
@@ -145,7 +144,13 @@ def by_paper(
             cameras.append(paper.refined(camera, points_mm[seen], paper.centroids(used, camera.id)))
         except RigError as err:
             raise CalibrationError(
-                [Problem(code="no_camera", detail=f"the paper's method fails: {err}", camera=camera.id)]
+                [
+                    Problem(
+                        code=ProblemCode.NO_CAMERA,
+                        detail=f"the paper's method fails: {err}",
+                        camera=camera.id,
+                    )
+                ]
             ) from err
     after_px = paper.residuals_px(used, points_mm, cameras)
     now, then = (np.array([camera.center_mm for camera in those]) for those in (cameras, initial.cameras))
@@ -167,7 +172,7 @@ def by_paper(
         residuals_before_px=paper.residuals_px(used, points_mm, initial.cameras),
         residuals_after_px=after_px,
         held_out_px=None,
-        scale="not_observable",
+        scale=ScaleSource.NOT_OBSERVABLE,
         edge_offset_px=None,
         ball_centers_mm=_named(used, points_mm),
         distance_factor=_spread(np.linalg.norm(now, axis=1) / np.linalg.norm(then, axis=1)),

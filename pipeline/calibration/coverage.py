@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import CameraId
+from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
 Array = NDArray[np.float64]

@@ -8,18 +8,18 @@ rig's design.
 from collections.abc import Iterator, Sequence
 
 from pipeline.calibration import drop_checks, solution_checks
+from pipeline.calibration.acceptance_limits import AcceptanceLimits
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.limits import CalibrationLimits
-from pipeline.calibration.problem import Problem
 from pipeline.calibration.report import CalibrationReport
+from pipeline.errors import Problem
 from pipeline.rig.cameras import RigCalibration
 
 
 def diagnose_before(
-    drops: Sequence[BallDrop], initial: RigCalibration, limits: CalibrationLimits | None = None
+    drops: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits | None = None
 ) -> tuple[Problem, ...]:
     """What the drops alone show, in the light of the initial rig."""
-    limits = limits or CalibrationLimits()
+    limits = limits or AcceptanceLimits()
     usable = [drop for drop in drops if len(drop.views) >= limits.min_views]
     if len(usable) < limits.min_drops:
         return (drop_checks.too_few(usable, drops, limits),)
@@ -34,10 +34,10 @@ def diagnose_before(
 
 
 def diagnose_after(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits | None = None
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits | None = None
 ) -> tuple[Problem, ...]:
     """What the solution shows. The paper's method is judged mildly: its residuals are what it is compared by."""
-    limits = limits or CalibrationLimits()
+    limits = limits or AcceptanceLimits()
     if causes := tuple(_causes(report, drops, limits)):
         return causes  # large residuals would only be their consequence
     return (
@@ -51,7 +51,7 @@ def diagnose_after(
 
 
 def _causes(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
     yield from solution_checks.plausibility_problems(report)
     if report.rig.method != "paper":

@@ -25,8 +25,8 @@ import scipy  # what is used of it is imported then
 from numpy.typing import NDArray
 
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import CameraId
+from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.document import decomposed
 

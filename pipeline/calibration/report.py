@@ -2,13 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from enum import StrEnum
+from typing import Any
 
-from pipeline.calibration.problem import Problem
+from pipeline.errors import Problem
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 
-Scale = Literal["ball_diameter", "not_observable"]
+
+class ScaleSource(StrEnum):
+    """Where a rig's scale comes from. The word is part of the REST contract and of the report files."""
+
+    BALL_DIAMETER = "ball_diameter"
+    NOT_OBSERVABLE = "not_observable"
+    """The drops do not tell it: lengths are those of the initial rig."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +71,7 @@ class CalibrationReport:
     residuals_before_px: Mapping[CameraId, float]
     residuals_after_px: Mapping[CameraId, float]
     held_out_px: float | None  # rms residual of drops that were not used in the fit
-    scale: Scale
+    scale: ScaleSource
     edge_offset_px: float | None  # how much too large outlines are; known from balls of two sizes only
     ball_centers_mm: Mapping[str, tuple[float, float, float]]
     distance_factor: Estimate  # of all cameras' distances from the origin against the initial rig

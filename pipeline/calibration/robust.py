@@ -19,9 +19,8 @@ from pipeline.calibration.bundle_adjustment import (
     triangulated,
 )
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.problem import Problem
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings, sightings_of, view_offsets_px
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, Problem, ProblemCode
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 
@@ -133,7 +132,7 @@ def _seen_enough(
             kept.append(drop)
     if len(kept) < LEAST_DROPS:
         problem = Problem(
-            code="too_few_drops",
+            code=ProblemCode.TOO_FEW_DROPS,
             detail=f"only {len(kept)} of {len(kept) + len(left_out)} drops agree with one another, {LEAST_DROPS} are "
             "needed: check that each exposure shows one ball, of the diameter entered, and drop more",
         )

@@ -16,8 +16,7 @@ import scipy  # what is used of it is imported then
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.problem import Problem
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, Problem, ProblemCode
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import (
@@ -98,10 +97,10 @@ def recalibrate(
     hulls = [stone for stone in hulls if len(stone.cameras) > MIN_PAIRS]
     if len(hulls) < MIN_STONES:
         detail = f"{len(hulls)} stones with usable silhouettes are too few: let at least {MIN_STONES} fall"
-        raise CalibrationError([Problem(code="too_few_stones", detail=detail)])
+        raise CalibrationError([Problem(code=ProblemCode.TOO_FEW_STONES, detail=detail)])
     if unknown := sorted(set(cameras or ()) - set(rig.camera_ids)):
         detail = f"the rig {rig.name} has no camera {', '.join(unknown)}: name cameras of the rig file"
-        raise CalibrationError([Problem(code="unknown_camera", detail=detail)])
+        raise CalibrationError([Problem(code=ProblemCode.UNKNOWN_CAMERA, detail=detail)])
     judges = hulls[EVERY_NTH_JUDGES - 1 :: EVERY_NTH_JUDGES]
     fitted = [stone for n, stone in enumerate(hulls, 1) if n % EVERY_NTH_JUDGES]
     wanted = displaced_cameras(fitted, rig) if cameras is None else cameras

@@ -1,20 +1,18 @@
 """What a solution shows: against the initial rig, in its residuals, in what it claims to know."""
 
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pipeline.calibration.acceptance_limits import AcceptanceLimits
 from pipeline.calibration.ball_sizes import either_wrong, ratio_per_edge_px
 from pipeline.calibration.bundle_adjustment import Tolerances
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.limits import CalibrationLimits
 from pipeline.calibration.movement import image_changes_px, steps
-from pipeline.calibration.problem import Problem
-from pipeline.calibration.report import CalibrationReport, Estimate
+from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource
 from pipeline.calibration.robust import adjust
 from pipeline.calibration.uncertainty import common_factors, covariance
-from pipeline.errors import RigError
+from pipeline.errors import Problem, ProblemCode, RigError
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.rig.document import rig_from_document
 
@@ -26,22 +24,21 @@ def plausibility_problems(report: CalibrationReport) -> Iterator[Problem]:
     try:
         rig_from_document(rig_to_document(report.rig))
     except RigError as err:
-        entry = re.match(r"cameras\[(\d+)\]", err.field)
-        camera = report.rig.camera_ids[int(entry[1])] if entry else None
+        camera = None if err.camera_index is None else report.rig.camera_ids[err.camera_index]
         remedy = (
             "with so few drops the paper's free matrices do not converge; drop more, or use the method bundle"
             if report.rig.method == "paper"
             else "a camera was moved or turned by far; put it back in its place"
         )
         yield Problem(
-            code="implausible_rig",
+            code=ProblemCode.IMPLAUSIBLE_RIG,
             detail=f"the drops lead to a rig that cannot be ({err}): {remedy}",
             camera=camera,
         )
 
 
 def left_out_problems(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
     """Drops that contradict the others, if too few remain or many do."""
     n_used, n_left_out = len(report.drops_used), len(report.drops_left_out)
@@ -49,20 +46,20 @@ def left_out_problems(
     if is_fatal or n_left_out > limits.good_left_out_share * len(drops):
         reasons = "; ".join(f"{name}: {reason}" for name, reason in list(report.drops_left_out.items())[:3])
         yield Problem(
-            code="too_few_drops" if is_fatal else "many_drops_left_out",
+            code=ProblemCode.TOO_FEW_DROPS if is_fatal else ProblemCode.MANY_DROPS_LEFT_OUT,
             detail=f"only {n_used} of {len(drops)} drops could be used ({reasons}): drop more balls, one at a time",
             is_fatal=is_fatal,
         )
 
 
 def step_problems(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
     focal_px = {camera.id: camera.focal_px for camera in report.rig.cameras}
     for camera, step in steps(drops, report.rig, report.ball_centers_mm).items():
         if step.shift_px > limits.step_px and step.significance > limits.step_significance:
             yield Problem(
-                code="camera_moved_during_drops",
+                code=ProblemCode.CAMERA_MOVED_DURING_DROPS,
                 detail=f"camera {camera} moved while the balls fell: after {step.after} its images are shifted by "
                 f"{step.shift_px:.1f} px ({_as_turn(step.shift_px, focal_px[camera])}): fasten it and drop again",
                 camera=camera,
@@ -70,7 +67,7 @@ def step_problems(
 
 
 def contradiction_problems(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
     """Cameras most of whose views were left out since they contradict the others'."""
     for camera in report.rig.camera_ids:
@@ -78,21 +75,21 @@ def contradiction_problems(
         n_against = sum(camera in report.views_left_out.get(name, {}) for name in seen)
         if n_against > limits.max_contradicting_share * len(seen):
             yield Problem(
-                code="camera_contradicts",
+                code=ProblemCode.CAMERA_CONTRADICTS,
                 detail=f"camera {camera} contradicts the others in {n_against} of {len(seen)} drops: is it loose, "
                 "or its exposure not that of the others? Fasten it and drop again",
                 camera=camera,
             )
 
 
-def moved_problems(report: CalibrationReport, limits: CalibrationLimits) -> Iterator[Problem]:
+def moved_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
     shifts_px = image_changes_px(report.rig, report.initial)
     median_px = float(np.median(list(shifts_px.values())))
     focal_px = {camera.id: camera.focal_px for camera in report.rig.cameras}
     for camera, shift_px in shifts_px.items():
         if shift_px > max(limits.moved_px, limits.moved_ratio * median_px):
             yield Problem(
-                code="camera_moved",
+                code=ProblemCode.CAMERA_MOVED,
                 detail=f"camera {camera} does not stand where the initial rig has it: its image is shifted by "
                 f"{shift_px:.1f} px ({_as_turn(shift_px, focal_px[camera])}), the others' by {median_px:.1f} px; "
                 "the new calibration corrects it, see that it is fastened",
@@ -102,21 +99,21 @@ def moved_problems(report: CalibrationReport, limits: CalibrationLimits) -> Iter
 
 
 def scale_problems(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
     """Whether the solution keeps the rig's design, which knows distances well and focal lengths roughly.
 
     A ball entered 5 percent too large makes the whole rig 5 percent larger, a longer lens only enlarges its images:
     perspective tells one from the other.
     """
-    if report.scale != "ball_diameter":
+    if report.scale is not ScaleSource.BALL_DIAMETER:
         yield Problem(
-            code="scale_not_observable",
+            code=ProblemCode.SCALE_NOT_OBSERVABLE,
             detail="the scale cannot be observed without the diameter of a ball: lengths are those of the initial rig, "
             "some tenths of a percent off as built, 9 percent if its focal length is only the lens's name",
             is_fatal=False,
         )
-    if report.scale != "ball_diameter" or report.rig.method == "paper":
+    if report.scale is not ScaleSource.BALL_DIAMETER or report.rig.method == "paper":
         return
     distance, focal = factors_by_balls(drops, report.initial)
     distance_percent, focal_percent = 100 * (distance.value - 1), 100 * (focal.value - 1)
@@ -129,13 +126,13 @@ def scale_problems(
             for diameter_mm in sorted({drop.diameter_mm for drop in drops if drop.diameter_mm is not None})
         )
         yield Problem(
-            code="wrong_diameter",
+            code=ProblemCode.WRONG_DIAMETER,
             detail=f"the ball's diameter is wrong: with it all cameras stand {perspective} than the initial "
             f"rig has them; likely it is {likely}: measure it (if it is right, correct the initial rig)",
         )
     elif abs(focal_percent) > limits.focal_percent and abs(focal_percent) < 4 * sd_percent:
         yield Problem(
-            code="focal_length_or_diameter",
+            code=ProblemCode.FOCAL_LENGTH_OR_DIAMETER,
             detail=f"all focal lengths come out {focal_percent:+.1f} percent from the initial rig's, and these drops "
             "cannot tell a wrong focal length in the rig file from a wrong diameter of the ball (perspective shows "
             f"the distances to +- {sd_percent:.1f} percent only): spread the drops, or measure the ball",
@@ -143,7 +140,7 @@ def scale_problems(
     elif abs(focal_percent) > limits.focal_percent:
         hint = " (a 25 mm lens focused at 300 mm has +9.1)" if 7 < focal_percent < 11 else ""
         yield Problem(
-            code="focal_length",
+            code=ProblemCode.FOCAL_LENGTH,
             detail=f"all focal lengths are {focal_percent:+.1f} percent from the initial rig's{hint}; the new "
             "calibration corrects it (the ball's diameter is not the cause: by perspective the cameras stand "
             f"{perspective} than the initial rig has them)",
@@ -171,12 +168,12 @@ def factors_by_balls(drops: Sequence[BallDrop], initial: RigCalibration) -> tupl
     )
 
 
-def _odd_lenses(report: CalibrationReport, limits: CalibrationLimits) -> Iterator[Problem]:
+def _odd_lenses(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
     for camera, initial in zip(report.rig.cameras, report.initial.cameras, strict=True):
         percent = 100 * (camera.focal_px / initial.focal_px / report.focal_factor.value - 1)
         if abs(percent) > limits.focal_percent:
             yield Problem(
-                code="focal_length",
+                code=ProblemCode.FOCAL_LENGTH,
                 detail=f"the focal length of camera {camera.id} is {percent:+.1f} percent from the other cameras'; the "
                 "new calibration corrects it, see that it has the right lens and is focused",
                 camera=camera.id,
@@ -184,13 +181,13 @@ def _odd_lenses(report: CalibrationReport, limits: CalibrationLimits) -> Iterato
             )
 
 
-def residual_problems(report: CalibrationReport, limits: CalibrationLimits) -> Iterator[Problem]:
+def residual_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
     # what the paper's method leaves is what it is compared by, no fault of the drops
     is_strict = report.rig.method != "paper"
     for camera, residual_px in report.residuals_after_px.items():
         if residual_px > limits.good_residual_px:
             yield Problem(
-                code="large_residual",
+                code=ProblemCode.LARGE_RESIDUAL,
                 detail=f"camera {camera} sees the balls {residual_px:.2f} px (rms) beside where the solution has them, "
                 f"{limits.good_residual_px:g} is sound: look for a loose camera, a wet lens, bodies that are no balls",
                 camera=camera,
@@ -198,19 +195,19 @@ def residual_problems(report: CalibrationReport, limits: CalibrationLimits) -> I
             )
     if report.held_out_px is not None and report.held_out_px > limits.good_residual_px:
         yield Problem(
-            code="large_held_out_residual",
+            code=ProblemCode.LARGE_HELD_OUT_RESIDUAL,
             detail=f"balls that were not used are {report.held_out_px:.2f} px (rms) beside their prediction, "
             f"{limits.good_residual_px:g} is sound: more drops, further apart",
             is_fatal=is_strict and report.held_out_px > limits.max_residual_px,
         )
 
 
-def uncertainty_problems(report: CalibrationReport, limits: CalibrationLimits) -> Iterator[Problem]:
+def uncertainty_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
     if report.uncertainty is not None:
         percent = report.uncertainty.length_sd_percent
-        if report.scale == "ball_diameter" and percent > limits.good_length_percent:
+        if report.scale is ScaleSource.BALL_DIAMETER and percent > limits.good_length_percent:
             yield Problem(
-                code="uncertain_lengths",
+                code=ProblemCode.UNCERTAIN_LENGTHS,
                 detail=f"lengths are known to {percent:.2f} percent only, {limits.good_length_percent:g} is sound: "
                 "more drops, further apart",
                 is_fatal=percent > limits.max_length_percent,
@@ -218,7 +215,7 @@ def uncertainty_problems(report: CalibrationReport, limits: CalibrationLimits) -
 
 
 def edge_problems(
-    report: CalibrationReport, drops: Sequence[BallDrop], limits: CalibrationLimits
+    report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
     offset_px = report.edge_offset_px
     if offset_px is not None and abs(offset_px) > limits.good_edge_px:
@@ -226,7 +223,7 @@ def edge_problems(
         small_mm, large_mm = min(diameters_mm), max(diameters_mm)
         relative = 1 + offset_px * ratio_per_edge_px(small_mm, large_mm, report.rig)
         yield Problem(
-            code="large_edge_offset",
+            code=ProblemCode.LARGE_EDGE_OFFSET,
             detail=f"by the two diameters all outlines are {offset_px:+.2f} px too large, up to "
             f"{limits.good_edge_px:g} is sound: {either_wrong(small_mm, large_mm, relative)}, or the images are "
             "out of focus; measure both balls",

@@ -24,7 +24,7 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.optics import FloatImage, expose
+from pipeline.synthesis.exposure import FloatImage, expose
 from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminated, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration import BallDrop, observe_ball
-from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import FrameBundle
+from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel

@@ -17,7 +17,7 @@ from skimage.measure import find_contours
 
 from pipeline.segmentation.silhouette import INSIDE, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import SegmentationParameters
-from pipeline.synthesis.optics import FloatImage
+from pipeline.synthesis.exposure import FloatImage
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

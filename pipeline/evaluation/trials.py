@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError
-from pipeline.evaluation.comparison import Surface, SurfaceDistances, surface_distances
 from pipeline.evaluation.exact_hull import exact_hull_mesh, star_center_mm
 from pipeline.evaluation.scene import BODY, Scene, rig_error
+from pipeline.evaluation.surface_distances import Surface, SurfaceDistances, surface_distances
 from pipeline.frames import FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.measuring.solid import solid_of
@@ -24,7 +24,7 @@ from pipeline.segmentation import SilhouetteSet, segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
 from pipeline.synthesis.bundles import stream
-from pipeline.synthesis.irregular import irregular
+from pipeline.synthesis.irregular_bodies import irregular
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
 
@@ -50,6 +50,7 @@ class ShapeErrors:
     area_percent: float
     max_feret_mm: float
     min_feret_mm: float
+    thickness_mm: float
     sieve_size_mm: float
 
 
@@ -163,6 +164,7 @@ def _errors(measured: Measured, true: ShapeMeasurement) -> ShapeErrors:
         area_percent=100 * (shape.surface_area_mm2 / true.surface_area_mm2 - 1),
         max_feret_mm=shape.max_feret_mm - true.max_feret_mm,
         min_feret_mm=shape.min_feret_mm - true.min_feret_mm,
+        thickness_mm=shape.thickness_mm - true.thickness_mm,
         sieve_size_mm=shape.sieve_size_mm - true.sieve_size_mm,
     )
 

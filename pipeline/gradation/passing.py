@@ -1,6 +1,6 @@
-"""Gradation of a set of stones: percent passing by mass, each stone at its own exact sieve size.
+"""Gradation of a set of stones: percent passing by mass, each stone at its own sieve size.
 
-With one density for all stones mass is proportional to volume and the density cancels.
+All stones are taken to have one density: mass is then proportional to volume, and the density cancels.
 """
 
 from collections.abc import Sequence
@@ -29,24 +29,24 @@ SIEVES_MM = (
     45.0,
     63.0,
 )
-"""Apertures in mm: EN 933-2 basic set and sets 1 and 2 where this instrument measures, and R 20 between."""
+"""Apertures in mm: EN 933-2's basic set and sets 1 and 2 in the measured range, and sizes of R 20 between them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotGradation:
-    """Cumulative curve; `passing_percent[i]` is the share of the volume with a sieve size up to `sieves_mm[i]`."""
+    """Cumulative curve: `passing_percent[i]` is the share of the volume with a sieve size up to `sieves_mm[i]`."""
 
     n_stones: int
     volume_mm3: float
     sieves_mm: tuple[float, ...]
     passing_percent: tuple[float, ...]
-    quantiles_mm: dict[str, float | None]  # D10...D90; None where the curve does not reach
+    quantiles_mm: dict[str, float | None]  # D10...D90; None beyond the ends of the curve
 
 
 def gradation(
     sieve_sizes_mm: Sequence[float], volumes_mm3: Sequence[float], sieves_mm: Sequence[float] = SIEVES_MM
 ) -> LotGradation:
-    """P(s) = 100 sum(V_i [d_i <= s]) / sum(V_i); equality passes.
+    """Return the gradation P(s) = 100 sum(V_i [d_i <= s]) / sum(V_i); a stone of size s passes the sieve s.
 
     Raises
     ------
@@ -55,7 +55,9 @@ def gradation(
     """
     sizes, volumes = np.asarray(sieve_sizes_mm, float), np.asarray(volumes_mm3, float)
     if sizes.shape != volumes.shape:
-        raise ValueError("one sieve size a volume")
+        raise ValueError(
+            f"each stone needs a sieve size and a volume, not {sizes.shape} sizes, {volumes.shape} volumes"
+        )
     if (sizes <= 0).any() or (volumes <= 0).any():
         raise ValueError("sieve sizes and volumes must be positive")
     total_mm3 = float(volumes.sum())
@@ -72,7 +74,7 @@ def gradation(
 
 
 def quantile_mm(sieves_mm: Sequence[float], passing_percent: Sequence[float], percent: float) -> float | None:
-    """Size that `percent` pass: log-linear between neighbouring sieves, `None` outside of the curve."""
+    """Return the size that `percent` pass: log-linear between neighbouring sieves, `None` beyond the curve's ends."""
     sieves, passing = np.asarray(sieves_mm, float), np.asarray(passing_percent, float)
     above = np.flatnonzero(passing >= percent)
     if len(above) == 0 or above[0] == 0:

@@ -8,26 +8,27 @@ Values are comparable with each other, not with those of an AIMS device.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pipeline.arrays import Floats, PointsUV, Values
 from pipeline.compiled import compiled
 
-Array = NDArray[np.float64]
-
 N_POINTS = 180
-"""Points of equal distance; three steps are 1/60 of the perimeter, 0.5 mm on a stone of 10 mm."""
+"""Equally spaced points along the outline; three steps are 1/60 of the perimeter, 0.5 mm on a stone of 10 mm."""
 STEP = 3
+"""Number of points between the two directions that are compared, as in AIMS."""
 SMOOTHING_STEPS = 1.0
-"""Standard deviation of the Gaussian along the outline; hides pixel stairs of a stone of 4 mm and more."""
+"""Standard deviation, in points, of the Gaussian along the outline; hides pixel stairs on stones from 4 mm on."""
 MAX_ANGULARITY = 10_000.0
 OVERSAMPLING = 4
-"""The sum is averaged over this many sets of points, each a part of a step further on: no first point."""
+"""Number of sets of points, each shifted by a part of a step, over which the sum is averaged: the result does not
+depend on which point of the outline is the first."""
 REACH = round(7 * SMOOTHING_STEPS * OVERSAMPLING)
-"""Points on either side that are smoothed over; of the Gaussian 1e-11 is beyond."""
+"""Half-width of the smoothing kernel in oversampled points; 1e-11 of the Gaussian lies beyond."""
 
 
 def gradient_angularity(contour_uv: ArrayLike) -> float:
-    """Angularity 0...10000 of a closed contour (N, 2), N >= 3; the last point joins the first.
+    """Return the angularity, 0...10000, of a closed contour (N, 2), N >= 3, whose last point joins the first.
 
     GA = 1/(n/3 - 1) sum_i (theta_i - theta_(i+3))^2 over all n = 180 points, theta in degrees. A circle
     has 110, a square about 1115. Size, position, orientation, sense and first point do not matter.
@@ -50,11 +51,11 @@ def gradient_angularity(contour_uv: ArrayLike) -> float:
 
 
 @compiled
-def _squared_turns(contour: Array, arc: Array, even: Array, tangents: Array) -> float:
-    """Sum of the squared turns, in rad^2, of the smoothed outline; -1 where fewer than three points differ.
+def _squared_turns(contour: PointsUV, arc: Values, even: Floats, tangents: Floats) -> float:
+    """Return the sum of squared turns of the smoothed outline in rad^2, or -1 if fewer than three points differ.
 
-    Room for the length of the outline up to each point and back to the first (N + 1,), for n points of equal
-    distance with `REACH` of them once more beyond either end (2, n + 2 REACH), and for tangents (2, n), all 0.
+    Work arrays: `arc` (N + 1,) takes the arc length at each point and back at the first, `even` (2, n + 2 REACH) the n
+    equally spaced points with `REACH` of them repeated beyond either end, `tangents` (2, n), zeros, their tangents.
     """
     n_points, n = len(contour), tangents.shape[1]
     arc[0] = 0.0
@@ -82,7 +83,7 @@ def _squared_turns(contour: Array, arc: Array, even: Array, tangents: Array) -> 
             even[axis, k] = even[axis, n + k]
             even[axis, REACH + n + k] = even[axis, REACH + k]
 
-    # tangents of the smoothed outline, but for their length; they turn as the normals do
+    # tangents of the smoothed outline, not of unit length; they turn as the normals do
     for k in range(1, REACH + 1):
         weight = k * np.exp(-((k / (SMOOTHING_STEPS * OVERSAMPLING)) ** 2) / 2)
         for axis in range(2):

@@ -1,101 +1,103 @@
-"""The smallest box around a body and the smallest square it passes: searches over rotations.
+"""Search over rotations for the box of least volume around a body and for the smallest square it passes through.
 
-Both depend on nothing but the widths w(e) of the body along the axes of an orthonormal frame:
+Both depend only on the widths w(e) of the body along the axes of an orthonormal frame:
 
-- a box along the frame holds the body if its edges are w(e1), w(e2), w(e3);
+- the box along the frame that just holds the body has the edges w(e1), w(e2), w(e3);
 - the body passes along e3 through a square with sides along e1 and e2 and edge max(w(e1), w(e2)).
 
-Both have many local minima. A beam of the best frames, chosen among 10 000 coarse ones (`near_frames`), is turned
-by smaller and smaller angles; frames that come close to a better one, or fall behind, give way to others.
+Both have many local minima, so this is a beam search: the best frames among 10 000 coarse ones (`near_frames`) are
+rotated by smaller and smaller angles; frames that come close to a better one, or fall behind, are dropped.
 """
 
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Indices32, Values, Vector
 from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere, near_frames
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
-
 FIRST, TWO_AXES, ALL_AXES = whole(0), whole(2), whole(3)
-"""A frame of a list, and how many axes are asked about."""
+"""Typed constants for the compiled loops: index of the first frame, numbers of axes."""
 N_COARSE = whole(40)
-"""Coarse frames, of different neighbourhoods, among which the starts are chosen."""
+"""Number of coarse frames, each of another neighbourhood, from which the starts are chosen."""
 N_STARTS = 20
+"""Number of frames from which the search starts."""
 START_SPACING_RAD = 0.1
+"""Least rotation between two of them."""
 BEAM = 16
-"""Frames followed while a turn may still lead from one local minimum to another."""
+"""Beam width while a rotation may still lead from one local minimum to another."""
 NARROW_BEAM = 6
-"""Frames followed at turns of less than `NARROW_RAD`."""
+"""Beam width once the search radius is below `NARROW_RAD`."""
 NARROW_RAD = 0.006
 MAX_LAG = 0.5
-"""A frame is given up that is worse than the best known by more than this share for each rad of the latest turn."""
+"""A frame is dropped whose score exceeds the best by more than this share per rad of the search radius."""
 N_CHILDREN = 4
-"""Of the turns of a frame so many are looked at closely."""
+"""Number of rotations of a frame that are followed up, the best by the first-order score."""
 ZOOM, NARROW_ZOOM = 0.6, 0.5
-"""Of the radius from one turn to the next, and at those of less than `NARROW_RAD`."""
+"""Factors of the search radius from one round to the next, above and below `NARROW_RAD`."""
 FINAL_RADIUS_RAD = 1e-5
-"""Turning a body of extent D by this changes a width by at most 1e-5 D."""
+"""The search ends here: rotating a body of extent D by this changes a width by at most 1e-5 D."""
 N_STEPS = 7
-"""Turns about each axis, from minus to plus the radius."""
-N_TURNS = N_STEPS**2  # of one axis: about itself it does not turn
+"""Number of rotation angles about each axis, from minus to plus the search radius."""
+N_TURNS = N_STEPS**2
+"""Number of directions that an axis takes: rotating about itself does not move it."""
 
 
 class _Frames(NamedTuple):
-    """Orthonormal frames and what is known of them."""
+    """F candidate frames of the search."""
 
-    axes: Array  # (F, 3, 3) axes in rows
-    touching: Indices  # (3 F, 2) vertices at the upper and the lower plane of each axis
-    score: Array  # (F,) what is to be least; infinite: not wanted
+    axes: Floats  # (F, 3, 3) axes in rows
+    touching: Indices32  # (3 F, 2) vertices at the upper and the lower tangent plane of each axis
+    score: Values  # (F,) volume of the box, or edge of the square; infinite: dropped
 
 
 class _Turns(NamedTuple):
-    """Small turns of any axis, and room for what they measure."""
+    """Small rotations of an axis, and work arrays for the widths along the rotated axes."""
 
-    steps: Array  # (2, N_TURNS) towards the axis after it and away from the last one, in radii
-    width_mm: Array  # (4, N_TURNS) for each axis of a frame, and room for one
-    queue: Indices  # (2, N) vertices, and which of all are among these
+    steps: Floats  # (2, N_TURNS) towards the next axis and away from the one after it, in units of the search radius
+    width_mm: Floats  # (4, N_TURNS) for each axis of a frame; the last row is scratch space
+    queue: Indices32  # (2, N) queue of vertices, and for each vertex whether it has been queued
 
 
-def smallest_around_mm(body: ConvexBody) -> tuple[Array, float]:
-    """Edges (3,), longest first, of the box of least volume, and the edge of the smallest square hole passed.
+def smallest_around_mm(body: ConvexBody) -> tuple[Vector, float]:
+    """Return the edges, longest first, of the box of least volume, and that of the smallest square hole passed.
 
-    The body passes by translation. The hole is the least of max(w(e1), w(e2)) over all pairs of orthogonal
+    The body passes by translation. The hole is the minimum of max(w(e1), w(e2)) over all pairs of orthogonal
     directions: the smallest square around a projection, over all directions of projection.
     """
     one_mm, two_mm, three_mm = body.width_mm[near_frames()]
     product_mm3 = one_mm * two_mm * three_mm
     median_mm = np.maximum(np.minimum(one_mm, two_mm), np.minimum(np.maximum(one_mm, two_mm), three_mm))
-    return np.sort(_least(body, product_mm3, True))[::-1], float(_least(body, median_mm, False)[:2].max())
+    return np.sort(_least_widths_mm(body, product_mm3, True))[::-1], float(
+        _least_widths_mm(body, median_mm, False)[:2].max()
+    )
 
 
-def _least(body: ConvexBody, scores: Array, is_box: bool) -> Array:
-    """The widths (3,) along the axes of the best frame, given the `near_frames`' scores; the third only of a box."""
-    hoods = np.argpartition(scores.min(axis=0), N_COARSE)[:N_COARSE]
-    best = scores[:, hoods].argmin(axis=0)
-    coarse = near_frames()[:, best, hoods].T
-    if not is_box:  # the widest direction is the one to pass along
+def _least_widths_mm(body: ConvexBody, scores: Floats, is_box: bool) -> Vector:
+    """Return the widths along the best frame's axes, given the scores of `near_frames`; the third for boxes only."""
+    neighborhoods = np.argpartition(scores.min(axis=0), N_COARSE)[:N_COARSE]
+    best = scores[:, neighborhoods].argmin(axis=0)
+    coarse = near_frames()[:, best, neighborhoods].T
+    if not is_box:  # the body passes along its widest direction
         coarse = np.take_along_axis(coarse, body.width_mm[coarse].argsort(axis=1), axis=1)
-    frames, kept = _room(N_CHILDREN * N_STARTS), _room(N_STARTS)
+    frames, kept = _empty_frames(N_CHILDREN * N_STARTS), _empty_frames(N_STARTS)
     frames.axes[:N_COARSE] = half_sphere().directions[coarse]
     frames.touching[: 3 * N_COARSE] = body.touching[coarse.reshape(-1)]
-    frames.score[:N_COARSE] = scores[best, hoods]
+    frames.score[:N_COARSE] = scores[best, neighborhoods]
     widths_mm, best_mm = np.zeros((2, 3))
     _search(body.edges, frames, kept, is_box, _turns(len(body.vertices_mm)), widths_mm, best_mm)
     return best_mm
 
 
-def _room(n: int) -> _Frames:
+def _empty_frames(n: int) -> _Frames:
     return _Frames(np.empty((n, 3, 3)), np.empty((3 * n, 2), np.int32), np.empty(n))
 
 
 @cache
-def _steps() -> Array:
+def _steps() -> Floats:
     steps = np.linspace(-1, 1, N_STEPS)
     return np.array([np.repeat(steps, N_STEPS), np.tile(steps, N_STEPS)])
 
@@ -111,10 +113,10 @@ def _search(
     kept: _Frames,
     is_box: bool,
     turns: _Turns,
-    widths_mm: Array,
-    best_mm: Array,
+    widths_mm: Vector,
+    best_mm: Vector,
 ) -> None:
-    """Set the widths (3,) of the best frame, starting from the first `N_COARSE` given, whose room is used again."""
+    """Set `best_mm` to the widths of the best frame; `frames` starts with the `N_COARSE` coarse ones."""
     n_axes = ALL_AXES if is_box else TWO_AXES
     n_frames, n_most, spacing_rad, limit = N_COARSE, N_STARTS, START_SPACING_RAD, np.inf
     radius, best = COVERING_RAD, np.inf
@@ -124,21 +126,21 @@ def _search(
             nearest = _lowest(frames.score, n_frames)
             if not frames.score[nearest] < limit:
                 break
-            _settle(edges, frames, nearest, kept, n_kept, n_axes, widths_mm)
+            _keep(edges, frames, nearest, kept, n_kept, n_axes, widths_mm)
             score = _score(widths_mm[0], widths_mm[1], widths_mm[2], is_box)
             kept.score[n_kept] = score
             if score < best:
                 best = score
                 for axis in range(n_axes):
                     best_mm[axis] = widths_mm[axis]
-            _strike_twins(frames, n_frames, nearest, cos_spacing)
+            _drop_similar(frames, n_frames, nearest, cos_spacing)
             n_kept += 1
         if radius < FINAL_RADIUS_RAD:
             return
         for parent in range(n_kept):
             for axis in range(n_axes):
                 _turn(edges, kept, parent, axis, radius, turns)
-            _breed(kept, parent, turns.width_mm, radius, is_box, frames)
+            _add_children(kept, parent, turns.width_mm, radius, is_box, frames)
         n_frames = N_CHILDREN * n_kept
         is_wide = radius >= NARROW_RAD
         n_most = BEAM if is_wide else NARROW_BEAM
@@ -147,7 +149,7 @@ def _search(
 
 
 @compiled_within
-def _lowest(score: Array, n: int) -> int:
+def _lowest(score: Values, n: int) -> int:
     best = FIRST
     for i in range(1, n):
         if score[i] < score[best]:
@@ -163,10 +165,10 @@ def _score(a_mm: float, b_mm: float, c_mm: float, is_box: bool) -> float:
 
 
 @compiled_within
-def _settle(
-    edges: Edges, frames: _Frames, i: int, kept: _Frames, to_i: int, n_axes: int, widths_mm: Array
+def _keep(
+    edges: Edges, frames: _Frames, i: int, kept: _Frames, to_i: int, n_axes: int, widths_mm: Vector
 ) -> None:
-    """Keep a frame, made orthonormal with its first axis as it is; climb to where it touches, which tells widths."""
+    """Copy frame `i` to `kept`, made orthonormal about its first axis, and set its tangent vertices and widths."""
     axes = frames.axes
     x, y, z = unit(axes[i, 0, 0], axes[i, 0, 1], axes[i, 0, 2])
     u, v, w = axes[i, 1, 0], axes[i, 1, 1], axes[i, 1, 2]
@@ -185,8 +187,8 @@ def _settle(
 
 
 @compiled_within
-def _strike_twins(frames: _Frames, n_frames: int, best: int, cos_spacing: float) -> None:
-    """Frames with nearly the same three axes as another, in any order and sense, are no longer wanted."""
+def _drop_similar(frames: _Frames, n_frames: int, best: int, cos_spacing: float) -> None:
+    """Drop frames with nearly the same three axes as the best, in any order and sense, and the best itself."""
     axes = frames.axes
     for i in range(n_frames):
         n_near = FIRST
@@ -207,10 +209,10 @@ def _strike_twins(frames: _Frames, n_frames: int, best: int, cos_spacing: float)
 
 @compiled_within
 def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, turns: _Turns) -> None:
-    """Widths of the body along an axis of a frame, turned in all ways.
+    """Set the widths of the body along an axis of a frame for all `N_TURNS` rotations of it.
 
-    The vertices that touch in one of these ways are connected. So, from the one that touches now outwards,
-    those are looked at which the turns may lift as high as it.
+    The vertices that touch a tangent plane of any rotated axis are connected by edges. So the search spreads from the
+    vertex that touches now to those neighbours that a rotation may lift as high as it.
     """
     axes, points, steps, width_mm, queue = (
         kept.axes,
@@ -259,16 +261,18 @@ def _turn(edges: Edges, kept: _Frames, frame: int, axis: int, radius: float, tur
             queue[1, queue[0, k]] = 0
         for turn in range(N_TURNS):
             width_mm[axis, turn] += width_mm[3, turn]
-    for turn in range(N_TURNS):  # a turned axis is longer
+    for turn in range(N_TURNS):  # to first order a rotated axis is too long
         towards, away = radius * steps[0, turn], radius * steps[1, turn]
         width_mm[axis, turn] /= np.sqrt(1 + towards * towards + away * away)
 
 
 @compiled_within
-def _breed(kept: _Frames, parent: int, width_mm: Array, radius: float, is_box: bool, frames: _Frames) -> None:
-    """The best of the frames that come of one turned by (x, y, z) in a cube of +-radius.
+def _add_children(
+    kept: _Frames, parent: int, width_mm: Floats, radius: float, is_box: bool, frames: _Frames
+) -> None:
+    """Set the `N_CHILDREN` best frames among the rotations of a frame by (x, y, z) in a cube of +-radius.
 
-    To first order e1 turns with y and z only, e2 with x and z, e3 with x and y: the widths along 3 m^2
+    To first order e1 moves with y and z only, e2 with x and z, e3 with x and y: the widths along 3 m^2
     directions give the score at m^3 rotations.
     """
     axes = kept.axes

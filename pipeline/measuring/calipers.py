@@ -1,36 +1,33 @@
 """Feret diameters and the dimensions of ASTM D4791 of a convex body.
 
-With p and q the two vertices that touch the planes normal to u, w(v) >= (p - q).v for *every* direction v,
-because p and q stay in the body. This bound turns the searches below from guesses into certificates.
+If p and q are the two vertices that touch the tangent planes normal to u, then w(v) >= (p - q).v for *every*
+direction v, because p and q belong to the body. With this bound the searches below prove their results.
 """
 
 import math
 
 import numpy as np
 import scipy.spatial
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Indices32, Vector
 from pipeline.compiled import compiled, compiled_within
 from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
-
 WIDTH_TOLERANCE = 1e-4
-"""Relative gap between the least width seen and the least one possible at which its search ends."""
+"""Relative gap between the least width found and its lower bound at which the search ends."""
 MAX_DIRECTIONS = 128
-"""Directions in which the greatest dimension is looked for; a longish body needs one or two."""
+"""Largest number of directions in which the greatest dimension is looked for; a longish body needs one or two."""
 MAX_OPEN = 160
-"""Parts of a triangle still to be looked at, three of each size."""
+"""Capacity of the stack of open parts of a triangle: three of each size."""
 MANY_POINTS = 400
-"""Of more than so many in a plane the convex hull is found before each is compared with each."""
+"""Beyond this number of points in a plane, pairs are compared on their convex hull only."""
 RIM = 1e-9
-"""A facet so steep (its normal's part along the axis) belongs to either side."""
+"""A facet whose unit normal has no larger component along the axis belongs to both sides."""
 
 
-def max_feret(body: ConvexBody) -> Array:
-    """The vector (3,) between the two vertices farthest apart.
+def max_feret(body: ConvexBody) -> Vector:
+    """Return the vector between the two vertices that are farthest apart.
 
     Some direction of `half_sphere()` is within d = COVERING_RAD of the diameter D, hence the body is
     at least D cos d wide along it and both ends of the diameter lie within D (1 - cos d) of its
@@ -57,45 +54,45 @@ def max_feret(body: ConvexBody) -> Array:
 
 
 def min_feret_mm(body: ConvexBody) -> float:
-    """The least width, exact within `WIDTH_TOLERANCE`.
+    """Return the least width of a body, exact within `WIDTH_TOLERANCE`.
 
     Branch and bound over the triangles of `half_sphere()`: inside a triangle with corners u_i the
     width is nowhere less than max_i min_j (p_i - q_i).u_j. Triangles that cannot beat the least
-    width seen are dropped, the others split into four.
+    width found so far are dropped, the others split into four.
     """
     sphere = half_sphere()
     least_mm = float(body.width_mm.min())
-    corners, at = np.empty((3 * MAX_OPEN, 3)), np.empty((3 * MAX_OPEN, 2), np.int32)
+    corners, ends = np.empty((3 * MAX_OPEN, 3)), np.empty((3 * MAX_OPEN, 2), np.int32)
     return _least_width_mm(
-        body.edges, sphere.directions, sphere.triangles, body.touching, corners, at, least_mm
+        body.edges, sphere.directions, sphere.triangles, body.touching, corners, ends, least_mm
     )
 
 
 @compiled
 def _least_width_mm(
     edges: Edges,
-    directions: Array,
-    triangles: Indices,
-    touching: Indices,
-    corners: Array,
-    at: Indices,
+    directions: Floats,
+    triangles: Indices32,
+    touching: Indices32,
+    corners: Floats,
+    ends: Indices32,
     least_mm: float,
 ) -> float:
-    """The corners (3 P, 3) of parts of triangles and where they touch are room for the search."""
+    """Return the least width; `corners` (3 P, 3) and `ends` (3 P, 2), their tangent vertices, are work arrays."""
     for triangle in range(len(triangles)):
         for k in range(3):
             direction = triangles[triangle, k]
             for i in range(3):
                 corners[k, i] = directions[direction, i]
             for i in range(2):
-                at[k, i] = touching[direction, i]
+                ends[k, i] = touching[direction, i]
         n_open = 1
         while n_open > 0:
             n_open -= 1
             part = 3 * n_open
-            if _bound_mm(edges, corners, at, part) >= least_mm * (1 - WIDTH_TOLERANCE):
+            if _bound_mm(edges, corners, ends, part) >= least_mm * (1 - WIDTH_TOLERANCE):
                 continue
-            if n_open + 4 > MAX_OPEN:  # nothing but rounding is left
+            if n_open + 4 > MAX_OPEN:  # only rounding errors are left
                 continue
             middle = part + 9
             for k in range(3):
@@ -106,34 +103,34 @@ def _least_width_mm(
                     corners[one, 2] + corners[other, 2],
                 )
                 corners[middle + k, 0], corners[middle + k, 1], corners[middle + k, 2] = x, y, z
-                at[middle + k, 0], at[middle + k, 1] = at[one, 0], at[one, 1]
-                least_mm = min(least_mm, touch(edges, x, y, z, at, middle + k))
+                ends[middle + k, 0], ends[middle + k, 1] = ends[one, 0], ends[one, 1]
+                least_mm = min(least_mm, touch(edges, x, y, z, ends, middle + k))
             # the parts at corners 1 and 2 are (m0, c1, m1) and (m2, m1, c2); (c0, m0, m2) replaces the whole
-            _copy(corners, at, part + 1, part + 4)
-            _copy(corners, at, part + 2, part + 8)
+            _copy(corners, ends, part + 1, part + 4)
+            _copy(corners, ends, part + 2, part + 8)
             for k in range(2):
-                _copy(corners, at, middle, part + 3 - 2 * k)
-                _copy(corners, at, middle + 1, part + 5 + 2 * k)
-                _copy(corners, at, middle + 2, part + 6 - 4 * k)
+                _copy(corners, ends, middle, part + 3 - 2 * k)
+                _copy(corners, ends, middle + 1, part + 5 + 2 * k)
+                _copy(corners, ends, middle + 2, part + 6 - 4 * k)
             n_open += 4
     return least_mm
 
 
 @compiled_within
-def _copy(corners: Array, at: Indices, row: int, to_row: int) -> None:
+def _copy(corners: Floats, ends: Indices32, row: int, to_row: int) -> None:
     for i in range(3):
         corners[to_row, i] = corners[row, i]
     for i in range(2):
-        at[to_row, i] = at[row, i]
+        ends[to_row, i] = ends[row, i]
 
 
 @compiled_within
-def _bound_mm(edges: Edges, corners: Array, at: Indices, part: int) -> float:
-    """No direction within the triangle whose corners begin at a row has a width below this."""
+def _bound_mm(edges: Edges, corners: Floats, ends: Indices32, part: int) -> float:
+    """Return a lower bound of the widths along all directions in the triangle whose corners begin at row `part`."""
     points = edges.vertices_mm
     bound_mm = 0.0
     for i in range(part, part + 3):
-        upper, lower = at[i, 0], at[i, 1]
+        upper, lower = ends[i, 0], ends[i, 1]
         x = points[upper, 0] - points[lower, 0]
         y = points[upper, 1] - points[lower, 1]
         z = points[upper, 2] - points[lower, 2]
@@ -144,8 +141,11 @@ def _bound_mm(edges: Edges, corners: Array, at: Indices, part: int) -> float:
     return bound_mm
 
 
-def extents_across(body: ConvexBody, axis: Array) -> tuple[float, float]:
-    """Greatest dimension perpendicular to an axis (3,), and the dimension perpendicular to both; exact."""
+def extents_across(body: ConvexBody, axis: Vector) -> tuple[float, float]:
+    """Return the greatest dimension perpendicular to an axis, and the dimension perpendicular to both; exact.
+
+    Units are those of the body, mm. The axis need not be a unit vector.
+    """
     along = body.normals @ (axis / np.linalg.norm(axis))
     is_near, is_far = np.zeros((2, len(body.vertices_mm)), bool)
     is_near[body.facets.compress(along >= -RIM, axis=0)] = True
@@ -159,8 +159,8 @@ def extents_across(body: ConvexBody, axis: Array) -> tuple[float, float]:
     return float(distances_mm[i, j]), float(np.ptp(flat_mm @ [-v, u]))
 
 
-def _across(axis: Array) -> Array:
-    """Two unit vectors (2, 3) perpendicular to an axis (3,) and to each other (Duff et al. 2017)."""
+def _across(axis: Vector) -> Floats:
+    """Return two unit vectors (2, 3) perpendicular to an axis and to each other (Duff et al. 2017)."""
     x, y, z = (axis / np.linalg.norm(axis)).tolist()
     sign = math.copysign(1.0, z)
     a = -1 / (sign + z)

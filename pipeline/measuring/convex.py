@@ -1,30 +1,28 @@
 """The convex hull of a body and its widths between parallel planes.
 
 The width along a unit direction u is w(u) = max p.u - min p.u over the hull's vertices p: every size that
-calipers, bars or holes can measure is one of the hull, and follows from w. The vertex that touches a plane is
-found by climbing along the hull's edges: on a convex body no summit is a false one.
+calipers, bars or holes can measure follows from w. The vertex that touches a tangent plane is found by climbing
+along the hull's edges: on a convex body every local maximum is the global one.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pipeline.arrays import Directions, Indices32, PointsMM, Values
 from pipeline.compiled import compiled
 from pipeline.geometry.quickhull import hull_facets
 from pipeline.measuring.directions import half_sphere
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
-
 
 class Edges(NamedTuple):
-    """The vertices of a convex hull and what they are connected with."""
+    """The vertices of a convex hull and their E edges, as lists of neighbours."""
 
-    vertices_mm: Array  # (N, 3)
-    first: Indices  # (N + 1,) where the neighbours of each vertex begin
-    neighbors: Indices  # (2 E,)
+    vertices_mm: PointsMM
+    first: Indices32  # (N + 1,) where in `neighbors` those of each vertex begin
+    neighbors: Indices32  # (2 E,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,19 +30,25 @@ class ConvexBody:
     """A convex hull, with its widths along the M directions of `half_sphere()`."""
 
     volume_mm3: float
-    facets: Indices  # (F, 3) vertices, counter-clockwise seen from outside
-    normals: Array  # (F, 3) outward unit vectors
+    facets: Indices32  # (F, 3) vertices, counter-clockwise seen from outside
+    normals: Directions  # (F, 3) outward
     edges: Edges
-    touching: Indices  # (M, 2) the vertices at the upper and at the lower plane
-    width_mm: Array  # (M,)
+    touching: Indices32  # (M, 2) the vertices at the upper and at the lower tangent plane
+    width_mm: Values  # (M,)
 
     @property
-    def vertices_mm(self) -> Array:  # (N, 3)
+    def vertices_mm(self) -> PointsMM:
         return self.edges.vertices_mm
 
 
-def convex_body(points_mm: Array, center_mm: ArrayLike = (0, 0, 0)) -> ConvexBody:
-    """The convex hull of points (N, 3) that do not lie in one plane, relative to a centre (3,)."""
+def convex_body(points_mm: PointsMM, center_mm: ArrayLike = (0, 0, 0)) -> ConvexBody:
+    """Return the convex hull of points that do not lie in one plane, shifted by minus a centre (3,).
+
+    Raises
+    ------
+    scipy.spatial.QhullError
+        The points lie in one plane.
+    """
     facets, normals = hull_facets(points_mm)
     is_vertex = np.zeros(len(points_mm), bool)
     is_vertex[facets] = True
@@ -68,8 +72,11 @@ def convex_body(points_mm: Array, center_mm: ArrayLike = (0, 0, 0)) -> ConvexBod
 
 
 @compiled
-def _connect(vertices_mm: Array, facets: Indices, first: Indices, neighbors: Indices) -> float:
-    """Fill in the edges, of which one leaves a vertex along each of its facets; returns the volume in mm3."""
+def _connect(vertices_mm: PointsMM, facets: Indices32, first: Indices32, neighbors: Indices32) -> float:
+    """Fill in `Edges.first` and `Edges.neighbors`, zeros before, and return the volume in mm^3.
+
+    Each vertex has one outgoing edge along each of its facets.
+    """
     sixfold_mm3 = 0.0
     for facet in range(len(facets)):
         a, b, c = facets[facet, 0], facets[facet, 1], facets[facet, 2]
@@ -91,7 +98,7 @@ def _connect(vertices_mm: Array, facets: Indices, first: Indices, neighbors: Ind
 
 @compiled
 def highest(edges: Edges, x: float, y: float, z: float, start: int) -> int:
-    """The vertex farthest along a direction, climbing from another one."""
+    """Return the vertex farthest along a direction, climbing from the vertex `start`."""
     points = edges.vertices_mm
     summit = start
     top = points[start, 0] * x + points[start, 1] * y + points[start, 2] * z
@@ -108,13 +115,17 @@ def highest(edges: Edges, x: float, y: float, z: float, start: int) -> int:
 
 @compiled
 def unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the unit vector along (x, y, z)."""
     length = np.sqrt(x * x + y * y + z * z)
     return x / length, y / length, z / length
 
 
 @compiled
-def touch(edges: Edges, x: float, y: float, z: float, touching: Indices, row: int) -> float:
-    """Width in mm along a unit direction; a row of `touching` (R, 2) holds vertices nearby, then those that touch."""
+def touch(edges: Edges, x: float, y: float, z: float, touching: Indices32, row: int) -> float:
+    """Return the width in mm along a unit direction.
+
+    A row of `touching` (R, 2) holds the vertices from which to climb, afterwards those at the two tangent planes.
+    """
     points, width_mm = edges.vertices_mm, 0.0
     for end in range(2):
         vertex = highest(edges, x, y, z, touching[row, end])
@@ -125,7 +136,9 @@ def touch(edges: Edges, x: float, y: float, z: float, touching: Indices, row: in
 
 
 @compiled
-def _touch_all(edges: Edges, directions: Array, nearby: Indices, touching: Indices, width_mm: Array) -> None:
+def _touch_all(
+    edges: Edges, directions: Directions, nearby: Indices32, touching: Indices32, width_mm: Values
+) -> None:
     """Fill in `ConvexBody.touching` and `ConvexBody.width_mm`."""
     for i in range(len(directions)):
         touching[i, 0], touching[i, 1] = touching[nearby[i], 0], touching[nearby[i], 1]

@@ -1,4 +1,4 @@
-"""A fixed, nearly uniform set of directions over half a sphere, and the frames that can be made of them.
+"""A fixed, nearly uniform set of directions over half a sphere, and nearly orthogonal frames of such directions.
 
 A body is as wide along u as along -u, so half a sphere is enough: ten faces of an icosahedron, no two
 of them opposite, each split into 4^4 triangles.
@@ -12,36 +12,35 @@ import numpy as np
 import scipy.spatial
 from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, Indices32
 from pipeline.geometry.icosphere import icosahedron, subdivided
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
-
 SUBDIVISIONS = 4
+"""Number of times that each face is split into four."""
 COVERING_RAD = 0.048
-"""No direction is farther than this (2.75 degrees) from the nearest of the set or from its opposite."""
+"""Covering radius: every direction or its opposite is within this angle (2.75 degrees) of one of the set."""
 NEARLY_RAD = 0.024
-"""Directions that are so nearly orthogonal can be the axes of a coarse frame. With twice as much there are twice as
+"""Largest deviation from a right angle between two axes of a coarse frame. With twice as much there are twice as
 many frames and their widths tell less of those of the frames nearby: searches from them end worse."""
 
 N_COARSEST = 93
-"""Directions after two of the splits; frames are neighbours whose axes are nearest to the same of these."""
-HOOD = 8
-"""Neighbours among which the best is looked for."""
+"""Number of directions after two of the splits; frames whose axes are nearest to the same of these are neighbours."""
+N_NEIGHBORS = 8
+"""Number of neighbouring frames of which only the best is a start of a search."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfSphere:
-    """Unit directions, coarse to fine."""
+    """Unit directions, coarse to fine, and the triangles between them that cover half a sphere."""
 
-    directions: Array  # (1329, 3)
-    triangles: Indices  # (2560, 3) between directions; they cover half a sphere
-    nearby: Indices  # (1329,) the nearest of the directions before each
+    directions: Directions  # (1329, 3)
+    triangles: Indices32  # (2560, 3) indices of directions
+    nearby: Indices32  # (1329,) for each direction, the nearest of those before it
 
 
 @cache
 def half_sphere() -> HalfSphere:
-    """The set of directions."""
+    """Return the set of directions, the same object at every call."""
     corners, faces = icosahedron()
     # a plane in general position: of two opposite faces one is on either side
     upper = corners[faces].sum(axis=1) @ [0.2, 0.3, 0.9] > 0
@@ -58,7 +57,7 @@ def half_sphere() -> HalfSphere:
 
 @cache
 def near_frames() -> NDArray[np.intp]:
-    """Frames of three directions (3, `HOOD`, C), nearly orthogonal, by their indices; those of a column are near."""
+    """Return frames of nearly orthogonal directions, as indices (3, `N_NEIGHBORS`, C): neighbours in each column."""
     directions = half_sphere().directions
     cosines = np.abs(directions @ directions.T)
     first, second = np.nonzero(np.triu(cosines < np.sin(NEARLY_RAD)))
@@ -67,9 +66,9 @@ def near_frames() -> NDArray[np.intp]:
     frames = np.unique(np.sort([first, second, third % len(directions)], axis=0), axis=1)
     coarse = cosines[:, :N_COARSEST].argmax(axis=1)
     ordered = frames[:, np.lexsort(np.sort(coarse[frames], axis=0))]
-    n_hoods = -(-ordered.shape[1] // HOOD)
-    padded = ordered[:, np.arange(HOOD * n_hoods) % ordered.shape[1]]
-    return _constant(np.ascontiguousarray(padded.reshape(3, n_hoods, HOOD).transpose(0, 2, 1)))
+    n_neighborhoods = -(-ordered.shape[1] // N_NEIGHBORS)
+    padded = ordered[:, np.arange(N_NEIGHBORS * n_neighborhoods) % ordered.shape[1]]
+    return _constant(np.ascontiguousarray(padded.reshape(3, n_neighborhoods, N_NEIGHBORS).transpose(0, 2, 1)))
 
 
 def _constant(array: NDArray[Any]) -> NDArray[Any]:

@@ -1,18 +1,20 @@
-"""How much larger than a sphere its visual hull is: the floor of the method, from the cameras alone."""
+"""Excess volume of a sphere's visual hull over the sphere: the method's least bias, from the cameras' places alone."""
 
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from pipeline.arrays import Singles
 
 N_DIRECTIONS = 5000
-"""So many make the excess good to 1e-3 of it, single precision to 1e-5."""
+"""Number of sampled directions: it makes the excess good to 1e-3 of it, single precision to 1e-5."""
 
 
 def sphere_hull_excess(camera_centers_mm: ArrayLike, center_mm: ArrayLike, radius_mm: float) -> float:
-    """Volume of the visual hull of a sphere seen by these cameras (N, 3), over the sphere's volume.
+    """Return the volume of a sphere's visual hull, seen by cameras at (N, 3), over the sphere's volume.
 
-    The hull is what the tangent cones have in common. Seen from the sphere's centre, a cone of
+    The hull is the intersection of the tangent cones. Seen from the sphere's centre, a cone of
     half-angle alpha whose axis makes the angle psi with the direction u ends at
 
         r(u) = radius / sin(psi - alpha)
@@ -35,7 +37,7 @@ def sphere_hull_excess(camera_centers_mm: ArrayLike, center_mm: ArrayLike, radiu
     cos_alpha = np.sqrt(1 - sin_alpha**2)
     cos_psi = (axes / distances_mm[:, None]).astype(np.float32) @ sphere_directions(N_DIRECTIONS)
     sin_psi = np.sqrt(np.maximum(1 - cos_psi**2, 0))
-    # radius over r(u); all directions of a camera, then the next camera's: it runs in vectors
+    # radius over r(u); laid out camera by camera, so that numpy works on contiguous rows
     nearest = (sin_psi * cos_alpha[:, None] - cos_psi * sin_alpha[:, None]).max(axis=0)
     if not (nearest > 0).all():
         raise ValueError(f"{len(axes)} cameras leave the hull of the sphere open")
@@ -43,8 +45,8 @@ def sphere_hull_excess(camera_centers_mm: ArrayLike, center_mm: ArrayLike, radiu
 
 
 @cache
-def sphere_directions(n: int) -> NDArray[np.float32]:
-    """Unit directions (3, n) in equal parts of the sphere (Fibonacci spiral)."""
+def sphere_directions(n: int) -> Singles:
+    """Return n unit directions (3, n), evenly spread over the sphere (Fibonacci spiral)."""
     i = np.arange(n) + 0.5
     z = 1 - 2 * i / n
     azimuth = np.pi * (1 + np.sqrt(5)) * i

@@ -1,4 +1,4 @@
-"""Size and form of one stone from its closed mesh.
+"""Size and form of one stone, measured on its closed mesh.
 
 Two triples, because the standards disagree on what "length" is:
 
@@ -12,67 +12,91 @@ EN 933-3, EN 933-4 and JTG 3432 go by `max_feret_mm` and `min_feret_mm`.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pipeline.geometry.icosphere import icosphere
+from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.boxes import smallest_around_mm
 from pipeline.measuring.calipers import extents_across, max_feret, min_feret_mm
 from pipeline.measuring.convex import convex_body
 from pipeline.measuring.solid import solid_of
 
-ZinggClass = Literal["equant", "disc", "rod", "blade"]
 ZINGG_LIMIT = 2 / 3
+"""Limit of both ratios in Zingg's diagram; a ratio equal to it counts as below."""
+WARM_UP_RADIUS_MM = 5.0
+
+
+class ZinggClass(StrEnum):
+    """Class of form in Zingg's diagram (1935) of b/a and c/b; the words are those of the result record."""
+
+    EQUANT = "equant"
+    """b/a > 2/3 and c/b > 2/3."""
+    DISC = "disc"
+    """b/a > 2/3 and c/b <= 2/3."""
+    ROD = "rod"
+    """b/a <= 2/3 and c/b > 2/3."""
+    BLADE = "blade"
+    """b/a <= 2/3 and c/b <= 2/3."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeMeasurement:
-    """What a mesh measures; field names are those of the result record."""
+    """Sizes and form factors of one closed mesh; field names are those of the result record.
+
+    a >= b >= c are the edges of the box of least volume, `min_box_mm`.
+    """
 
     volume_mm3: float
+    """Volume inside the mesh, mm^3; exact for the polyhedron."""
     surface_area_mm2: float
+    """Area of the mesh, mm^2; exact for the polyhedron."""
     center_mm: tuple[float, float, float]
-    """Centre of mass at uniform density, in the frame of the mesh."""
+    """Centre of mass at uniform density, mm, in the frame of the mesh."""
     length_mm: float
-    """ASTM D4791: the greatest dimension, equal to `max_feret_mm`."""
+    """Length, mm: the greatest dimension (ASTM D4791), equal to `max_feret_mm`."""
     width_mm: float
-    """ASTM D4791: the greatest dimension perpendicular to the length."""
+    """Width, mm: the greatest dimension perpendicular to the length (ASTM D4791)."""
     thickness_mm: float
-    """ASTM D4791: the dimension perpendicular to length and width."""
+    """Thickness, mm: the dimension perpendicular to length and width (ASTM D4791)."""
     max_feret_mm: float
-    """Greatest distance between two parallel tangent planes (EN 933-4: L)."""
+    """Maximum Feret diameter, mm: the greatest distance between two parallel tangent planes (L of EN 933-4)."""
     min_feret_mm: float
-    """Least distance between two parallel tangent planes (EN 933-4: E; passes a bar sieve, EN 933-3)."""
+    """Minimum Feret diameter, mm: the least distance between two parallel tangent planes (E of EN 933-4); of a bar
+    sieve, the narrowest slot that the stone passes (EN 933-3)."""
     min_box_mm: tuple[float, float, float]
-    """Edges of the box of least volume, a >= b >= c."""
+    """Edges of the box of least volume around the stone, mm, a >= b >= c: long, intermediate and short axis."""
     sieve_size_mm: float
-    """Smallest square aperture that the body passes by translation."""
+    """Sieve size, mm: the smallest square aperture that the stone passes by translation, in its best orientation
+    (sieves of EN 933-2, ISO 3310-2)."""
     equivalent_diameter_mm: float
-    """Diameter of the sphere of equal volume."""
+    """Diameter of the sphere of equal volume, mm: (6 V / pi)^(1/3)."""
     sphericity: float
-    """Wadell: surface of the sphere of equal volume over the surface, pi^(1/3) (6 V)^(2/3) / A."""
+    """True sphericity (Wadell 1935), 0..1: surface of the sphere of equal volume over the stone's,
+    pi^(1/3) (6 V)^(2/3) / A."""
     convexity: float
-    """Volume over volume of the convex hull; of a visual hull an upper bound."""
+    """Volume over the volume of the convex hull, 0..1; from silhouettes an upper bound, they show no dents."""
     elongation_ratio: float
-    """b / a."""
+    """Elongation b / a, 0..1 (Zingg 1935)."""
     flatness_ratio: float
-    """c / b."""
+    """Flatness c / b, 0..1 (Zingg 1935)."""
     zingg_class: ZinggClass
+    """Class of form (Zingg 1935): both ratios above 2/3 equant, b/a alone disc, c/b alone rod, neither blade."""
     krumbein: float
-    """Intercept sphericity (b c / a^2)^(1/3)."""
+    """Intercept sphericity (Krumbein 1941), 0..1: (b c / a^2)^(1/3)."""
     corey: float
-    """c / sqrt(a b)."""
+    """Shape factor (Corey 1949), 0..1: c / (a b)^(1/2)."""
 
 
 def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
-    """Measure a closed mesh with vertices (N, 3) and faces (M, 3); deterministic.
+    """Measure a closed mesh with vertices (N, 3) in mm and faces (M, 3); deterministic.
 
-    Volume and area are exactly those of the polyhedron. All else is taken from its convex hull, or from one
-    without points that stand out by less than 3e-5 of the extent (`quickhull.TOLERANCE`): the D4791 triple is
-    exact, the least Feret diameter within 1e-4. Sieve size and least box come from searches that on 186 hulls
-    in three poses each missed the best value known by 1e-3 at most, by 7e-6 in the mean. The mesh may be turned
-    inside out as a whole.
+    Volume and area are exactly those of the polyhedron. All else is taken from its convex hull, without points
+    that stand out by less than 3e-5 of the extent (`quickhull.TOLERANCE`): of that hull the D4791 triple is exact,
+    the minimum Feret diameter within 1e-4. Sieve size and box come from searches that on 186 hulls in three poses
+    each missed the best value known by 1e-3 at most, by 7e-6 in the mean. The mesh may be inside out as a whole.
 
     Raises
     ------
@@ -112,7 +136,15 @@ def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
 
 
 def zingg_class(elongation_ratio: float, flatness_ratio: float) -> ZinggClass:
-    """Zingg's class of a body with b/a = `elongation_ratio` and c/b = `flatness_ratio`."""
+    """Return Zingg's class of a body with b/a = `elongation_ratio` and c/b = `flatness_ratio`."""
     if elongation_ratio > ZINGG_LIMIT:
-        return "equant" if flatness_ratio > ZINGG_LIMIT else "disc"
-    return "rod" if flatness_ratio > ZINGG_LIMIT else "blade"
+        return ZinggClass.EQUANT if flatness_ratio > ZINGG_LIMIT else ZinggClass.DISC
+    return ZinggClass.ROD if flatness_ratio > ZINGG_LIMIT else ZinggClass.BLADE
+
+
+def warm_up() -> ShapeMeasurement:
+    """Measure a coarse ball and a circle, which compiles the loops of this package before the first stone."""
+    directions, faces = icosphere(subdivisions=2)
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    gradient_angularity(np.column_stack([np.cos(angle), np.sin(angle)]))
+    return measure_shape(WARM_UP_RADIUS_MM * directions, faces)

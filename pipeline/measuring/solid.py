@@ -1,6 +1,6 @@
-"""Volume, area, centre of mass and inertia of a closed mesh, and whether it is closed, in one pass over its faces.
+"""Volume, area, centre of mass and inertia of a closed mesh, and the check that it is closed, in one pass.
 
-A mesh bounds a solid when every directed edge (a, b) of a face meets its opposite (b, a) in another
+A mesh bounds a solid if every directed edge (a, b) of a face meets its opposite (b, a) in another
 face: then the signed tetrahedra below add up to the volume, whatever their common apex.
 """
 
@@ -9,42 +9,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pipeline.arrays import Faces, Flags, Matrix33, PointsMM, Values, Vector
 from pipeline.compiled import compiled, whole
 from pipeline.errors import MeshError
 
-Array = NDArray[np.float64]
-Faces = NDArray[np.int64]
-
-MIN_FILLING = 1e-9
-"""Volume over the area to the power of 3/2 below which a surface encloses nothing but rounding errors."""
+MIN_COMPACTNESS = 1e-9
+"""Least volume / area^(3/2) of a solid; below it the volume consists of rounding errors."""
 MISSING = "the mesh has faces whose vertices are missing"
 MIX_1, MIX_2, MIX_3 = (
     np.uint64(0x9E3779B97F4A7C15),
     np.uint64(0xBF58476D1CE4E5B9),
     np.uint64(0x94D049BB133111EB),
 )
-"""Of SplitMix64 (Steele, Lea and Flood 2014)."""
+"""Constants of the SplitMix64 generator (Steele, Lea and Flood 2014)."""
 SECOND = np.array([[5, 8, 10], [8, 6, 9], [10, 9, 7]])
-"""Where the sums over the faces have the integrals of xx, xy, ..., zz."""
+"""Index into the sums over the faces of each second moment, xx, xy, ..., zz."""
 CLOSED, OPEN, INCOMPLETE = whole(0), whole(1), whole(2)
-"""What a mesh is: the last where vertices are missing."""
+"""Kinds of meshes; `INCOMPLETE`: a face names a vertex that does not exist."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """What a closed surface encloses."""
+    """The solid that a closed mesh encloses."""
 
     volume_mm3: float
     surface_area_mm2: float
-    center_mm: Array  # (3,) centre of mass at uniform density
-    inertia_mm5: Array  # (3, 3) about the centre of mass, at density 1
-    vertices_mm: Array  # (N, 3) the vertices that belong to a face
+    center_mm: Vector  # centre of mass at uniform density
+    inertia_mm5: Matrix33  # about the centre of mass, at density 1
+    vertices_mm: PointsMM  # the vertices that belong to a face
 
 
 def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
-    """The solid inside a mesh in mm; a mesh whose faces all look inward is taken as turned inside out.
-
-    `vertices_mm` (N, 3), `faces` (M, 3).
+    """Return the solid inside a mesh with vertices (N, 3) and faces (M, 3), whose faces may all look inward.
 
     Raises
     ------
@@ -68,7 +64,7 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
         raise MeshError("the mesh has vertices that are not finite numbers")
     if kind == OPEN:
         raise MeshError(_defect(corners, len(points_mm)))
-    if not abs(volume_mm3) > MIN_FILLING * area_mm2**1.5:
+    if not abs(volume_mm3) > MIN_COMPACTNESS * area_mm2**1.5:
         raise MeshError("the mesh encloses no volume")
     center_mm = sums[2:5] / volume_mm3
     second_mm5 = sums[SECOND] - volume_mm3 * np.outer(center_mm, center_mm)
@@ -83,18 +79,19 @@ def solid_of(vertices_mm: ArrayLike, faces: ArrayLike) -> Solid:
 
 @compiled
 def _add_up(
-    vertices_mm: Array,
+    vertices_mm: PointsMM,
     faces: Faces,
-    origin_mm: Array,
+    origin_mm: Vector,
     tags: NDArray[np.uint64],
-    is_used: NDArray[np.bool_],
-    sums: Array,
+    is_used: Flags,
+    sums: Values,
 ) -> int:
-    """Set area, signed volume, its moments x, y, z, xx, yy, zz, xy, yz, zx, and which vertices belong to a face.
+    """Set `sums` to area, signed volume and its moments x, y, z, xx, yy, zz, xy, yz, zx; return the mesh's kind.
 
-    Tells whether the mesh is closed. For that there is room for a random number for each vertex: each face adds
-    (p - q) (q - r) (r - p) of its corners' numbers to a fingerprint. That is a sum over its edges, q p^2 - p q^2 for
-    the one from p to q: edges and their opposites cancel, and nothing else does but by chance.
+    `is_used` tells which vertices belong to a face. To find out whether the mesh is closed, each vertex gets a random
+    number in `tags`, and each face adds (p - q) (q - r) (r - p) of its corners' numbers to a fingerprint. That is a sum
+    over its edges, q p^2 - p q^2 for the one from p to q: edges and their opposites cancel, nothing else does but by
+    chance.
 
     The tetrahedron of the origin and a face (a, b, c) with volume V has the moments V (a + b + c) / 4 and
     V / 20 (a a' + b b' + c c' + (a + b + c) (a + b + c)').
@@ -139,7 +136,7 @@ def _add_up(
 
 
 def _defect(faces: Faces, n_vertices: int) -> str:
-    """What is wrong with a mesh some of whose edges lack their opposite."""
+    """Describe what is wrong with a mesh some of whose edges lack their opposite."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     forward, backward = start * n_vertices + end, end * n_vertices + start
     undirected = np.minimum(forward, backward)

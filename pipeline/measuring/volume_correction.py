@@ -1,12 +1,12 @@
-"""A stone's volume from those of its visual hull and of the estimated body.
+"""Correction of a stone's volume, from the volumes of its visual hull and of the estimated body.
 
-The hull is always too large, and the distance to the estimate says by how much:
+The hull is always too large, and its gap g to the estimate says by how much:
 
     ln V = ln V_hull - gap_share g - hidden_share,    g = ln(V_hull / V_estimate).
 
-With `gap_share` 1 the volume is the estimate's. A little more corrects for what the estimate leaves on
-average, `hidden_share` for dents and pores that no silhouette shows: known bodies tell the first, weighed
-stones of the quarry both. Fewer views leave a larger gap, so that the same coefficients serve them.
+With `gap_share` 1 the volume is the estimate's; a little more corrects the excess that the estimate still has on
+average, `hidden_share` corrects for dents and pores that no silhouette shows. Known bodies determine the first,
+weighed stones of the quarry both. Fewer views leave a larger gap, so the same coefficients serve them.
 """
 
 import math
@@ -18,9 +18,9 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VolumeModel:
-    """Coefficients, from known bodies or from weighed stones."""
+    """Coefficients of the correction, fitted to known bodies or to weighed stones."""
 
-    id: str  # told with every result
+    id: str  # named in every result
     gap_share: float
     hidden_share: float = 0.0
 
@@ -33,21 +33,22 @@ class VolumeModel:
             raise ValueError(f"hidden_share must be in -0.2..0.5, not {self.hidden_share}")
 
     def volume_mm3(self, hull_mm3: float, estimate_mm3: float) -> float:
-        """The volume, never more than the hull's."""
+        """Return the corrected volume, never more than the hull's."""
         missing = self.gap_share * math.log(hull_mm3 / estimate_mm3) + self.hidden_share
         return hull_mm3 * math.exp(-max(missing, 0.0))
 
 
 SYNTHETIC = VolumeModel(id="synthetic-1", gap_share=1.14)
-"""Of bodies whose hidden parts are unknown: none are assumed. Fitted by tests/accuracy/fit_estimate.py."""
+"""Default coefficients, fitted by tests/accuracy/fit_estimate.py to bodies without hidden dents."""
 
 MIN_BODIES = 5
+"""Least number of bodies to fit coefficients to."""
 
 
 def fit_volume_model(
     id: str, hull_mm3: Sequence[float], estimate_mm3: Sequence[float], true_mm3: Sequence[float]
 ) -> VolumeModel:
-    """Least squares of the logarithms over bodies of known volume.
+    """Fit the coefficients to bodies of known volume, by least squares of the logarithms.
 
     Raises
     ------
@@ -60,7 +61,9 @@ def fit_volume_model(
     gaps = np.log(hull_mm3) - np.log(estimate_mm3)
     missing = np.log(hull_mm3) - np.log(true_mm3)
     if np.ptp(gaps) < 0.005:
-        raise ValueError("the bodies' gaps are too much alike to be fitted: add other forms of stones")
+        raise ValueError(
+            "the gaps between hull and estimate are too much alike to be fitted: add other forms of stones"
+        )
     (gap_share, hidden_share), *_ = np.linalg.lstsq(
         np.column_stack([gaps, np.ones_like(gaps)]), missing, rcond=None
     )

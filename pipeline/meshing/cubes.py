@@ -1,4 +1,4 @@
-"""Marching cubes, only where the surface is (Lorensen and Cline 1987): over the leaves of the hull's octree.
+"""Marching cubes (Lorensen and Cline 1987) over the leaves of the hull's octree, that is only where the surface is.
 
 A leaf is a block of 4^3 samples. Each sample stands for the cube between it and the next samples, and for the
 three edges of the grid that begin at it. Where such an edge is cut there is one vertex, which the four cubes
@@ -10,43 +10,43 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Faces, Flags, Floats, Singles
 from pipeline.carving import LEAF
 from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.geometry.bounds import bounds
 from pipeline.meshing.cases import CORNERS, EDGES, cube_cases
 
-Array = NDArray[np.float64]
-Field = NDArray[np.float32]
 Leaves = NDArray[np.int32]
+"""(L, 3) indices of each leaf's first sample."""
 Cases = NDArray[np.uint8]
-Faces = NDArray[np.int64]
+"""(L, `SAMPLES`) case of each cube, an index into the tables of `cube_cases`."""
 
 SAMPLES = LEAF**3
-"""In a leaf, by rows: sample (LEAF i + j) LEAF + k is (i, j, k) from the first one."""
+"""Number of samples in a leaf, by rows: sample (LEAF i + j) LEAF + k is (i, j, k) from the first one."""
 NO_LEAF = -16
-"""Instead of what `_place` tells of a sample: its vertices' rows are all negative."""
+"""Stands for the vertices of a sample (see `_place`) where there is no leaf: every row read from it is negative."""
 X, Y, Z = whole(0), whole(1), whole(2)
 """Axes."""
 FULL_ROW = 2 ** (LEAF + 1) - 1
-"""Bits of a row of samples that are all inside, that of the next leaf too."""
+"""Bits of a row of samples that are all inside, including the next leaf's first."""
 
 
-def march(field: Field, level: float, leaves: Leaves) -> tuple[Array, Faces]:
-    """Vertices (N, 3), in samples, and faces (M, 3) of the surface where a field (nx, ny, nz) passes `level`.
+def march(field: Singles, level: float, leaves: Leaves) -> tuple[Floats, Faces]:
+    """Return vertices (N, 3), in samples, and faces (M, 3) of the surface where a field (nx, ny, nz) crosses `level`.
 
-    `leaves` (L, 3) are the first samples of different ones; beyond the field all is outside. The surface is
-    closed, its faces are counter-clockwise seen from where the field is lower. Orders follow that of the leaves.
+    No leaf may occur twice; beyond the field all is outside. The surface is closed, its faces are
+    counter-clockwise seen from where the field is lower. Vertices and faces are in the order of the leaves.
 
     Raises
     ------
     ValueError
-        The surface goes on where there is no leaf.
+        The surface continues where there is no leaf.
     """
     table = cube_cases()
     leaves = np.ascontiguousarray(leaves)
     is_cut = np.zeros(len(leaves), np.bool_)
     cases = np.empty((len(leaves), SAMPLES), np.uint8)
-    field = _reaching(field, leaves)
+    field = _padded(field, leaves)
     rows = np.empty((LEAF + 1, LEAF + 1), np.int64)
     n_vertices, n_faces = _classify(field, level, leaves, table.n_triangles, rows, is_cut, cases)
     vertices, faces = np.empty((n_vertices, 3)), np.empty((n_faces, 3), np.int64)
@@ -68,12 +68,12 @@ def march(field: Field, level: float, leaves: Leaves) -> tuple[Array, Faces]:
             faces,
         )
         if not is_closed:
-            raise ValueError("the surface goes on where there is no leaf")
+            raise ValueError("the surface continues where there is no leaf")
     return vertices, faces
 
 
-def _reaching(field: Field, leaves: Leaves) -> Field:
-    """The field, enlarged where a leaf's cubes reach beyond it."""
+def _padded(field: Singles, leaves: Leaves) -> Singles:
+    """Return the field, padded with -inf where a leaf's cubes reach beyond it."""
     beyond = np.maximum(leaves.max(axis=0, initial=0) + LEAF + 1 - field.shape, 0)
     if not beyond.any():
         return field
@@ -81,7 +81,7 @@ def _reaching(field: Field, leaves: Leaves) -> Field:
 
 
 def _neighbors(leaves: Leaves) -> NDArray[np.uint32]:
-    """Rows (L, 8) of the leaves around the upper corner of each leaf, itself first; L where there is none."""
+    """Return the indices (L, 8) of the leaves around the upper corner of each leaf, itself first; L for none."""
     first_leaf, last_leaf = bounds(leaves)
     blocks = (leaves - first_leaf) // LEAF
     shape = tuple((last_leaf - first_leaf) // LEAF + 2)
@@ -93,9 +93,9 @@ def _neighbors(leaves: Leaves) -> NDArray[np.uint32]:
 
 @cache
 def _owners() -> NDArray[np.uint8]:
-    """Where each edge of each cube of a leaf begins (64, 12, 3): neighbour, sample there, and axis of the edge.
+    """Return for each edge of each cube of a leaf (64, 12, 3): the leaf and sample at which it begins, and its axis.
 
-    Neighbour 4 dx + 2 dy + dz lies that many leaves further along the axes.
+    Leaves are told as neighbours: 4 dx + 2 dy + dz lies (dx, dy, dz) leaves further along the axes.
     """
     owners = np.empty((SAMPLES, len(EDGES), 3), np.uint8)
     for cube, first in enumerate(np.ndindex((LEAF,) * 3)):
@@ -108,15 +108,18 @@ def _owners() -> NDArray[np.uint8]:
 
 @compiled
 def _classify(
-    field: Field,
+    field: Singles,
     level: float,
     leaves: Leaves,
     n_triangles: NDArray[np.uint8],
     rows: NDArray[np.int64],
-    is_cut: NDArray[np.bool_],
+    is_cut: Flags,
     cases: Cases,
 ) -> tuple[int, int]:
-    """Tell which leaves (L,) are cut, with the case (L, 64) of each cube there; returns how many vertices and faces."""
+    """Set which leaves the surface cuts and the cases of their cubes; return the numbers of vertices and faces.
+
+    `rows` (LEAF + 1, LEAF + 1) is a work array.
+    """
     n_vertices = n_faces = 0
     for leaf in range(len(leaves)):
         x, y, z = leaves[leaf, 0], leaves[leaf, 1], leaves[leaf, 2]
@@ -149,18 +152,19 @@ def _classify(
 
 @compiled_within
 def _is_cut(case: int, axis: int) -> int:
-    """Whether the edge along an axis from a cube's first corner is cut, 0 or 1."""
+    """Return 1 if the edge along an axis from a cube's first corner is cut, else 0."""
     return (case ^ case >> (4 >> axis)) & 1
 
 
 @compiled
 def _place(
-    field: Field, level: float, leaves: Leaves, cases: Cases, vertices: Array, ids: NDArray[np.int32]
+    field: Singles, level: float, leaves: Leaves, cases: Cases, vertices: Floats, ids: NDArray[np.int32]
 ) -> None:
-    """Set the vertices (N, 3), and for samples (L, 64) that have any 4 n + cut: the first is n, and which follow.
+    """Set the vertices (N, 3), in samples, and where to find those of each sample.
 
-    A sample's vertices are in the order of the axes; bits of `cut` tell whether there is one along the first axis and
-    along the second. Samples without vertices are left as they are.
+    The vertices on the edges that begin at a sample follow one another in the order of the axes. Its `ids` (L, 64) is
+    4 n + cut: n is the index of the first of them, the bits of `cut` tell whether there is one along x and along y.
+    Samples without vertices are left as they are.
     """
     n = 0
     for leaf in range(len(leaves)):
@@ -194,9 +198,9 @@ def _connect(
     vertex_on: NDArray[np.int32],
     faces: Faces,
 ) -> bool:
-    """Set the faces (M, 3), as rows of the vertices; tells whether all of these are there.
+    """Set the faces (M, 3); return whether all their vertices exist.
 
-    `vertex_on` (12,) is room for the vertices on a cube's edges.
+    `vertex_on` (12,) is a work array for the vertices on a cube's edges.
     """
     n = lowest = 0
     for leaf in range(len(cases)):

@@ -1,47 +1,53 @@
-"""From the hull's field to a closed triangle mesh (marching cubes, the paper's eq. (11))."""
+"""Closed triangle mesh of the visual hull, by marching cubes over its field (the paper's eq. (11))."""
 
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
 
 import numpy as np
-import skimage  # what is used of it is imported then
-from numpy.typing import NDArray
+import skimage  # imports its submodules on use
 
+from pipeline.arrays import Faces, PointsMM
 from pipeline.carving import VisualHull, all_leaves
+from pipeline.meshing.connected_surfaces import largest_surface
 from pipeline.meshing.cubes import march
-from pipeline.meshing.parts import largest_part
 
-Mesher = Literal["leaves", "skimage"]
-"""Our own marching cubes, or scikit-image's over the whole field, which holds the GIL and is slower."""
+
+class Mesher(StrEnum):
+    """Implementation of marching cubes; the words are those of `stonefall measure --mesher`."""
+
+    LEAVES = "leaves"
+    """Our own, over the octree's leaves."""
+    SKIMAGE = "skimage"
+    """scikit-image's over the whole field, the reference: slower, and it holds the GIL."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParticleMesh:
     """Closed surface in the world frame; faces counter-clockwise seen from outside."""
 
-    vertices_mm: NDArray[np.float64]  # (N, 3)
-    faces: NDArray[np.int64]  # (M, 3)
+    vertices_mm: PointsMM
+    faces: Faces
 
 
-def mesh_hull(hull: VisualHull, mesher: Mesher = "leaves") -> ParticleMesh | None:
-    """Surface of the hull's largest part, or `None` when the hull is empty.
+def mesh_hull(hull: VisualHull, mesher: Mesher = Mesher.LEAVES) -> ParticleMesh | None:
+    """Return the largest connected surface of the hull, in mm, or `None` if the hull is empty.
 
-    Where the hull meets the border of the grid the surface closes there; `hull.touches_border` tells.
+    Where the hull reaches the border of the grid (`hull.touches_border`) the surface is closed along it.
     """
-    if mesher == "skimage":
+    if mesher is Mesher.SKIMAGE:
         vertices, faces = _skimage_surface(hull)
     else:
         vertices, faces = march(hull.field, hull.level, hull.leaves)
     if len(faces) == 0:
         return None
-    vertices, faces = largest_part(vertices, faces)
-    for axis, column in enumerate(vertices.T):  # whole columns at a time take a third of the time
+    vertices, faces = largest_surface(vertices, faces)
+    for axis, column in enumerate(vertices.T):  # column by column takes a third of the time
         column *= hull.pitch_mm
         column += hull.origin_mm[axis]
     return ParticleMesh(vertices, faces)
 
 
-def _skimage_surface(hull: VisualHull) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _skimage_surface(hull: VisualHull) -> tuple[PointsMM, Faces]:
     if not (hull.field > hull.level).any():
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces, _, _ = skimage.measure.marching_cubes(
@@ -51,7 +57,7 @@ def _skimage_surface(hull: VisualHull) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def warm_up() -> ParticleMesh | None:
-    """Compile what meshing needs, by meshing a small ball."""
+    """Mesh a small ball, which compiles the loops of this package before the first stone."""
     samples = np.indices((8, 8, 8))
     return mesh_hull(
         VisualHull(

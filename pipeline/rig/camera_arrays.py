@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, PointsMM, Vector
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.rig.lens import undistorted
 
@@ -44,3 +45,13 @@ def arrays_of(cameras: Sequence[CameraCalibration]) -> CameraArrays:
     return CameraArrays(
         K.reshape(-1, 3, 3), distortion.reshape(-1, 5), R.reshape(-1, 3, 3), t_mm.reshape(-1, 3)
     )
+
+
+def nearest_point(origins_mm: PointsMM, directions: Directions) -> Vector:
+    """Return the point of least sum of squared distances to N >= 2 rays, eq. (9) of the paper.
+
+    p = [sum (I - d d^T)]^-1 sum (I - d d^T) c for rays from c along the unit vectors d; where all are parallel, the
+    one of these points that is nearest to the origin.
+    """
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origins_mm))[0]

@@ -13,7 +13,7 @@ class Segmenter(Protocol):
     """Finds the body in one view. The third of the three seams, beside `Camera` and `LightGate`."""
 
     def __call__(self, frame: Frame, background: BackgroundModel) -> Silhouette:
-        """The silhouette, or a view whose `status` says why there is none. Never raises for an image."""
+        """Return the silhouette, or a view whose `status` says why there is none. Never raises for an image."""
         ...
 
 
@@ -21,10 +21,10 @@ def segment_all(
     frames: Mapping[CameraId, Frame],
     background: BackgroundModel,
     segmenter: Segmenter,
-    each: ViewMapper = map,
+    view_mapper: ViewMapper = map,
 ) -> SilhouetteSet:
-    """One silhouette per frame, in the order of the frames; `each` may segment several at a time."""
-    silhouettes = each(lambda frame: segmenter(frame, background), frames.values())
+    """Return one silhouette per frame, in the order of the frames."""
+    silhouettes = view_mapper(lambda frame: segmenter(frame, background), frames.values())
     return dict(zip(frames, silhouettes, strict=True))
 
 

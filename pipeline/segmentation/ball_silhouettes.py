@@ -1,4 +1,4 @@
-"""A ball as every camera sees it, made up without images: compiles what the first stone would wait for."""
+"""Silhouettes of a ball, computed without images: input to compile loops with before the first stone."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ RADIUS_MM = 5.0
 
 
 def ball_silhouettes(rig: RigCalibration) -> dict[CameraId, Silhouette]:
-    """Silhouettes of a ball in the middle of the rig."""
+    """Return the silhouettes of a ball in the middle of the rig, one per camera."""
     return {camera.id: _silhouette(camera) for camera in rig.cameras}
 
 

@@ -1,12 +1,13 @@
-"""Where exactly a body ends that was found roughly: grey levels decide between its core and what is possible.
+"""The sub-pixel edge of a body that was found roughly, placed by grey levels alone.
 
 A pixel at the edge mixes body and background, I = c s + (1 - c) B. With the background B known and
-the body's grey level s carried outwards from just inside the edge, the coverage c follows, and the
+the body's grey level s extrapolated from just inside the edge, the coverage c follows, and the
 edge is where c = 1/2: half-way between the *local* grey levels on both sides, whatever the texture,
-the light or a gradient of the background. A symmetric blur does not move it.
+the light or a gradient of the background. A symmetric blur does not move it. From there each point is
+moved to the steepest slope across the edge (`edge_refinement`).
 
-Who found the body does not matter: a comparison with the empty rig or a network gives the core and
-the possible pixels, never the edge.
+How the body was found does not matter: a comparison with the empty rig or a network gives a trimap
+(core, possible and unknown pixels), never the edge.
 """
 
 from collections.abc import Sequence
@@ -17,47 +18,48 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import GreyImage
 from pipeline.frames import Frame
-from pipeline.segmentation.edge import Edge
-from pipeline.segmentation.grey_levels import GreyLevels, cross, decided
-from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
-from pipeline.segmentation.steepest import N_NOTES, to_steepest
+from pipeline.segmentation.edge_refinement import N_COLUMNS, refine_edge_points
+from pipeline.segmentation.local_threshold import RegionLevels, find_crossings, threshold
+from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
+from pipeline.segmentation.subpixel_edge import SubpixelEdge
 
-Grey = NDArray[np.uint8]
 Contours = Sequence[NDArray[np.int32]]
+"""Pixels (N, 1, 2) around components, as OpenCV gives them."""
 
 MIN_CONTRAST = 0.12
-"""Of the body's level to the background, as a share of it; below, grey levels do not tell them apart."""
+"""Least contrast of body and background, as a share of the background; below, grey levels do not tell them apart."""
 HOLE_PX = 400
 """Holes up to this area are glints on the body, larger ones are seen through."""
-N_ROUNDS = 4
-"""How often what is unknown may grow beside an edge that is not the body's."""
-NOISE_ROWS, NOISE_TURNS = 16, 64
-"""More turns than so many between body and background in a row, of every so many looked at, are no body, but a broken
-sensor: to follow 100 000 contours takes seconds."""
-BESIDE_GAP = 3
-"""So many points beside an edge that was not seen are not either."""
+MAX_ROUNDS = 4
+"""How often the unknown may grow where an edge turns out not to be the body's."""
+NOISE_ROWS, MAX_TURNS = 16, 64
+"""Every 16th row is looked at; with more changes between body and background in a row, on average, there is no body but
+a broken sensor: to follow 100 000 contours takes seconds."""
+GAP_MARGIN = 3
+"""Points beside an unseen stretch of edge that are discarded as well."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Delineation:
     """The body in a region of an image."""
 
-    labels: Grey  # (h, w) OUTSIDE, UNKNOWN or INSIDE
-    edge: Edge | None
+    labels: GreyImage  # (h, w) OUTSIDE, UNKNOWN or INSIDE
+    edge: SubpixelEdge | None
     """Of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
 
 
 def delineate(
-    image: Grey,
-    expected: Grey,
-    limits: Grey,
+    image: GreyImage,
+    expected: GreyImage,
+    trimap: GreyImage,
     *,
     gain: float = 1.0,
     min_contrast: float = MIN_CONTRAST,
     hole_px: int = HOLE_PX,
 ) -> Delineation:
-    """The largest body with its sub-pixel edge between its core and the border of what is possible.
+    """Find the largest body and its sub-pixel edge, between its core and the border of what is possible.
 
     Arrays must be contiguous and writable: compiled loops are compiled again for other kinds.
 
@@ -66,11 +68,11 @@ def delineate(
     image
         (h, w) grey levels of the region of an image that is looked at.
     expected
-        (h, w) grey levels of what is behind the body, in this light once `gain` is applied.
-    limits
-        Of blocks of 2 x 2 pixels (h / 2, w / 2), rounded up: INSIDE what is surely body, and not at its blurred edge:
-        its grey level is carried outwards. UNKNOWN where grey levels mean nothing. OPEN elsewhere, if it may be
-        body, or else OUTSIDE.
+        (h, w) grey levels of the background, in this light once `gain` is applied.
+    trimap
+        (h / 2, w / 2), rounded up, of cells of 2 x 2 pixels: INSIDE what is surely body, and not at its blurred edge
+        (its grey level is extrapolated outwards); UNKNOWN where grey levels mean nothing; elsewhere OPEN if it may
+        be body, or else OUTSIDE.
     gain
         Factor on `expected`.
     min_contrast
@@ -78,37 +80,40 @@ def delineate(
     hole_px
         Holes of the body up to this area are filled.
     """
-    view = GreyLevels(image=image, expected=expected, gain=np.float32(gain), limits=limits)
-    labels, levels, is_inside = decided(view, min_contrast)
+    region = RegionLevels(image=image, expected=expected, gain=np.float32(gain), trimap=trimap)
+    labels, levels, is_inside = threshold(region, min_contrast)
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
-    for _ in range(N_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
+    for _ in range(MAX_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
         body, contours = _largest_with_holes_filled(labels, hole_px)
         pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
         ends = np.array([0, *accumulate(map(len, contours))])
         points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
-        notes = np.empty((len(pixels_uv), N_NOTES), np.float32)
-        cross(view, levels, body, labels, pixels_uv, points_uv, seen)
+        scratch = np.empty((len(pixels_uv), N_COLUMNS), np.float32)
+        find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
         n_doubtful = 0
         for first, end in pairwise(ends.tolist()):
-            of_it = slice(first, end)
-            n_doubtful += to_steepest(
-                view, np.float32(min_contrast), labels, points_uv[of_it], seen[of_it], notes[of_it]
+            own = slice(first, end)
+            n_doubtful += refine_edge_points(
+                region, np.float32(min_contrast), labels, points_uv[own], seen[own], scratch[own]
             )
         if n_doubtful == 0:
             break
     if np.count_nonzero(seen) < len(seen):
         # the last points before a gap already bend towards what hides the edge
-        around = seen.take(np.arange(-BESIDE_GAP, len(seen) + BESIDE_GAP), mode="wrap")
-        seen = np.lib.stride_tricks.sliding_window_view(around, 2 * BESIDE_GAP + 1).min(axis=1)
-    edge = Edge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
+        around = seen.take(np.arange(-GAP_MARGIN, len(seen) + GAP_MARGIN), mode="wrap")
+        seen = np.lib.stride_tricks.sliding_window_view(around, 2 * GAP_MARGIN + 1).min(axis=1)
+    edge = SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
 
 
 def silhouette_of(
-    frame: Frame, corner_uv: tuple[int, int], delineation: Delineation, found_by: str = "background"
+    frame: Frame,
+    corner_uv: tuple[int, int],
+    delineation: Delineation,
+    found_by: FoundBy = FoundBy.BACKGROUND,
 ) -> Silhouette:
-    """The silhouette in a frame, of whose region with this upper left corner `delineation` is.
+    """Return the silhouette in a frame, from the delineation of its region with this upper left corner.
 
     The region must reach `MARGIN_PX` beyond the body, or to the border of the image.
     """
@@ -139,25 +144,25 @@ def silhouette_of(
     )
 
 
-def no_body(frame: Frame, status: ViewStatus, found_by: str = "background") -> Silhouette:
-    """What a frame gives that shows no usable body."""
+def no_body(frame: Frame, status: ViewStatus, found_by: FoundBy = FoundBy.BACKGROUND) -> Silhouette:
+    """Return the silhouette of a frame without a usable body."""
     height_px, width_px = frame.image.shape
     return Silhouette(
         camera=frame.camera, status=status, image_size_px=(width_px, height_px), found_by=found_by
     )
 
 
-def _is_noise(labels: Grey) -> bool:
-    """Whether labels (h, w) turn too often for a body."""
+def _is_noise(labels: GreyImage) -> bool:
+    """Return whether labels (h, w) change too often along the rows for a body."""
     rows = labels[::NOISE_ROWS]
-    return bool(np.count_nonzero(rows[:, 1:] != rows[:, :-1]) > NOISE_TURNS * len(rows))
+    return bool(np.count_nonzero(rows[:, 1:] != rows[:, :-1]) > MAX_TURNS * len(rows))
 
 
-def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contours]:
-    """The component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
+def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyImage, Contours]:
+    """Return the component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
-    A connected body's silhouette is connected: of the labels its own are kept, and what is unknown. It may be `labels`
-    themselves.
+    A connected body's silhouette is connected: other components are written into `labels` as outside, small holes as
+    inside; unknown pixels stay. The component may be `labels` itself.
     """
     found, hierarchy = cv2.findContours(labels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     contours = [np.asarray(contour, np.int32) for contour in found]
@@ -166,9 +171,9 @@ def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contou
     outer = [index for index in range(len(contours)) if hierarchy[0][index][3] < 0]
     outer.sort(key=lambda index: -cv2.contourArea(contours[index]))
     largest, *others = outer
-    rivals = [(_n_inside(labels, contours[index]), index) for index in others]
+    rivals = [(_count_inside(labels, contours[index]), index) for index in others]
     n_inside, rival = max(rivals, default=(0, largest))
-    if n_inside > 0 and n_inside > _n_inside(labels, contours[largest]):
+    if n_inside > 0 and n_inside > _count_inside(labels, contours[largest]):
         largest = rival
     is_known = (labels != UNKNOWN).view(np.uint8)
     body = labels if cv2.countNonZero(is_known) == labels.size else labels.copy()
@@ -188,8 +193,8 @@ def _largest_with_holes_filled(labels: Grey, hole_px: int) -> tuple[Grey, Contou
     return body, kept
 
 
-def _n_inside(labels: Grey, contour: NDArray[np.int32]) -> int:
-    """Number of pixels (h, w) that are inside, and within an outer contour."""
+def _count_inside(labels: GreyImage, contour: NDArray[np.int32]) -> int:
+    """Return how many pixels of labels (h, w) are inside and within an outer contour."""
     u, v, width, height = cv2.boundingRect(contour)
     part = np.zeros((height, width), np.uint8)
     cv2.drawContours(part, [contour], 0, int(INSIDE), cv2.FILLED, offset=(-u, -v))

@@ -1,57 +1,56 @@
-"""How sharp the outline of a body is: the grey profile across it, the median of many places."""
+"""The sharpness of a body's outline: the median grey profile across it."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import PointsUV, Singles
 from pipeline.compiled import compiled
 from pipeline.frames import Image
 
-Array = NDArray[np.float32]
-
-PROFILES = 48
-"""Places along the outline at which its edge is looked at."""
+MAX_PROFILES = 48
+"""Places along the outline at which its profile is taken."""
 MIN_PROFILES = 24
 MIN_OUTLINE_PX = 150
-"""The grey level behind the edge of a body with a shorter outline is not flat anywhere."""
+"""Shortest outline, in points about a pixel apart, that is judged: smaller bodies have no plateau within the edge."""
 REACH_PX, STEP_PX, N_STEPS = 12.0, 0.8, 31
+"""Extent of a profile to either side of the edge, its spacing, and its number of samples."""
 PLATEAU_PX = 8.0
-"""Beyond this distance from the edge, blur (to 5 px of motion) mixes nothing in."""
+"""Distance from the edge beyond which blur (up to 5 px of motion) mixes nothing in."""
 N_PLATEAU = int((REACH_PX - PLATEAU_PX) / STEP_PX) + 1
 TANGENT_POINTS = 6
-"""Points of the outline, about a pixel apart, to both sides that say where it runs."""
+"""Points of the outline, about a pixel apart, to either side, between which its direction is taken."""
 MIN_STEP_GREY = 16.0
-"""A lower edge is lost in the noise."""
-LOW_HIGH = 0.1, 0.9
-"""Of its rise an edge is as wide as it takes from the one to the other."""
+"""Lowest step of an edge; less is lost in the noise."""
+RISE_SHARES = 0.1, 0.9
+"""Shares of an edge's rise between which its width is measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeProfile:
-    """Of the outline of a body in one view."""
+    """Sharpness and contrast of a body's outline in one view."""
 
     width_px: float  # from 10 to 90 %
     contrast: float  # of body and wall, as a share of the wall's level
 
 
-def edge_profile(image: Image, outline_uv: NDArray[np.float64]) -> EdgeProfile | None:
-    """The median profile across an outline (N, 2); nothing where too little of it stands out."""
+def edge_profile(image: Image, outline_uv: PointsUV) -> EdgeProfile | None:
+    """Return width and contrast of the median profile across an outline; `None` where too little of it stands out."""
     if len(outline_uv) < MIN_OUTLINE_PX:
         return None
-    every = max(1, len(outline_uv) // PROFILES)
+    every = max(1, len(outline_uv) // MAX_PROFILES)
     n_places = len(outline_uv) // every + 1
     rises, contrasts = np.empty((N_STEPS, n_places), np.float32), np.empty(n_places, np.float32)
-    n_clear = _look_across(image, outline_uv, every, rises, contrasts)
+    n_clear = _fill_profiles(image, outline_uv, every, rises, contrasts)
     if n_clear < MIN_PROFILES:
         return None
-    low, high = (_reached(rises, n_clear, share) for share in LOW_HIGH)
+    low, high = (_step_reaching(rises, n_clear, share) for share in RISE_SHARES)
     return EdgeProfile((high - low) * STEP_PX, _upper_median(contrasts, n_clear))
 
 
 @compiled
-def _reached(rises: Array, n: int, share: float) -> float:
-    """At which step the median of `n` profiles, the first columns of `rises` (N_STEPS, P), first reaches a share."""
+def _step_reaching(rises: Singles, n: int, share: float) -> float:
+    """Return where the median of the first `n` profiles, columns of `rises` (N_STEPS, P), reaches a share, in steps."""
     for step in range(N_STEPS):
         n_above = 0
         for i in range(n):
@@ -64,8 +63,8 @@ def _reached(rises: Array, n: int, share: float) -> float:
 
 
 @compiled
-def _upper_median(values: Array, n: int) -> float:
-    """Of the first `n` values (N,), which are sorted for it."""
+def _upper_median(values: Singles, n: int) -> float:
+    """Return the upper median of the first `n` values (N,), which are sorted in place."""
     for i in range(1, n):
         value, place = values[i], i
         while place > 0 and values[place - 1] > value:
@@ -76,10 +75,8 @@ def _upper_median(values: Array, n: int) -> float:
 
 
 @compiled
-def _look_across(
-    image: Image, outline_uv: NDArray[np.float64], every: int, rises: Array, contrasts: Array
-) -> int:
-    """Fill in profiles across an outline where it runs unbroken, at every so many-th point; returns how many.
+def _fill_profiles(image: Image, outline_uv: PointsUV, every: int, rises: Singles, contrasts: Singles) -> int:
+    """Fill in profiles across an outline at every `every`-th point where it is unbroken; return how many.
 
     They are rises (N_STEPS, P) outwards, 0..1, and contrasts (P,).
     """

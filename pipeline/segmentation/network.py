@@ -1,32 +1,31 @@
-"""A segmentation network in an ONNX file: what it may look like, and P(body) of every pixel.
+"""A segmentation network in an ONNX file: loading and checking it, and P(body) of every pixel.
 
-Two kinds are told apart by what the file says of itself: our own ("stonefall", see `FORMAT`), which sees the
-image and what is expected behind the body, and any of the shape of a U2-Net ("u2net"), which sees the image.
-A file that leaves height and width open computes on what it is given, so small bodies cost less.
+Two kinds are distinguished by the file's metadata: our own (`FORMAT`), which sees the image and the view expected
+without the body, and any of the shape of a U2-Net, which sees the image alone. A file that leaves height and width
+open computes on whatever size it is given, so small bodies cost less.
 """
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from enum import StrEnum
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors
 
+from pipeline.arrays import FloatImage, Singles
 from pipeline.errors import ModelError
 from pipeline.segmentation.u2net import PUBLISHED_SIZE_PX, saliency, u2net_input
-
-Array = NDArray[np.float32]
 
 FORMAT = "stonefall-network/1"
 """Value of `format` in the metadata of our own networks."""
 SIZE_PX = "size_px"
-"""The edge, there, of the largest square that a network of open size was trained for."""
+"""Key in the metadata: edge of the largest square that a network of open size was trained for."""
 STEP_PX = 16
-"""Such a network halves its resolution four times."""
+"""Height and width of a network of open size are multiples of this: it halves its resolution four times."""
 CPU = "CPUExecutionProvider"
 AUTOMATIC_PROVIDERS = ("CUDAExecutionProvider", CPU)
 """Tried in this order where nothing is configured. Not TensorRT, which builds its engine for minutes at each start."""
@@ -37,9 +36,7 @@ PROVIDER_OPTIONS: Mapping[str, Mapping[str, str]] = {
     }
 }
 MAX_RELATIVE = np.float32(2.0)
-"""Our network sees nothing brighter than twice the wall: saturation."""
-CPU_COMPUTES, CANNOT_BE_RUN = "the CPU computes", "cannot be run"
-"""In what is said of a network that does not run where it should, or not at all."""
+"""Brightest input of our network, as a share of the wall; brighter pixels are clipped."""
 RUNTIME_ERRORS = (
     runtime_errors.EPFail,
     runtime_errors.EngineError,
@@ -53,33 +50,47 @@ RUNTIME_ERRORS = (
     RuntimeError,
     ValueError,
 )
-"""What onnxruntime raises for a model, a provider or a run; they have no root of their own."""
+"""What onnxruntime raises for a model, a provider or a run; these have no common base class."""
 
-Kind = Literal["stonefall", "u2net"]
+
+class NetworkKind(StrEnum):
+    """What a network takes and returns."""
+
+    OURS = "stonefall"
+    U2NET = "u2net"
+
+
+class NetworkTrouble(StrEnum):
+    """How a network fails: the words by which these reasons are told from others in a view's `fallback`."""
+
+    ON_CPU = "the CPU computes"
+    """A provider failed, and the network runs on the CPU instead."""
+    CANNOT_RUN = "cannot be run"
+    """The network does not run at all."""
 
 
 class Session(Protocol):
-    """What is used of an `onnxruntime.InferenceSession`."""
+    """The part of an `onnxruntime.InferenceSession` that is used."""
 
     def get_inputs(self) -> Sequence[Any]: ...
     def get_outputs(self) -> Sequence[Any]: ...
     def get_modelmeta(self) -> Any: ...
     def get_providers(self) -> Sequence[str]: ...
-    def run(self, output_names: Sequence[str], feed: Mapping[str, Array]) -> Sequence[Array]: ...
+    def run(self, output_names: Sequence[str], feed: Mapping[str, Singles]) -> Sequence[Singles]: ...
 
 
 StartSession = Callable[[bytes, Sequence[str]], Session]
 
 
 def start_session(model: bytes, providers: Sequence[str]) -> Session:
-    """A session that computes the same on every run: one thread, one operation after the other."""
+    """Start a session that computes the same on every run: one thread, one operation after the other."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # fatal: everything else is raised, and told by whoever catches it
+    options.log_severity_level = 4  # fatal: everything else is raised, and reported where it is caught
     wanted = [(name, dict(PROVIDER_OPTIONS.get(name, {}))) for name in providers]
-    # its own fallback prints to stdout and tells nobody
+    # onnxruntime's own fallback only prints to stdout
     session: Session = onnxruntime.InferenceSession(model, options, providers=wanted, enable_fallback=0)
     return session
 
@@ -90,48 +101,48 @@ class Network:
 
     name: str
     sha256: str
-    kind: Kind
+    kind: NetworkKind
     size_px: int
     """Edge of the largest square it computes on."""
     step_px: int
-    """Height and width are multiples of it."""
+    """Step of the heights and widths it computes on."""
     metadata: Mapping[str, str]
     fallback: str | None
-    """Why it does not run where it was wanted to, for people."""
+    """Why it does not run on the provider that was asked for, for people; `None` if it does."""
     _model: bytes = field(repr=False)
     _session: Session = field(repr=False)
     _start: StartSession = field(repr=False)
 
     @property
     def provider(self) -> str:
-        """Where it runs."""
+        """The execution provider of onnxruntime that it runs on."""
         return self._session.get_providers()[0]
 
-    def probability(self, view: Array) -> Array:
-        """P(body) (h, w) of a region.
+    def probability(self, view: Singles) -> FloatImage:
+        """Compute P(body) (h, w) of a region.
 
         A U2-Net sees the region squeezed into its square, as published. Its result is relative: its greatest value
-        is 1 in an empty image, too.
+        is 1 even in an empty image.
 
         Parameters
         ----------
         view
-            (2, h, w) image, and what is expected behind the body, as shares of the plain wall's grey level and no
-            more than `MAX_RELATIVE`; 0 where nothing is known of it. A U2-Net takes the image alone, of any size.
+            (2, h, w) image, and the view expected without the body (0 where it is not known), as shares of the plain
+            wall's grey level and no more than `MAX_RELATIVE`. A U2-Net takes the image alone, of any size.
 
         Raises
         ------
         ModelError
             The network cannot compute, not even on the CPU.
         """
-        if self.kind == "stonefall":
+        if self.kind is NetworkKind.OURS:
             return self._run(view[None])
         height, width = view.shape[1:]
         squeezed = _resized(view[0], (self.size_px, self.size_px))
         return _resized(saliency(self._run(u2net_input(squeezed))), (width, height))
 
-    def _run(self, view: Array) -> Array:
-        """First output (h, w) for an input (1, channels, h, w); on the CPU when a provider fails."""
+    def _run(self, view: Singles) -> FloatImage:
+        """Return the first output (h, w) for an input (1, channels, h, w), by the CPU when a provider fails."""
         session = self._session
         source, target = session.get_inputs()[0].name, session.get_outputs()[0].name
         try:
@@ -139,8 +150,8 @@ class Network:
         except RUNTIME_ERRORS as err:
             provider = session.get_providers()[0]
             if provider == CPU:
-                raise ModelError(f"model {self.name}: {CANNOT_BE_RUN}: {_line(err)}") from err
-            self.fallback = f"{provider} failed, {CPU_COMPUTES}: {_line(err)}"
+                raise ModelError(f"model {self.name}: {NetworkTrouble.CANNOT_RUN}: {_line(err)}") from err
+            self.fallback = f"{provider} failed, {NetworkTrouble.ON_CPU}: {_line(err)}"
             self._session = self._start(self._model, (CPU,))
             return self._run(view)
         return np.asarray(found[0][0, 0], np.float32)
@@ -149,7 +160,7 @@ class Network:
 def load_network(
     model: bytes, providers: Sequence[str] = (CPU,), *, start: StartSession = start_session
 ) -> Network:
-    """The network in the content of an ONNX file, on the first of these providers that works; else on the CPU.
+    """Load the content of an ONNX file on the first of these providers that works, else on the CPU.
 
     Raises
     ------
@@ -159,8 +170,8 @@ def load_network(
     sha256 = hashlib.sha256(model).hexdigest()
     session, fallback = _first_session(model, providers, start)
     metadata = dict(session.get_modelmeta().custom_metadata_map)
-    kind: Kind = "stonefall" if "format" in metadata else "u2net"
-    if kind == "stonefall" and metadata["format"] != FORMAT:
+    kind = NetworkKind.OURS if "format" in metadata else NetworkKind.U2NET
+    if kind is NetworkKind.OURS and metadata["format"] != FORMAT:
         raise ModelError(
             f'model {sha256[:8]}: its metadata says format = "{metadata["format"]}", expected "{FORMAT}";'
             " use a model trained for this version"
@@ -181,13 +192,13 @@ def load_network(
 
 
 def available_providers() -> tuple[str, ...]:
-    """Those of `AUTOMATIC_PROVIDERS` this machine's onnxruntime was built with."""
+    """Return those of `AUTOMATIC_PROVIDERS` that this machine's onnxruntime was built with."""
     built_in = onnxruntime.get_available_providers()
     return tuple(name for name in AUTOMATIC_PROVIDERS if name in built_in)
 
 
 def _first_session(model: bytes, providers: Sequence[str], start: StartSession) -> tuple[Session, str | None]:
-    """A session, and why it is not on the first of the providers."""
+    """Start a session; return it, and why it is not on the first of the providers."""
     built_in = onnxruntime.get_available_providers()
     problems = []
     for name in providers:
@@ -210,15 +221,17 @@ def _first_session(model: bytes, providers: Sequence[str], start: StartSession) 
         raise ModelError(
             f"expected an ONNX model, found {len(model)} bytes that are none: {_line(err)}"
         ) from err
-    return session, f"{', '.join(problems)}, {CPU_COMPUTES}" if problems else None
+    return session, f"{', '.join(problems)}, {NetworkTrouble.ON_CPU}" if problems else None
 
 
-def _sizes_px(session: Session, kind: Kind, metadata: Mapping[str, str], sha256: str) -> tuple[int, int]:
-    """Largest edge of the input, and the step of smaller ones; `ModelError` where it is not that of the kind."""
+def _sizes_px(
+    session: Session, kind: NetworkKind, metadata: Mapping[str, str], sha256: str
+) -> tuple[int, int]:
+    """Return the largest edge of the input and the step of smaller ones; `ModelError` if they do not fit the kind."""
     inputs, outputs = session.get_inputs(), session.get_outputs()
     channels, expected = (
         (2, f'one input 1x2xNxN ("view"; N open only with {SIZE_PX} in the metadata), one output 1x1xNxN')
-        if kind == "stonefall"
+        if kind is NetworkKind.OURS
         else (3, "a U2-Net: one input 1x3xNxN, first output 1x1xNxN")
     )
     shapes = [list(inputs[0].shape), list(outputs[0].shape)] if len(inputs) == 1 and outputs else []
@@ -226,7 +239,7 @@ def _sizes_px(session: Session, kind: Kind, metadata: Mapping[str, str], sha256:
         size = shapes[0][2]
         if isinstance(size, int):
             return size, size
-        if kind == "u2net":
+        if kind is NetworkKind.U2NET:
             return PUBLISHED_SIZE_PX, PUBLISHED_SIZE_PX
         if metadata.get(SIZE_PX, "").isdigit():
             return int(metadata[SIZE_PX]), STEP_PX
@@ -235,7 +248,7 @@ def _sizes_px(session: Session, kind: Kind, metadata: Mapping[str, str], sha256:
 
 
 def _fits(shape: Sequence[int | str | None], channels: int) -> bool:
-    """Whether a shape may be 1 x channels x N x N; what is left open is no number."""
+    """Return whether a shape may be 1 x channels x N x N; what is left open is no number."""
     batch, found, height, width = shape
     return (not isinstance(batch, int) or batch == 1) and found == channels and _same(height, width)
 
@@ -244,8 +257,8 @@ def _same(height: int | str | None, width: int | str | None) -> bool:
     return height == width or not (isinstance(height, int) or isinstance(width, int))
 
 
-def _resized(values: Array, size_px: tuple[int, int]) -> Array:
-    """Brought to (width, height): by area averaging where it shrinks, linear where it grows."""
+def _resized(values: FloatImage, size_px: tuple[int, int]) -> FloatImage:
+    """Return values resized to (width, height): by area averaging where they shrink, linearly where they grow."""
     height, width = values.shape
     if (width, height) == size_px:
         return values

@@ -6,21 +6,22 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Flags, FloatImage, GreyImage, PointsUV
 from pipeline.frames import CameraId
 
 OUTSIDE, UNKNOWN, INSIDE = np.uint8(0), np.uint8(128), np.uint8(255)
+"""Labels of pixels; an unknown pixel never carves."""
 
 MARGIN_PX = 40
 """Width of the known surroundings of a silhouette; further out, all is outside by at least this much."""
 
 FINE_PX, COARSE_PX = 2, 6
-"""Between the nodes of a field of distances, the first of which is the region's first pixel. A voxel is 2.3 px wide
-and more."""
+"""Spacing of the nodes of a fine and a coarse distance field, the first of which is the region's first pixel. A voxel
+is at least 2.3 px wide."""
 
 MAX_STEP_PX = 3.0
-"""Neighbouring points of an outline are closer; further apart, the edge between them was not seen."""
+"""Distance of neighbouring points of an outline; further apart, the edge between them was not seen."""
 
 
 class ViewStatus(StrEnum):
@@ -28,70 +29,78 @@ class ViewStatus(StrEnum):
 
     OK = "ok"
     EMPTY = "empty"
-    MULTIPLE = "multiple"
-    CLIPPED = "clipped"
-    NO_BACKGROUND = "no_background"
+    MULTIPLE = "multiple"  # several bodies
+    CLIPPED = "clipped"  # the body reaches the border of the image
+    NO_BACKGROUND = "no_background"  # nothing to compare with
+
+
+class FoundBy(StrEnum):
+    """The segmenter that a silhouette, or the decision that there is none, is from."""
+
+    BACKGROUND = "background"
+    NETWORK = "network"
+    U2NET = "u2net"
 
 
 class Distances(Protocol):
-    """Computes signed distances to an edge, which costs as much as finding it and is not always asked for."""
+    """Computes signed distances to an edge, which costs as much as finding it and is not always needed."""
 
-    def coarse_px(self) -> NDArray[np.float32]:
-        """(h / COARSE_PX, w / COARSE_PX), both rounded up: `Silhouette.coarse_px`."""
+    def coarse_px(self) -> FloatImage:
+        """Compute `Silhouette.coarse_px` (h / COARSE_PX, w / COARSE_PX), both rounded up."""
 
-    def fine_px(self, coarse_px: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(h / FINE_PX, w / FINE_PX), both rounded up, from the coarse ones: `Silhouette.fine_px`."""
+    def fine_px(self, coarse_px: FloatImage) -> FloatImage:
+        """Compute `Silhouette.fine_px` (h / FINE_PX, w / FINE_PX), both rounded up, from the coarse ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class KnownDistances:
-    """Distances that need not be computed."""
+    """Distances that are known for every pixel."""
 
-    distance_px: NDArray[np.float32]  # (h, w)
+    distance_px: FloatImage
 
-    def coarse_px(self) -> NDArray[np.float32]:
-        """Those of the coarse nodes."""
+    def coarse_px(self) -> FloatImage:
+        """Return the distances of the coarse nodes."""
         return np.ascontiguousarray(self.distance_px[::COARSE_PX, ::COARSE_PX])
 
-    def fine_px(self, coarse_px: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Those of the fine nodes."""
+    def fine_px(self, coarse_px: FloatImage) -> FloatImage:
+        """Return the distances of the fine nodes."""
         return np.ascontiguousarray(self.distance_px[::FINE_PX, ::FINE_PX])
 
 
-NOWHERE = KnownDistances(np.zeros((0, 0), np.float32))
+NO_DISTANCES = KnownDistances(np.zeros((0, 0), np.float32))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Silhouette:
-    """Arrays cover a region of interest only; its pixel (0, 0) is `offset_uv` of the image.
+    """What one view shows of a particle: labels, outline and distances in a region of interest.
 
-    A status other than `OK` leaves the arrays empty: such a view carves nothing.
+    Pixel (0, 0) of the region is `offset_uv` of the image. A status other than `OK` leaves the arrays empty: such a
+    view carves nothing.
     """
 
     camera: CameraId
     status: ViewStatus
     image_size_px: tuple[int, int]  # W, H
     offset_uv: tuple[int, int] = (0, 0)
-    labels: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    labels: GreyImage = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
     """(h, w): OUTSIDE, UNKNOWN or INSIDE."""
-    outline_uv: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
-    """(N, 2) points on the edge in image coordinates, in order, only where the edge was seen."""
-    distances: Distances = NOWHERE
-    found_by: str = "background"
-    """Name of the segmenter that made it."""
+    outline_uv: PointsUV = field(default_factory=lambda: np.zeros((0, 2)))
+    """Points on the edge in image coordinates, in order, only where the edge was seen."""
+    distances: Distances = NO_DISTANCES
+    found_by: FoundBy = FoundBy.BACKGROUND
     fallback: str | None = None
-    """Why it was not the one that was wanted."""
+    """Why it is not by the segmenter that was asked first; reasons joined by "; "."""
 
     @cached_property
-    def coarse_px(self) -> NDArray[np.float32]:
-        """(h / COARSE_PX, w / COARSE_PX), rounded up: as `fine_px`, up to 3 px too small, hardly ever too large."""
+    def coarse_px(self) -> FloatImage:
+        """Signed distances (h / COARSE_PX, w / COARSE_PX): as `fine_px`, up to 3 px too small, rarely too large."""
         return self.distances.coarse_px()
 
     @cached_property
-    def fine_px(self) -> NDArray[np.float32]:
-        """(h / FINE_PX, w / FINE_PX), rounded up: signed distances in px of pixel centres to the edge.
+    def fine_px(self) -> FloatImage:
+        """Signed distances (h / FINE_PX, w / FINE_PX), rounded up, in px of pixel centres to the edge.
 
-        That is the edge of *inside or unknown*; they are positive within.
+        That is the edge of *inside or unknown*; distances are positive within.
         """
         return self.distances.fine_px(self.coarse_px)
 
@@ -99,8 +108,8 @@ class Silhouette:
     def is_usable(self) -> bool:
         return self.status is ViewStatus.OK
 
-    def label_image(self) -> NDArray[np.uint8]:
-        """(H, W) labels of the whole image."""
+    def label_image(self) -> GreyImage:
+        """Return the labels of the whole image (H, W)."""
         width_px, height_px = self.image_size_px
         image = np.full((height_px, width_px), OUTSIDE)
         u, v = self.offset_uv
@@ -109,8 +118,8 @@ class Silhouette:
         return image
 
 
-def is_beside_gap(outline_uv: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Points (N,) of an outline (N, 2) from which the edge goes on unseen: the body may reach further there."""
+def is_beside_gap(outline_uv: PointsUV) -> Flags:
+    """Return which points of an outline (N, 2) border on an unseen stretch: the body may reach further there."""
     before = np.linalg.norm(outline_uv - np.roll(outline_uv, 1, axis=0), axis=1) > MAX_STEP_PX
     return before | np.roll(before, -1)
 

@@ -12,22 +12,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import FloatImage, GreyImage
 from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
-from pipeline.segmentation.comparison import DIFFERS, Thresholds, compare, limits_around, sampled
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
 from pipeline.segmentation.light import EVEN_SHARE, uneven_light
+from pipeline.segmentation.pixel_comparison import DIFFERS, Thresholds, background_trimap, compare, sampled
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
-Grey = NDArray[np.uint8]
-Array = NDArray[np.float32]
-Region = tuple[slice, slice]  # rows, columns
+Slices = tuple[slice, slice]  # rows, columns
 Box = tuple[int, int, int, int]  # x, y, width, height
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmentationParameters:
-    """Of background segmentation."""
+    """What counts as a body."""
 
     min_contrast: float = 0.12  # least difference from the background, as a share of it, that is a body
     dark_share: float = 0.5  # background below this share of the image's typical level is unknown
@@ -46,15 +45,15 @@ class SegmentationParameters:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EmptyView:
-    """What a view shows without a body, in the light of one flash, beside what it shows; arrays (H/4, W/4)."""
+class ComparedView:
+    """A view compared with the empty rig in the light of its flash; arrays (H/4, W/4)."""
 
-    seen: Grey  # a pixel of each block
-    levels: Grey  # grey level without a body, but for `gain`
+    seen: GreyImage  # one pixel of each block
+    levels: GreyImage  # grey level without a body, `gain` not applied
     gain: float  # strength of the flash, relative to the background's
-    light: Array | None  # strength of the light at each place on top of that, `None` where it is even
-    marks: Grey  # DIFFERS, DARK, or neither
-    differing: Region  # rows and columns of what differs
+    light: FloatImage | None  # further factor on the light at each place, `None` where it is even
+    marks: GreyImage  # DIFFERS, DARK, or neither
+    differing: Slices  # rows and columns of what differs
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,42 +63,46 @@ class BackgroundSegmenter:
     parameters: SegmentationParameters = SegmentationParameters()
 
     def __call__(self, frame: Frame, background: BackgroundModel) -> Silhouette:
-        """The silhouette of the one body in the frame."""
-        return self.compared(frame, background)[0]
+        """Return the silhouette of the one body in the frame."""
+        return self.segment(frame, background)[0]
 
-    def compared(self, frame: Frame, background: BackgroundModel) -> tuple[Silhouette, EmptyView | None]:
-        """The silhouette, and the empty view in coarse pixels that it was told from."""
+    def segment(self, frame: Frame, background: BackgroundModel) -> tuple[Silhouette, ComparedView | None]:
+        """Return the silhouette, and the comparison with the empty rig that it was found by."""
         known = background.get(frame.camera)
         if known is None or known.mean.shape != frame.image.shape:
             return no_body(frame, ViewStatus.NO_BACKGROUND), None
         seen = sampled(frame.image)
         thresholds = self.thresholds(seen, known)
-        empty = empty_view(seen, known, thresholds)
-        status, box = self.locate(empty)
+        compared = compare_view(seen, known, thresholds)
+        status, box = self.locate(compared)
         if box is None:
-            return no_body(frame, status), empty
+            return no_body(frame, status), compared
         region = _full_size(box, frame.image.shape)
-        image, behind = frame.image[region].copy(), known.levels[region].copy()
-        expected = behind if empty.light is None else _lit(behind, empty.light[_in_blocks(region)])
+        image, empty_levels = frame.image[region].copy(), known.levels[region].copy()
+        expected = (
+            empty_levels
+            if compared.light is None
+            else _lit(empty_levels, compared.light[_block_slices(region)])
+        )
         delineation = delineate(
             image,
             expected,
-            limits_around(image, expected, behind, thresholds),
-            gain=empty.gain,
+            background_trimap(image, expected, empty_levels, thresholds),
+            gain=compared.gain,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
         )
-        return silhouette_of(frame, (region[1].start, region[0].start), delineation), empty
+        return silhouette_of(frame, (region[1].start, region[0].start), delineation), compared
 
-    def locate(self, empty: EmptyView) -> tuple[ViewStatus, Box | None]:
-        """Box of the body in coarse pixels, or why there is none.
+    def locate(self, compared: ComparedView) -> tuple[ViewStatus, Box | None]:
+        """Return the box of the body in coarse pixels, or why there is none.
 
-        What lies on both sides of a dark dot is one body: the dot may hide the bridge.
+        What lies on both sides of a dark dot is one body: the dot may hide what connects it.
         """
         p = self.parameters
-        if not empty.differing[0].stop:
+        if not compared.differing[0].stop:
             return ViewStatus.EMPTY, None
-        (top, left), marks, contours, boxes = _parts(empty)
+        (top, left), marks, contours, boxes = _marked_components(compared)
         largest_px, second_px, largest = 0, 0, (0, 0, 0, 0)
         for number in sorted(range(len(boxes)), key=lambda i: -boxes[i][2] * boxes[i][3]):
             u, v, width, height = boxes[number]
@@ -107,9 +110,9 @@ class BackgroundSegmenter:
                 break  # this one and the smaller ones are dust
             differs = marks[v : v + height, u : u + width] & DIFFERS
             if len(contours) > 1:
-                part = np.zeros((height, width), np.uint8)
-                cv2.drawContours(part, [contours[number]], 0, 1, cv2.FILLED, offset=(-u, -v))
-                differs &= part
+                filled = np.zeros((height, width), np.uint8)
+                cv2.drawContours(filled, [contours[number]], 0, 1, cv2.FILLED, offset=(-u, -v))
+                differs &= filled
             n_px = COARSE**2 * cv2.countNonZero(differs)
             if n_px > largest_px:
                 largest_px, second_px, largest = n_px, largest_px, (u, v, width, height)
@@ -122,8 +125,8 @@ class BackgroundSegmenter:
         u, v, width, height = largest
         return ViewStatus.OK, (left + u, top + v, width, height)
 
-    def thresholds(self, seen: Grey, known: CameraBackground) -> Thresholds:
-        """What is a deviation from the empty view in what is seen, in blocks (H/4, W/4)."""
+    def thresholds(self, seen: GreyImage, known: CameraBackground) -> Thresholds:
+        """Return what counts as a deviation from the empty view in blocks (H/4, W/4)."""
         return Thresholds(
             gain=np.float32(known.gain(seen)),
             min_contrast=np.float32(self.parameters.min_contrast),
@@ -131,8 +134,8 @@ class BackgroundSegmenter:
         )
 
 
-def empty_view(seen: Grey, known: CameraBackground, thresholds: Thresholds) -> EmptyView:
-    """What blocks (H/4, W/4) would show without a body, beside what they show."""
+def compare_view(seen: GreyImage, known: CameraBackground, thresholds: Thresholds) -> ComparedView:
+    """Compare blocks (H/4, W/4) with the empty rig, in uneven light where the flash alone does not explain it."""
     wall, levels, light = known.plain_wall, known.coarse_levels, None
     marks, ratio = np.empty_like(levels), np.empty_like(wall.levels)
     arrays = known.coarse_darkest, wall.levels, wall.is_plain, thresholds, marks, ratio
@@ -142,7 +145,7 @@ def empty_view(seen: Grey, known: CameraBackground, thresholds: Thresholds) -> E
         levels = _lit(levels, light)
         *box, _ = compare(seen, levels, *arrays)
     left, top, right, bottom = box
-    return EmptyView(
+    return ComparedView(
         seen=seen,
         levels=levels,
         gain=float(thresholds.gain),
@@ -152,29 +155,31 @@ def empty_view(seen: Grey, known: CameraBackground, thresholds: Thresholds) -> E
     )
 
 
-def _parts(empty: EmptyView) -> tuple[tuple[int, int], Grey, Sequence[NDArray[np.int32]], list[Box]]:
-    """What is marked in a part of the view: its row and column, the marks, their outer contours, and boxes of these.
+def _marked_components(
+    compared: ComparedView,
+) -> tuple[tuple[int, int], GreyImage, Sequence[NDArray[np.int32]], list[Box]]:
+    """Return the part of a view that differs: its row and column, the marks, their outer contours, and their boxes.
 
-    It is the part that differs, but all of the view if something marked leads out of it.
+    It is the whole view if something marked leads out of that part.
     """
-    rows, columns = (slice(max(at.start - 1, 0), at.stop + 1) for at in empty.differing)
-    marks = empty.marks[rows, columns]
+    rows, columns = (slice(max(at.start - 1, 0), at.stop + 1) for at in compared.differing)
+    marks = compared.marks[rows, columns]
     height, width = marks.shape
-    contours, boxes = _outlined(marks)
+    contours, boxes = _outer_contours(marks)
     if any(u == 0 or v == 0 or u + w == width or v + h == height for u, v, w, h in boxes):
-        return (0, 0), empty.marks, *_outlined(empty.marks)
+        return (0, 0), compared.marks, *_outer_contours(compared.marks)
     return (rows.start, columns.start), marks, contours, boxes
 
 
-def _outlined(marks: Grey) -> tuple[Sequence[NDArray[np.int32]], list[Box]]:
-    """Outer contours of what is marked (h, w), and their boxes."""
+def _outer_contours(marks: GreyImage) -> tuple[Sequence[NDArray[np.int32]], list[Box]]:
+    """Return the outer contours of what is marked (h, w), and their boxes."""
     found, _ = cv2.findContours(marks, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     contours = [np.asarray(contour, np.int32) for contour in found]
     return contours, [(u, v, width, height) for u, v, width, height in map(cv2.boundingRect, contours)]
 
 
 def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of a coarse box in full resolution, with the margin, within the image."""
+    """Return rows and columns of a coarse box in full resolution, with the margin, within the image."""
     x, y, width, height = (COARSE * size for size in box)
     margin = MARGIN_PX + COARSE
     return (
@@ -183,14 +188,14 @@ def _full_size(box: Box, shape: tuple[int, ...]) -> tuple[slice, slice]:
     )
 
 
-def _in_blocks(region: tuple[slice, slice]) -> tuple[slice, slice]:
-    """Rows and columns of the blocks of a region, which begins with one."""
+def _block_slices(region: tuple[slice, slice]) -> tuple[slice, slice]:
+    """Return rows and columns of the blocks of a region, which begins with one."""
     rows, columns = (slice(at.start // COARSE, -(-at.stop // COARSE)) for at in region)
     return rows, columns
 
 
-def _lit(levels: Grey, light: Array) -> Grey:
-    """Grey levels (h, w) in a light that is given for fewer places of the same region."""
+def _lit(levels: GreyImage, light: FloatImage) -> GreyImage:
+    """Return grey levels (h, w) in a light that is given at lower resolution for the same region."""
     height, width = levels.shape
     fine = cv2.resize(light, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.multiply(levels, fine, dtype=cv2.CV_8U), np.uint8)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
-from pipeline.synthesis.optics import FloatImage
+from pipeline.synthesis.exposure import FloatImage
 
 Array = NDArray[np.float64]
 

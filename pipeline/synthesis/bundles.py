@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from pipeline.fall import pulse_width_ns
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
 from pipeline.synthesis.disturbance import Disturbance
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph
 
@@ -57,7 +57,7 @@ def render_bundle(
         sequence=sequence,
         received_ns=trigger_ns,
         device_ns=elapsed_ns + 40_000_000,
-        utc=_rfc3339(FIRST_UTC + timedelta(microseconds=elapsed_ns / 1000)),
+        utc=rfc3339(FIRST_UTC + timedelta(microseconds=elapsed_ns / 1000)),
         pulse_width_ns=None if kind is BundleKind.BACKGROUND else _pulse_width_ns(bodies, rng),
         kind=kind,
         name=f"{sequence:06d}-{label or kind.value}",
@@ -120,7 +120,3 @@ def _pulse_width_ns(bodies: Sequence[PlacedBody], rng: np.random.Generator) -> i
 def _zeros_of(position: int) -> tuple[int, int]:
     """Clock and first frame id of the camera at a place of the rig; some wrap early."""
     return 7_000_000_000 * (position + 1), 1 + (65_401 + 4_099 * position) % LAST_FRAME_ID
-
-
-def _rfc3339(moment: datetime) -> str:
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis.background import WALL_GREY, wall_directions
-from pipeline.synthesis.optics import FloatImage
+from pipeline.synthesis.exposure import FloatImage
 
 Array = NDArray[np.float64]
 

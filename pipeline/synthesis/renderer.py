@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Image
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
-from pipeline.synthesis import outline, shading
+from pipeline.synthesis import pixel_coverage, shading
 from pipeline.synthesis.background import Background, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
-from pipeline.synthesis.optics import ExposureParameters, FloatImage, blur_kernel, blurred, expose
-from pipeline.synthesis.outline import Window
+from pipeline.synthesis.exposure import ExposureParameters, FloatImage, blur_kernel, blurred, expose
+from pipeline.synthesis.pixel_coverage import Window
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class Surface:
 
     mesh: trimesh.Trimesh  # world frame
     center_mm: Array  # (1, 3)
-    edges: outline.Edges
+    edges: pixel_coverage.Edges
     scene: EmbreeScene
     face_radiance: Array  # (F,) of what is matte
     gloss: float
@@ -94,7 +94,7 @@ def illuminated(placed: PlacedBody, rng: np.random.Generator) -> Surface:
     return Surface(
         mesh=mesh,
         center_mm=placed.offset_mm[None, :],
-        edges=outline.edges_of(mesh.faces),
+        edges=pixel_coverage.edges_of(mesh.faces),
         scene=scene,
         face_radiance=face_radiance,
         gloss=placed.body.gloss,
@@ -182,13 +182,13 @@ def _layer(
     width, height = camera.image_size_px
     # beyond the image's border by the reach of the blur
     seen = Window(-margin_px, -margin_px, width + 2 * margin_px, height + 2 * margin_px)
-    window = outline.intersection(outline.window_around(pixels_uv, margin_px), seen)
+    window = pixel_coverage.intersection(pixel_coverage.window_around(pixels_uv, margin_px), seen)
     if window is None:
         return None
     toward_camera_mm = camera.center_mm - surface.mesh.triangles[:, 0]
     is_front = np.einsum("ij,ij->i", surface.mesh.face_normals, toward_camera_mm) > 0
-    border_uv = pixels_uv[outline.border(surface.edges, is_front)]
-    covered = outline.coverage(border_uv[:, 0], border_uv[:, 1], window)
+    border_uv = pixels_uv[pixel_coverage.border(surface.edges, is_front)]
+    covered = pixel_coverage.coverage(border_uv[:, 0], border_uv[:, 1], window)
     face_radiance = surface.face_radiance
     if surface.gloss > 0:
         face_radiance = face_radiance + surface.gloss * shading.reflection(
@@ -197,7 +197,7 @@ def _layer(
     shown = shading.surface_image(surface.scene, face_radiance * gain, camera, window)
     covered, shown = blurred(covered, kernel), blurred(shown, kernel)
 
-    inside = outline.intersection(window, Window(0, 0, width, height))
+    inside = pixel_coverage.intersection(window, Window(0, 0, width, height))
     if inside is None:
         return None
     rows = slice(inside.top, inside.top + inside.height)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.bodies import Body
-from pipeline.synthesis.optics import FloatImage
-from pipeline.synthesis.outline import Window
+from pipeline.synthesis.exposure import FloatImage
+from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.stones import wave_noise
 
 Array = NDArray[np.float64]

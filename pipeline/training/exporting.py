@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from pipeline.segmentation.network import FORMAT, SIZE_PX
 from pipeline.training.architecture import BodyNetwork
-from pipeline.training.blocks import in_blocks
-from pipeline.training.layers import VIEW_PX
+from pipeline.training.image_layers import VIEW_PX
+from pipeline.training.space_to_depth import in_blocks
 
 OPSET = 17
 

@@ -15,8 +15,8 @@ from pipeline.segmentation.light import flash_gain
 from pipeline.segmentation.network import MAX_RELATIVE
 from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.disturbance import cast_shadow, dust
-from pipeline.synthesis.optics import ExposureParameters
-from pipeline.training.layers import CANVAS_PX, VIEW_PX, BodyLayer, WallLayer
+from pipeline.synthesis.exposure import ExposureParameters
+from pipeline.training.image_layers import CANVAS_PX, VIEW_PX, BodyLayer, WallLayer
 
 Array = NDArray[np.float32]
 T = TypeVar("T")

@@ -11,7 +11,7 @@ from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
 from pipeline.segmentation.background import coarsen
 from pipeline.segmentation.light import flash_gain
 from pipeline.segmentation.network import MAX_RELATIVE
-from pipeline.training.layers import VIEW_PX
+from pipeline.training.image_layers import VIEW_PX
 
 Array = NDArray[np.float32]
 

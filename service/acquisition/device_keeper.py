@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from drivers.errors import DeviceError
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
+from service.status import DeviceState
 
 log = logging.getLogger(__name__)
 
@@ -46,8 +47,7 @@ class Keeper:
     ) -> None:
         self.name = name
         self.device = device
-        self.state = "closed"
-        """closed, armed or lost"""
+        self.state = DeviceState.CLOSED
         self.last_error: str | None = None
         self.recoveries = 0
         self.vitals = CameraVitals()
@@ -114,17 +114,17 @@ class Keeper:
                         await self._look_after()
                     failures = self._n_relapses
                 self._settled.set()
-                if self.state == "lost":
+                if self.state is DeviceState.LOST:
                     await self.call(self.device.close)
                     self._wake.clear()  # of the loss itself
                     if not self._is_ending:
                         await self._sleep(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
-            if self.state == "armed":
+            if self.state is DeviceState.ARMED:
                 await self.call(self.device.disarm)
             self._disarmed.set()
             await self._may_close.wait()
             await self.call(self.device.close)
-            self.state = "closed"
+            self.state = DeviceState.CLOSED
         finally:
             self._thread.shutdown(wait=False)
             self._settled.set()  # nobody shall wait any more
@@ -138,17 +138,17 @@ class Keeper:
         """Note that the device is lost; the loss is logged once, not every failed attempt to undo it."""
         self._n_losses += 1
         now_s = time.monotonic()
-        if self.state == "armed":
+        if self.state is DeviceState.ARMED:
             is_relapse = self.recoveries > 0 and now_s - self._armed_at_s < STABLE_S
             self._n_relapses = self._n_relapses + 1 if is_relapse else 0
         is_known = self._n_relapses > 0 and reason == self.last_error
-        if self.state != "lost":
+        if self.state is not DeviceState.LOST:
             level = logging.DEBUG if is_known else logging.WARNING
             log.log(level, "device lost: %s device=%s", reason, self.name)
             self._lost_at_s = now_s
         elif reason != self.last_error:
             log.info("device still lost: %s device=%s", reason, self.name)
-        self.state, self.last_error = "lost", reason
+        self.state, self.last_error = DeviceState.LOST, reason
         self._wake.set()
 
     def look(self) -> None:
@@ -157,19 +157,19 @@ class Keeper:
 
     def _admit(self) -> None:
         self._armed_at_s = time.monotonic()
-        if self.state == "lost":
+        if self.state is DeviceState.LOST:
             self.recoveries += 1
             level = logging.DEBUG if self._n_relapses else logging.INFO
             log.log(
                 level, "device back device=%s after_s=%.1f", self.name, self._armed_at_s - self._lost_at_s
             )
             self._on_back()
-        self.state = "armed"
+        self.state = DeviceState.ARMED
         self._settled.set()
 
     async def _look_after(self) -> None:
         """Return when the device is lost or no longer wanted."""
-        while self.state == "armed" and not self._is_ending:
+        while self.state is DeviceState.ARMED and not self._is_ending:
             if self._examine is not None:
                 try:
                     self.vitals = await self.call(self._examine)

@@ -16,9 +16,9 @@ from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.acquisition.common_cause import cause_of_all
 from service.acquisition.device_keeper import Keeper
 from service.acquisition.exposure_skew import ExposureSkew
-from service.api.control import CameraStatus
 from service.bundling.counters import BundlingCounters, CameraCounters
 from service.bundling.window import CAMERA_LOST, DEAD_TIME, DISARMED, NO_FRAME, STONE_PASSED, UNSEEN
+from service.status import CameraStatus, DeviceState
 
 log = logging.getLogger(__name__)
 
@@ -92,11 +92,11 @@ class RigCameras:
 
     @property
     def armed(self) -> int:
-        return sum(place.keeper.state == "armed" for place in self._places.values())
+        return sum(place.keeper.state is DeviceState.ARMED for place in self._places.values())
 
     @property
     def lost(self) -> list[CameraId]:
-        return [camera for camera, place in self._places.items() if place.keeper.state == "lost"]
+        return [camera for camera, place in self._places.items() if place.keeper.state is DeviceState.LOST]
 
     def count(self, counters: BundlingCounters) -> None:
         """Look on while a new session's assembler counts; what those before it came to is kept."""
@@ -124,7 +124,7 @@ class RigCameras:
         """Why there are too few cameras, None when there are enough."""
         if self.armed >= min_cameras:
             return None
-        lost = [place.keeper for place in self._places.values() if place.keeper.state == "lost"]
+        lost = [place.keeper for place in self._places.values() if place.keeper.state is DeviceState.LOST]
         if len(lost) == len(self._places) > 1:
             return cause_of_all([keeper.last_error for keeper in lost])
         names = ", ".join(keeper.name for keeper in lost)
@@ -162,7 +162,7 @@ class RigCameras:
             if frame is not None:
                 place.misses = 0
                 place.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
-            elif place.keeper.state == "armed" and bundle.missing[camera] not in NOT_ITS_FAULT:
+            elif place.keeper.state is DeviceState.ARMED and bundle.missing[camera] not in NOT_ITS_FAULT:
                 place.why = bundle.missing[camera]
                 silent.append((camera, place))
         if bundle.frames:

@@ -11,21 +11,21 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
 from drivers.factory import Devices
+from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
 from pipeline.frames import BundleKind, FrameBundle, Trigger
 from service.acquisition.device_keeper import Keeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.rig_cameras import RigCameras
-from service.api.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, next_state
 from service.bundling.assembler import BundleAssembler
 from service.bundling.counters import BundlingCounters
 from service.bundling.parameters import BundlingParameters
 from service.bundling.window import DISARMED
+from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, DeviceState, next_state
 
 log = logging.getLogger(__name__)
 
@@ -133,7 +133,7 @@ class Acquisition:
             cameras_armed=self.cameras.armed,
             cameras=len(self.cameras.ids),
             gate=self.gate.state,
-            gate_error=self.gate.last_error if self.gate.state == "lost" else None,
+            gate_error=self.gate.last_error if self.gate.state is DeviceState.LOST else None,
             gate_warnings=self._devices.gate.warnings,
             last_stone_age_s=None if self._last_stone_s is None else round(now_s - self._last_stone_s, 3),
             triggers=counters.triggers,
@@ -200,7 +200,7 @@ class Acquisition:
 
     def _judge(self) -> None:
         """Whether the next stone will be measured, and if not why."""
-        trouble = self.gate.last_error if self.gate.state == "lost" else None
+        trouble = self.gate.last_error if self.gate.state is DeviceState.LOST else None
         trouble = trouble or self.cameras.trouble(self._min_cameras)
         if trouble and not self.trouble:  # one alarm a cause: what it does to others is not logged again
             log.error("held: %s", trouble)
@@ -211,7 +211,7 @@ class Acquisition:
 
     async def _expose_empty_rig(self, assembler: BundleAssembler) -> None:
         async def fire() -> None:
-            if self.gate.state == "armed":
+            if self.gate.state is DeviceState.ARMED:
                 await self.gate.call(self._devices.gate.test_pulse)
 
         def is_quiet(for_s: float) -> bool:
@@ -271,7 +271,7 @@ class Acquisition:
         for bundle in bundles:
             if not bundle.trigger.is_announced:
                 bundle = replace(bundle, trigger=next(recorded))
-                level = logging.DEBUG if self.gate.state == "lost" else logging.WARNING
+                level = logging.DEBUG if self.gate.state is DeviceState.LOST else logging.WARNING
                 log.log(
                     level, "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
                 )
@@ -280,10 +280,7 @@ class Acquisition:
             self._on_progress()
 
     def _dated(self, trigger: Trigger) -> Trigger:
-        age = timedelta(microseconds=(self._devices.clock() - trigger.received_ns) / 1e3)
-        return replace(
-            trigger, utc=(datetime.now(UTC) - age).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        )
+        return replace(trigger, utc=utc_ago(self._devices.clock() - trigger.received_ns))
 
     async def _recorded(self, triggers: Sequence[Trigger]) -> list[Trigger]:
         """Make triggers durable, at once: the gate may have counted thousands while it was away."""

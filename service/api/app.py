@@ -1,5 +1,7 @@
 """The REST interface put together."""
 
+from typing import Any
+
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.responses import HTMLResponse, RedirectResponse
 
@@ -8,7 +10,6 @@ from service.api.body_limit import BodyLimit
 from service.api.context import ApiContext
 from service.api.control import Control
 from service.api.docs import docs_page
-from service.api.openapi import describe
 from service.api.problems import install_handlers
 from service.api.routes import (
     accounting,
@@ -21,6 +22,7 @@ from service.api.routes import (
     results,
     verifications,
 )
+from service.api.schemas import ProblemDocument
 from service.api.settings import ApiSettings, Scope
 from service.api.version import API_VERSION, BASE
 from service.store import Store
@@ -66,5 +68,20 @@ def build_routes() -> FastAPI:
         )
 
     install_handlers(app)
-    describe(app)
+    _describe_problems(app)
     return app
+
+
+def _describe_problems(app: FastAPI) -> None:
+    """Add the shape of every error to the OpenAPI document."""
+    generate = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        document = generate()
+        schemas = document["components"]["schemas"]
+        if "Problem" not in schemas:
+            problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
+            schemas |= problem.pop("$defs") | {"Problem": problem}
+        return document
+
+    app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend it

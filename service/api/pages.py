@@ -7,7 +7,7 @@ from typing import Any
 
 from fastapi.responses import Response
 
-from service.api.schemas import result_document
+from service.results.fields import completed
 from service.store import Record
 
 
@@ -19,7 +19,7 @@ async def page_of(head: Mapping[str, Any], items: Sequence[Record]) -> Response:
 def _written(head: Mapping[str, Any], items: Sequence[Record]) -> bytes:
     # a thousand records in one call would hold the interpreter's lock for a tenth of a second
     members = [f"{_json(name)}:{_json(value)}" for name, value in head.items()]
-    records = [_json(result_document(record)) for record in items]
+    records = [_json(completed(record)) for record in items]
     members.append(f'"items":[{",".join(records)}]')
     return f"{{{','.join(members)}}}".encode()
 

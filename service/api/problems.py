@@ -11,9 +11,9 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
-from service.api.control import ConflictError
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
+from service.status import ConflictError
 
 log = logging.getLogger(__name__)
 

@@ -4,135 +4,12 @@ A result is served as it was stored: fields of later versions are missing from o
 null, and keys that this version does not know are served too.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
-from pydantic.config import JsonDict
 
-from service.api.control import AcquisitionState, AcquisitionTarget, CheckStatus, Ne107
-
-TIME: JsonDict = {"format": "date-time"}
-
-
-class Hull(BaseModel):
-    """The largest body behind the silhouettes."""
-
-    model_config = ConfigDict(extra="allow")
-
-    volume_mm3: float
-    surface_area_mm2: float
-    equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
-
-
-class ViewOptics(BaseModel):
-    """How well a camera saw one exposure, against the rig when it was clean."""
-
-    brightness: float = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
-    gradient_uv: list[float] = Field(
-        description="The same, from the left border to the right one and from the upper to the lower one"
-    )
-    dust: float = Field(description="Share of the light lost in patches, 0..1")
-    spots_share: float = Field(description="Share of the view darker than its surroundings, 0..1")
-    saturated_share: float = Field(description="Share of all pixels that are saturated, 0..1")
-    noise_grey: float = Field(description="Noise of a pixel, grey levels")
-    edge_width_px: float | None = Field(
-        description="Width of the outline from 10 to 90 %, px; null without one"
-    )
-    contrast: float | None = Field(description="Of stone and wall at the outline, share of the wall's level")
-
-
-class Result(BaseModel):
-    """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
-
-    model_config = ConfigDict(extra="allow")
-
-    seq: int = Field(description="Place in the feed: strictly increasing, without gaps, never reused")
-    id: str = Field(description="Unique across stores; the key for removing duplicates")
-    session: int = Field(description="Run of the daemon in which the trigger came")
-    bundle: str = Field(description="Name of the bundle of images")
-    sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
-    kind: Literal["particle", "ball"] = Field(description="What was exposed")
-    outcome: Literal["measured", "rejected", "lost"]
-    reason: str | None = Field(description="Why rejected or lost, one word; null when measured")
-    detail: str | None = Field(description="The reason for people")
-    quality: Literal["good", "reduced", "degraded"] | None = Field(description="How well the stone was seen")
-    views: list[str] = Field(description="Cameras the measurement rests on")
-    dropped_views: dict[str, str] = Field(description="Cameras left out, each with the reason")
-    segmenters: dict[str, str] = Field(
-        description="What found the outline in each view: background, network or u2net"
-    )
-    segmentation_flags: dict[str, str] = Field(
-        description="Cameras whose view was not left to the segmenter asked first, each with the reason"
-    )
-    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
-    recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
-    body: Literal["estimate", "hull"] | None = Field(description="What mesh and shape describe")
-    volume_mm3: float | None = Field(
-        description="Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"
-    )
-    volume_raw_mm3: float | None = Field(description="Volume of the visual hull, mm³")
-    volume_estimate_mm3: float | None = Field(
-        description="Volume of the estimated body's mesh, mm³; null: none was asked for"
-    )
-    volume_model: str | None = Field(description="Id of the coefficients that `volume_mm3` rests on")
-    surface_area_mm2: float | None = Field(description="Surface area of the mesh, mm²")
-    length_mm: float | None = Field(description="Longest axis of the D4791 triple, mm")
-    width_mm: float | None = Field(description="Middle axis of the D4791 triple, mm")
-    thickness_mm: float | None = Field(description="Shortest axis of the D4791 triple, mm")
-    max_feret_mm: float | None = Field(description="Greatest distance of two parallel tangent planes, mm")
-    min_feret_mm: float | None = Field(description="Least distance of two parallel tangent planes, mm")
-    min_box_mm: list[float] | None = Field(description="Edges of the smallest box, longest first, mm")
-    sieve_size_mm: float | None = Field(description="Smallest square aperture the body passes, mm")
-    equivalent_diameter_mm: float | None = Field(description="Diameter of the sphere of `volume_mm3`, mm")
-    equivalent_diameter_raw_mm: float | None = Field(description="The same of `volume_raw_mm3`, mm")
-    sphericity: float | None = Field(description="Area of the sphere of equal volume by surface area, 0..1")
-    convexity: float | None = Field(description="Volume by volume of the convex hull, 0..1")
-    elongation_ratio: float | None = Field(description="Width by length, 0..1")
-    flatness_ratio: float | None = Field(description="Thickness by width, 0..1")
-    zingg_class: str | None = Field(description="Form by Zingg's diagram")
-    angularity: float | None = Field(description="Angularity of the surface; larger is sharper")
-    mass_g: float | None = Field(description="Mass at the configured density, g; null without a density")
-    center_mm: list[float] | None = Field(description="Centroid in the rig's frame (x, y, z up), mm")
-    hull: Hull | None = Field(description="The visual hull, uncorrected")
-    gate_extent_mm: float | None = Field(
-        description="Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown"
-    )
-    gate_extent_is_plausible: bool | None = Field(
-        description="Whether the measured body can be what closed the beam; null when there is nothing to compare."
-        " False: two stones in a row, a dirty beam, or a wrong measurement"
-    )
-    mesh: str | None = Field(description="Address of the mesh, relative to the base path; null without one")
-    view_residuals_px: dict[str, float] = Field(description="Silhouette against the hull, per camera, px")
-    tangency_px: dict[str, float] = Field(
-        description="Epipolar residual of each camera, the median over its pairs, px; from 0.3 the camera has moved"
-    )
-    image_shifts_px: dict[str, list[float]] = Field(
-        description="By how much (u, v) each camera sees the stone beside where the others expect it, px"
-    )
-    optics: dict[str, ViewOptics] = Field(description="How well each camera saw this stone")
-    timings_ms: dict[str, float] = Field(description="Computing time of each stage, ms")
-    calibration_id: str | None = Field(description="Calibration the measurement rests on")
-    algorithm_version: str | None = Field(description="Changes whenever results may")
-    is_simulated: bool | None = Field(description="True when the images are synthetic")
-
-
-_EMPTY: dict[str, Any] = {
-    **dict.fromkeys(Result.model_fields),
-    "views": [],
-    "dropped_views": {},
-    "segmenters": {},
-    "segmentation_flags": {},
-    "view_residuals_px": {},
-    "tangency_px": {},
-    "image_shifts_px": {},
-    "optics": {},
-    "timings_ms": {},
-}
-
-
-def result_document(record: dict[str, Any]) -> dict[str, Any]:
-    """Complete a stored record with null for what it does not know."""
-    return _EMPTY | record
+from service.results.fields import Result
+from service.status import AcquisitionStatus, AcquisitionTarget, CameraStatus, CheckStatus, HealthCheck, Ne107
 
 
 class ResultsPage(BaseModel):
@@ -167,31 +44,8 @@ class AccountingDocument(BaseModel):
     by_quality: dict[str, int] = Field(description="Measured, by quality")
 
 
-class Acquisition(BaseModel):
+class Acquisition(AcquisitionStatus):
     """Where the rig stands; counters are of the time since it was last armed."""
-
-    state: AcquisitionState
-    trouble: str | None = Field(description="Why it is held; null when it is not")
-    activity: Literal["idle", "measuring", "suspended"] = Field(
-        description="Suspended: armed, and no stone for a minute"
-    )
-    cameras_armed: int
-    cameras: int
-    gate: str = Field(description="closed, armed or lost")
-    gate_error: str | None
-    gate_warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
-    last_stone_age_s: float | None = Field(description="Seconds since the last stone; null before the first")
-    triggers: int = Field(description="Since the rig was armed, exposures of the empty rig among them")
-    orphans: int = Field(description="Stones that the gate did not announce; measured all the same")
-    unseen: int = Field(description="Counted by the gate, announced and photographed by nobody; lost")
-    in_dead_time: int = Field(description="Triggers too soon after another; lost")
-    triggers_ignored: int = Field(
-        description="Bounces and doubles of one stone, merged by the gate, and orphans announced after all"
-    )
-    triggers_lost: int = Field(
-        description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen"
-    )
-    events_refused: int = Field(description="Frames that the daemon was too slow for")
 
 
 class AcquisitionRequest(BaseModel):
@@ -202,86 +56,14 @@ class AcquisitionRequest(BaseModel):
     state: AcquisitionTarget
 
 
-class CameraOptics(BaseModel):
-    """How well a camera sees: medians of the latest 20 exposures, null before the fifth.
-
-    Compared with the rig when it was clean: the first exposures with these optical settings, as long as the
-    background is kept.
-    """
-
-    brightness: float | None = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
-    gradient_u: float | None = Field(description="The same, from the left border to the right one")
-    gradient_v: float | None = Field(description="The same, from the upper border to the lower one")
-    flicker: float | None = Field(description="Its standard deviation from exposure to exposure")
-    dust: float | None = Field(description="Share of the light lost in patches, 0..1")
-    spots_share: float | None = Field(description="Share of the view darker than its surroundings, 0..1")
-    saturated_share: float | None = Field(description="Share of all pixels that are saturated, 0..1")
-    noise_grey: float | None = Field(description="Noise of a pixel, grey levels")
-    edge_width_px: float | None = Field(description="Width of outlines from 10 to 90 %, px")
-    contrast: float | None = Field(description="Of stone and wall at the outline, share of the wall's level")
-
-
-class Camera(BaseModel):
+class Camera(CameraStatus):
     """State of one camera, and its counters since the daemon started."""
-
-    id: str
-    state: str = Field(description="closed, armed or lost")
-    last_error: str | None
-    recoveries: int = Field(description="How often it came back from a loss")
-    serial: str | None
-    model: str | None
-    address: str | None
-    frames: int = Field(description="Frames that arrived whole")
-    fps: float = Field(description="Frames per second over the last ten seconds")
-    lost: int = Field(description="Frames reported lost")
-    late: int = Field(description="Frames that came after their bundle was closed")
-    duplicates: int = Field(description="Frames that came twice")
-    missing: int = Field(description="Bundles without a frame of this camera")
-    strays: int = Field(description="Frames without a trigger")
-    not_exposed: int = Field(description="Triggers that its frame ids did not count")
-    unannounced: int = Field(description="Exposures without a trigger, by its frame ids")
-    failed_frames: int = Field(description="Frames received in part, since it was opened")
-    missing_packets: int = Field(description="Packets that never came, since it was opened")
-    resent_packets: int = Field(description="Packets that came at the second request, since it was opened")
-    receive_buffer_bytes: int | None = Field(description="Of its socket, as the kernel granted it")
-    temperature_c: float | None
-    ptp_offset_ns: int | None = Field(description="From the PTP master's clock; null without PTP")
-    latency_ms: float | None = Field(description="From trigger to arrival, mean of the latest 64 bundles")
-    latency_min_ms: float | None
-    latency_max_ms: float | None
-    last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
-    skew_us: float | None = Field(
-        description="How far its exposures lie beside those of the others; 20 us are a pixel of fall"
-    )
-    tangency_px: float | None = Field(
-        description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved"
-    )
-    tangency_drift_px: float | None = Field(
-        description="The same against the first 20 stones since the start, or since this calibration was activated"
-    )
-    residual_px: float | None = Field(
-        description="By how much its outlines leave the hull of the other views, median of the latest 20 stones"
-    )
-    residual_drift_px: float | None = Field(
-        description="The same against the first 20 stones since the start, or since this calibration was activated"
-    )
-    optics: CameraOptics | None = Field(description="How well it sees")
-    warnings: list[str] = Field(description="What works but should be looked at, with the remedy")
 
 
 class Cameras(BaseModel):
     """All cameras of the rig."""
 
     items: list[Camera]
-
-
-class HealthCheck(BaseModel):
-    """One thing that was looked at."""
-
-    status: CheckStatus
-    observed_value: float | int | str | bool | None
-    observed_unit: str | None
-    detail: str | None
 
 
 class HealthDocument(BaseModel):

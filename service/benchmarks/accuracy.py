@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from functools import cache
+from math import sqrt
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
@@ -21,9 +22,9 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.calibration import BallDrop, CalibrationReport, calibrate
 from pipeline.errors import CalibrationError
-from pipeline.evaluation.comparison import Surface
 from pipeline.evaluation.distance_picture import distance_picture
 from pipeline.evaluation.scene import Scene, build_scene, drop_ball
+from pipeline.evaluation.surface_distances import Surface
 from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_body, try_body
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
@@ -79,9 +80,15 @@ class Summary:
     volume_percent: float
     volume_rms_percent: float  # of the reported volume
     area_percent: float
-    max_feret_mm: float
-    min_feret_mm: float
+    # sizes: the mean of measured less true, and the rms
     sieve_size_mm: float
+    sieve_size_rms_mm: float
+    max_feret_mm: float
+    max_feret_rms_mm: float
+    min_feret_mm: float
+    min_feret_rms_mm: float
+    thickness_mm: float  # ASTM D4791
+    thickness_rms_mm: float
 
 
 def run_accuracy_bench(
@@ -151,6 +158,9 @@ def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> Su
         found = list(values)
         return fmean(found) if found else float("nan")
 
+    def rms(values: Iterable[float]) -> float:
+        return sqrt(average(value**2 for value in values))
+
     return Summary(
         body=body,
         rig=rig,
@@ -164,11 +174,16 @@ def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> Su
         back_max_mm=average(d.back_max_mm for d in distances),
         mesh_volume_percent=average(e.mesh_volume_percent for e in errors),
         volume_percent=average(e.volume_percent for e in errors),
-        volume_rms_percent=float(np.sqrt(average(e.volume_percent**2 for e in errors))),
+        volume_rms_percent=rms(e.volume_percent for e in errors),
         area_percent=average(e.area_percent for e in errors),
-        max_feret_mm=average(e.max_feret_mm for e in errors),
-        min_feret_mm=average(e.min_feret_mm for e in errors),
         sieve_size_mm=average(e.sieve_size_mm for e in errors),
+        sieve_size_rms_mm=rms(e.sieve_size_mm for e in errors),
+        max_feret_mm=average(e.max_feret_mm for e in errors),
+        max_feret_rms_mm=rms(e.max_feret_mm for e in errors),
+        min_feret_mm=average(e.min_feret_mm for e in errors),
+        min_feret_rms_mm=rms(e.min_feret_mm for e in errors),
+        thickness_mm=average(e.thickness_mm for e in errors),
+        thickness_rms_mm=rms(e.thickness_mm for e in errors),
     )
 
 

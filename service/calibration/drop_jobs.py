@@ -1,36 +1,26 @@
 """What a worker does for a calibration: it observes a drop in its bundle, and solves the rig from all drops."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
 
 from drivers.files.durable import write_json
 from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import (
     BallDrop,
-    BallView,
     CalibrationError,
     Problem,
-    calibrate,
-    observe_ball,
-    report_document,
 )
 from pipeline.calibration.ball_fit import fit_ball
-from pipeline.calibration.ball_sizes import apparent_diameter_mm, with_diameters
-from pipeline.calibration.self_calibration import StoneCalibration, recalibrate
-from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.calibration.ball_sizes import apparent_diameter_mm
+from pipeline.frames import BundleKind, CameraId
 from pipeline.rig.cameras import RigCalibration
-from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
-from pipeline.views.epipolar_tangency import epipolar_tangents, outlines_of, tangency_scores_px
+from pipeline.views.epipolar_tangency import epipolar_tangents, tangency_scores_px
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
+from service.calibration.drops import observe_drop, solve_drops
+from service.calibration.plan import Method
 from service.processing.measure_job import RigFile, this_worker
 from service.processing.worker_process import worker_boundary
-
-Method = Literal["bundle", "paper", "stones"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,11 +79,11 @@ def observe(job: ObserveJob) -> ObservedDrop:
         background = worker.background_at(job.background_path)
         # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
         segmenter = worker.segmenter.classical
+        drop = observe_drop(bundle, background, segmenter, job.kind)
         if job.kind is BundleKind.BALL:
-            drop = _sized(observe_ball(bundle, background, segmenter, None), job.diameters_mm, rig)
+            drop = _sized(drop, job.diameters_mm, rig)
             observed = _ball_against(drop, rig)
         else:
-            drop = _stone(bundle, background, segmenter)
             observed = _stone_against(drop, rig)
         write_drop(job.out_path, drop)
     return observed
@@ -111,26 +101,19 @@ def solve(job: SolveJob) -> Solution:
         drops = [read_drop(path) for path in job.outline_paths]
         initial = read_rig(job.initial_path)
         try:
-            rig, problems, document = _calibrated(job, drops, initial)
+            solved = solve_drops(
+                drops,
+                initial,
+                method=job.method,
+                diameters_mm=job.diameters_mm,
+                created_at=job.created_at,
+                name=job.name,
+            )
         except CalibrationError as err:
             return Solution(calibration_id=None, problems=err.problems)
-        write_rig(job.folder / "rig.json", rig)
-        write_json(job.folder / "report.json", document)
-    return Solution(calibration_id=rig.calibration_id, problems=problems)
-
-
-def _calibrated(
-    job: SolveJob, drops: Sequence[BallDrop], initial: RigCalibration
-) -> tuple[RigCalibration, tuple[Problem, ...], Mapping[str, Any]]:
-    """The rig, what is to be said of it, and its report."""
-    if job.method == "stones":
-        stones = [{camera: view.outline_uv for camera, view in drop.views.items()} for drop in drops]
-        found = recalibrate(stones, initial, created_at=job.created_at, name=job.name)
-        problems = _stone_problems(found)
-        return found.rig, problems, _stone_document(found, initial, drops, problems)
-    balls = with_diameters(drops, initial, job.diameters_mm)
-    report = calibrate(balls, initial, method=job.method, created_at=job.created_at, name=job.name)
-    return report.rig, report.problems, report_document(report)
+        write_rig(job.folder / "rig.json", solved.rig)
+        write_json(job.folder / "report.json", solved.report)
+    return Solution(calibration_id=solved.rig.calibration_id, problems=solved.problems)
 
 
 def _sized(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:
@@ -155,18 +138,6 @@ def _ball_against(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
     )
 
 
-def _stone(bundle: FrameBundle, background: BackgroundModel, segmenter: Segmenter) -> BallDrop:
-    """A stone's outlines in the place of a ball's."""
-    silhouettes = segment_all(bundle.frames, background, segmenter)
-    views = {}
-    for camera, outline_uv in outlines_of(silhouettes).items():
-        center_uv = outline_uv.mean(axis=0)
-        radius_px = float(np.linalg.norm(outline_uv - center_uv, axis=1).mean())
-        views[camera] = BallView(outline_uv=outline_uv, center_uv=center_uv, radius_px=radius_px, rms_px=0.0)
-    refused = {camera: str(seen.status) for camera, seen in silhouettes.items() if not seen.is_usable}
-    return BallDrop(name=bundle.name, diameter_mm=None, views=views, refused={**bundle.missing, **refused})
-
-
 def _stone_against(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
     outlines = {camera: view.outline_uv for camera, view in drop.views.items()}
     scores_px = tangency_scores_px(epipolar_tangents(outlines, rig)) if outlines else {}
@@ -183,37 +154,3 @@ def _observed(drop: BallDrop) -> ObservedDrop:
     return ObservedDrop(
         bundle=drop.name, diameter_mm=drop.diameter_mm, views=circles, refused=dict(drop.refused)
     )
-
-
-def _stone_problems(found: StoneCalibration) -> tuple[Problem, ...]:
-    if found.is_acceptable:
-        return ()
-    worst = max(found.scores_after_px, key=lambda camera: found.scores_after_px[camera])
-    detail = (
-        f"camera {worst} still contradicts the others by {found.scores_after_px[worst]:.2f} px: let more stones fall,"
-        " or drop the ball"
-    )
-    return (Problem(code="contradiction", detail=detail, camera=worst),)
-
-
-def _stone_document(
-    found: StoneCalibration,
-    initial: RigCalibration,
-    drops: Sequence[BallDrop],
-    problems: Sequence[Problem],
-) -> Mapping[str, Any]:
-    """As far as it goes, in the words of a report on balls."""
-    return {
-        "method": "stones",
-        "calibration_id": found.rig.calibration_id,
-        "initial_calibration_id": initial.calibration_id,
-        "scale": "not_observable",
-        "drops_used": [drop.name for drop in drops],
-        "residuals_before_px": dict(found.scores_before_px),
-        "residuals_after_px": dict(found.scores_after_px),
-        "moved": {camera: asdict(movement) for camera, movement in found.moved.items()},
-        "held_out_px": max(found.scores_after_px.values(), default=None),
-        "uncertainty": None,
-        "is_acceptable": found.is_acceptable,
-        "problems": [asdict(problem) for problem in problems],
-    }

@@ -1,8 +1,7 @@
 """What somebody wants to calibrate with."""
 
 from dataclasses import dataclass
-
-from service.calibration.drop_jobs import Method
+from enum import StrEnum
 
 BALL_DIAMETERS_MM = (1.0, 45.0)
 """What is seen, and fully in view."""
@@ -10,17 +9,28 @@ SIZES_APART = 1.2
 """Balls whose diameters differ by less cannot be told apart before the rig is calibrated."""
 
 
+class Method(StrEnum):
+    """How drops become a rig."""
+
+    BUNDLE = "bundle"
+    """All cameras and balls are adjusted together."""
+    PAPER = "paper"
+    """Algorithm 1 of the paper."""
+    STONES = "stones"
+    """Cameras that moved are put back from any stones, without a ball."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationPlan:
     """What to calibrate with: one ball, two balls that differ, or the stones that fall anyway."""
 
     ball_diameters_mm: tuple[float, ...] = ()
-    method: Method = "bundle"
+    method: Method = Method.BUNDLE
     note: str | None = None
     by: str | None = None
 
     def __post_init__(self) -> None:
-        n_needed = (0,) if self.method == "stones" else (1, 2)
+        n_needed = (0,) if self.method is Method.STONES else (1, 2)
         if len(self.ball_diameters_mm) not in n_needed:
             raise ValueError(
                 f"ball_diameters_mm: method {self.method} needs {' or '.join(map(str, n_needed))},"

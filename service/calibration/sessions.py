@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
+from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
-from service.api.control import AcquisitionState
+from service.calibration.collecting import DropCollector
 from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
-from service.calibration.plan import CalibrationPlan
+from service.calibration.plan import CalibrationPlan, Method
 from service.calibration.solving import Solver, attempt, solve_apart
 from service.calibration.startup import CalibrationsFound
 from service.calibration.states import (
@@ -33,9 +34,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationPlan, Verifications
 from service.errors import StoreError
-from service.health.assessment import CalibrationFacts
-from service.processing.processing import DropCollector
-from service.store import utc_now
+from service.status import AcquisitionState, CalibrationFacts
 
 log = logging.getLogger(__name__)
 
@@ -50,8 +49,14 @@ class Calibrations:
     """Called on the loop; `run` is its task."""
 
     def __init__(
-        self, found: CalibrationsFound, verifications: Verifications, solver: Solver = solve_apart
+        self,
+        found: CalibrationsFound,
+        verifications: Verifications,
+        *,
+        on_activated: Callable[[RigCalibration], Awaitable[None]],
+        solver: Solver = solve_apart,
     ) -> None:
+        """Go on with what was found; `on_activated` is awaited before the first bundle of another calibration."""
         self._files = found.files
         self._records = found.records
         self._activations = found.activations
@@ -66,8 +71,7 @@ class Calibrations:
         self.rig = found.files.rig_file(found.active)
         """What the next bundle is measured with."""
         self._trouble = found.trouble
-        self.on_activated: Callable[[RigCalibration], Awaitable[None]] = _nobody
-        """Awaited before the first bundle is measured with another calibration."""
+        self._on_activated = on_activated
 
     # --- what is ---
 
@@ -86,7 +90,7 @@ class Calibrations:
         async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
             await self._add(session.id, drop, outlines)
 
-        kind = BundleKind.PARTICLE if session.method == "stones" else BundleKind.BALL
+        kind = BundleKind.PARTICLE if session.method == Method.STONES else BundleKind.BALL
         return DropCollector(kind=kind, diameters_mm=session.ball_diameters_mm, add=add)
 
     @property
@@ -272,7 +276,7 @@ class Calibrations:
         self._activations = activations
         if (verification := self.verifications.current) is not None:
             await self.verifications.cancel(verification.id, f"calibration {record.id} was activated")
-        await self.on_activated(rig)
+        await self._on_activated(rig)
         self.active, self.calibration, self.rig, self._trouble = record, rig, rig_file, None
         log.info("calibration in use calibration=%s id=%s by=%s", record.id, rig_file.calibration_id, by)
 
@@ -290,7 +294,3 @@ class Calibrations:
         await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
         if drop.views:
             self._touched_s = time.monotonic()
-
-
-async def _nobody(rig: RigCalibration) -> None:
-    pass

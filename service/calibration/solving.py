@@ -2,14 +2,14 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from typing import cast
 
+from drivers.files.times import utc_now
 from service.calibration.drop_files import outline_paths
-from service.calibration.drop_jobs import Method, Solution, SolveJob, solve
+from service.calibration.drop_jobs import Solution, SolveJob, solve
 from service.calibration.files import CalibrationFiles, CalibrationRecord
+from service.calibration.plan import Method
 from service.processing.measure_job import RigFile, step_back
 from service.processing.worker_pool import JobLostError, WorkerStartError, run_apart
-from service.store import utc_now
 
 SOLVE_DEADLINE_S = 300.0
 """The paper's method takes half a minute of a core."""
@@ -31,7 +31,7 @@ async def attempt(
         outline_paths=tuple(paths),
         initial_path=initial.path,
         diameters_mm=record.ball_diameters_mm,
-        method=cast(Method, record.method),  # as it was planned
+        method=Method(record.method),  # as it was planned
         name=rig_name,
         created_at=utc_now(),
         folder=files.folder / record.id,

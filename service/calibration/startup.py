@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.errors import RecordingError
+from drivers.files.times import utc_now
 from pipeline.rig.cameras import RigCalibration
 from service.calibration.files import (
     Activation,
@@ -19,7 +20,6 @@ from service.calibration.files import (
     image_sizes_px,
 )
 from service.calibration.states import OPEN, CalibrationState
-from service.store import utc_now
 
 log = logging.getLogger(__name__)
 

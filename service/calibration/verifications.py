@@ -17,13 +17,13 @@ from pydantic import TypeAdapter
 
 from drivers.errors import RecordingError
 from drivers.files.durable import write_json
+from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
+from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.files import CALIBRATION_NAME, read_document
 from service.calibration.plan import BALL_DIAMETERS_MM
 from service.calibration.verification_limits import Summary, VerificationParameters, VerifiedBall, summarize
-from service.processing.processing import DropCollector
-from service.store import utc_now
 
 log = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from pipeline.evaluation.scene import rig_error
 from pipeline.evaluation.trials import METHODS, STANDARDS
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, body_from_mesh
-from pipeline.synthesis.irregular import IRREGULAR_FORMS
+from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
 from service.benchmarks.accuracy import (
     CALIBRATIONS,
@@ -107,6 +107,7 @@ def command(
     for line in _rig_lines(plan, result):
         console.print(line, highlight=False)
     console.print(accuracy_table(plan, result))
+    console.print(size_table(plan, result))
 
 
 def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None:
@@ -129,7 +130,7 @@ def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None
 def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
     """All averages, body by body; the paper's own figures first, where it has some."""
     table = Table(
-        title=f"distance to the true surface, mm, and what is measured less what is true; averages over"
+        title=f"distance to the true surface, mm, and errors of volume and area; averages over"
         f" random poses or bodies, seed {plan.seed}",
         caption="max: mean of the greatest distances; back: true surface to measured one; volume: as reported, "
         "mesh: of the mesh. published: the paper's real parts. exact hull: the floor of every hull, by the true rig.",
@@ -138,7 +139,6 @@ def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
         table.add_column(column, no_wrap=True)
     for column in (
         "mean", "max", "signed", "back mean", "back max", "mesh %", "volume %", "rms %", "area %",
-        "max Feret", "min Feret", "sieve",
     ):  # fmt: skip
         table.add_column(column, justify="right")
     for name, summaries in _summaries(plan, result).items():
@@ -156,6 +156,26 @@ def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
     return table
 
 
+def size_table(plan: BenchPlan, result: BenchResult) -> Table:
+    """Return the errors of the sizes that standards ask for, body by body, as bias and rms."""
+    table = Table(
+        title=f"errors of sizes, mm: bias (mean of measured less true) and rms over the same trials, seed {plan.seed}",
+        caption="true: the same functions on the true body's mesh. sieve: smallest square aperture; Feret: greatest "
+        "and least caliper (EN 933-4); thickness: ASTM D4791.",
+    )
+    for column in ("body", "rig", "method", "n"):
+        table.add_column(column, no_wrap=True)
+    for column in ("sieve", "max Feret", "min Feret", "thickness"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for name, summaries in _summaries(plan, result).items():
+        label = name
+        for summary in summaries:
+            table.add_row(label, *_head(summary), *(_size_cells(summary) if _n_measured(summary) else ["-"]))
+            label = ""
+        table.add_section()
+    return table
+
+
 def _summaries(plan: BenchPlan, result: BenchResult) -> dict[str, list[Summary]]:
     """Of each body, and of all stones when there are several classes."""
     summaries = {name: summarize([t for t in result.trials if t.body == name]) for name in plan.poses}
@@ -165,14 +185,21 @@ def _summaries(plan: BenchPlan, result: BenchResult) -> dict[str, list[Summary]]
     return summaries
 
 
-def _cells(summary: Summary) -> list[str]:
-    n_measured = summary.n - sum(summary.failures.values())
+def _n_measured(summary: Summary) -> int:
+    return summary.n - sum(summary.failures.values())
+
+
+def _head(summary: Summary) -> list[str]:
+    n_measured = _n_measured(summary)
     count = str(summary.n) if n_measured == summary.n else f"{n_measured} of {summary.n}"
-    head = [summary.rig, summary.method, count]
-    if n_measured == 0:
-        return [*head, "-"]
+    return [summary.rig, summary.method, count]
+
+
+def _cells(summary: Summary) -> list[str]:
+    if _n_measured(summary) == 0:
+        return [*_head(summary), "-"]
     return [
-        *head,
+        *_head(summary),
         f"{summary.mean_mm:.4f}",
         f"{summary.max_mm:.3f}",
         f"{summary.signed_mm:+.4f}",
@@ -182,9 +209,18 @@ def _cells(summary: Summary) -> list[str]:
         f"{summary.volume_percent:+.2f}",
         f"{summary.volume_rms_percent:.2f}",
         f"{summary.area_percent:+.2f}",
-        f"{summary.max_feret_mm:+.3f}",
-        f"{summary.min_feret_mm:+.3f}",
-        f"{summary.sieve_size_mm:+.3f}",
+    ]
+
+
+def _size_cells(summary: Summary) -> list[str]:
+    return [
+        f"{bias_mm:+.3f}, {rms_mm:.3f}"
+        for bias_mm, rms_mm in (
+            (summary.sieve_size_mm, summary.sieve_size_rms_mm),
+            (summary.max_feret_mm, summary.max_feret_rms_mm),
+            (summary.min_feret_mm, summary.min_feret_rms_mm),
+            (summary.thickness_mm, summary.thickness_rms_mm),
+        )
     ]
 
 

@@ -3,20 +3,15 @@
 import json
 import os
 import sys
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from drivers.errors import RecordingError
@@ -29,35 +24,21 @@ from drivers.files.recording import (
     require_rig_of,
 )
 from drivers.files.rig_file import read_rig, write_rig
+from drivers.files.times import utc_now
 from pipeline.calibration import (
     BallDrop,
     CalibrationError,
-    CalibrationReport,
-    Problem,
-    calibrate,
-    observe_ball,
-    report_document,
 )
-from pipeline.calibration.ball_sizes import with_diameters
-from pipeline.calibration.coverage import Coverage, coverage
+from pipeline.calibration.coverage import coverage
+from pipeline.calibration.self_calibration import StoneCalibration
 from pipeline.frames import BundleKind, FrameBundle
-from pipeline.segmentation import BackgroundModel, segment_all
+from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
-from pipeline.views.epipolar_tangency import Outlines, outlines_of
-from service.calibration.plan import BALL_DIAMETERS_MM
-from service.commands.calibrate_stones import calibrate_from_stones
+from service.calibration.drops import observe_drop, solve_drops
+from service.calibration.plan import BALL_DIAMETERS_MM, Method
+from service.commands.calibration_report import print_ball_report, print_stone_report
 from service.errors import UsageError
-
-Seen = TypeVar("Seen")
-
-
-class Method(StrEnum):
-    """How the drops become a rig."""
-
-    BUNDLE = "bundle"
-    PAPER = "paper"
-    STONES = "stones"
 
 
 def command(
@@ -103,25 +84,21 @@ def command(
     unreadable = [str(error) for error in source.unreadable]
     # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
     background, segmenter = _learn_background(source, unreadable), BackgroundSegmenter()
-    if method is Method.STONES:
-
-        def outlines(bundle: FrameBundle) -> Outlines:
-            return outlines_of(segment_all(bundle.frames, background, segmenter))
-
-        stones = _observed(source, _fallen(source), outlines, workers, unreadable)
-        calibrate_from_stones(stones, unreadable, start, out, force=force, as_json=as_json)
-        return
-
-    def ball(bundle: FrameBundle) -> BallDrop:
-        return observe_ball(bundle, background, segmenter, None)
-
-    drops = _observed(source, _balls(source), ball, workers, unreadable)
+    kind = BundleKind.PARTICLE if method is Method.STONES else BundleKind.BALL
+    drops = _observed(
+        source,
+        _fallen(source, kind),
+        lambda bundle: observe_drop(bundle, background, segmenter, kind),
+        workers,
+        unreadable,
+    )
     try:
-        report = calibrate(
-            with_diameters(drops, start, diameters_mm),
+        solved = solve_drops(
+            drops,
             start,
-            method="paper" if method is Method.PAPER else "bundle",
-            created_at=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+            method=method,
+            diameters_mm=diameters_mm,
+            created_at=utc_now("seconds"),
             name=out.stem,
         )
     except CalibrationError as err:
@@ -129,17 +106,19 @@ def command(
             refusal = {"is_acceptable": False, "problems": [asdict(each) for each in err.problems]}
             typer.echo(json.dumps(refusal, indent=2))
         raise
-    covered = coverage([drop for drop in drops if drop.name in report.drops_used], report.rig)
+    used = set(solved.report["drops_used"])
+    covered = coverage([drop for drop in drops if drop.name in used], solved.rig)
     if as_json:
-        document = report_document(report) | {"coverage": asdict(covered), "unreadable": unreadable}
+        document = {**solved.report, "coverage": asdict(covered), "unreadable": unreadable}
         typer.echo(json.dumps(document, indent=2))
+    elif isinstance(solved.evidence, StoneCalibration):
+        print_stone_report(solved.evidence, unreadable)
     else:
-        _print_report(report, covered, unreadable)
-    if not (report.is_acceptable or force):
-        reasons = "; ".join(problem.detail for problem in report.problems if problem.is_fatal)
-        raise UsageError(f"{out} was not written: {reasons} (--force writes it nevertheless)")
+        print_ball_report(solved.evidence, covered, unreadable)
+    if solved.refusal is not None and not force:
+        raise UsageError(f"{out} was not written: {solved.refusal} (--force writes it nevertheless)")
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_rig(out, report.rig)
+    write_rig(out, solved.rig)
 
 
 def _distinct_diameters_mm(diameters_mm: Sequence[float]) -> list[float]:
@@ -172,103 +151,35 @@ def _learn_background(source: Recording, unreadable: list[str]) -> BackgroundMod
     return model
 
 
-def _balls(source: Recording) -> list[BundleHeader]:
-    """The drops of the calibration ball; all that fell if the recording names none."""
-    fell = _fallen(source)
-    return [header for header in fell if header.kind is BundleKind.BALL] or fell
-
-
-def _fallen(source: Recording) -> list[BundleHeader]:
-    return [header for header in playback_order(source) if header.kind is not BundleKind.BACKGROUND]
+def _fallen(source: Recording, kind: BundleKind) -> list[BundleHeader]:
+    """Return what fell: the balls where balls are wanted and the recording names some, else everything."""
+    fell = [header for header in playback_order(source) if header.kind is not BundleKind.BACKGROUND]
+    balls = [header for header in fell if header.kind is BundleKind.BALL]
+    return balls if balls and kind is BundleKind.BALL else fell
 
 
 def _observed(
     source: Recording,
     headers: Sequence[BundleHeader],
-    look: Callable[[FrameBundle], Seen],
+    observe: Callable[[FrameBundle], BallDrop],
     workers: int,
     unreadable: list[str],
-) -> list[Seen]:
-    """What `look` sees in the bundles, in their order whatever the number of workers.
+) -> list[BallDrop]:
+    """Return the drops in the bundles, in their order whatever the number of workers.
 
     Damaged bundles go to `unreadable`.
     """
 
-    def observe(header: BundleHeader) -> Seen | RecordingError:
+    def read(header: BundleHeader) -> BallDrop | RecordingError:
         try:
             bundle = read_bundle(header.path, source.camera_ids)
         except RecordingError as err:
             return err
-        return look(bundle)
+        return observe(bundle)
 
     # threads: nearly all of it is spent in OpenCV and NumPy, which let others run
     with ThreadPoolExecutor(workers) as pool:
-        seen = pool.map(observe, headers)
         console = Console(file=sys.stderr)
-        observed = list(track(seen, "observing", total=len(headers), console=console))
-    unreadable += [str(each) for each in observed if isinstance(each, RecordingError)]
-    return [each for each in observed if not isinstance(each, RecordingError)]
-
-
-# --- what people read ---
-
-
-def _print_report(report: CalibrationReport, covered: Coverage, unreadable: Sequence[str]) -> None:
-    console = Console()
-    console.print(_table(report, covered))
-    for line in _lines(report, covered, unreadable):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _table(report: CalibrationReport, covered: Coverage) -> Table:
-    table = Table("camera")
-    for title in ("drops", "field %", "before px", "after px", "f px"):
-        table.add_column(title, justify="right")
-    table.add_column("left out")
-    for camera in report.rig.cameras:
-        refused = Counter(
-            views[camera.id].partition(":")[0]
-            for views in report.views_left_out.values()
-            if camera.id in views
-        )
-        table.add_row(
-            camera.id,
-            str(covered.cameras[camera.id].n_drops),
-            f"{100 * covered.cameras[camera.id].field_share:.0f}",
-            _fixed(report.residuals_before_px.get(camera.id), 1),
-            _fixed(report.residuals_after_px.get(camera.id), 3),
-            f"{camera.focal_px:.1f}",
-            ", ".join(f"{n} x {reason}" for reason, n in refused.most_common()),
-        )
-    return table
-
-
-def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[str]) -> Iterator[str]:
-    yield from (f"unreadable: {each}" for each in unreadable)
-    yield from (f"left out: {name}: {reason}" for name, reason in report.drops_left_out.items())
-    extent = " x ".join(f"{each:.1f}" for each in covered.extent_mm)
-    yield f"drops: {len(report.drops_used)} across {extent} mm; wanted: {covered.missing or 'nothing'}"
-    if report.held_out_px is not None:
-        yield f"drops not used in the fit: {report.held_out_px:.3f} px rms"
-    if report.scale == "ball_diameter":
-        yield "scale: from the diameter of the ball"
-    else:
-        yield "scale: not observable; lengths are those of the initial rig"
-    if report.uncertainty is not None:
-        yield f"length in the measuring volume: +- {report.uncertainty.length_sd_percent:.3f} % (1 sd)"
-    if report.edge_offset_px is not None:
-        side = "large" if report.edge_offset_px > 0 else "small"
-        yield f"outlines are {abs(report.edge_offset_px):.3f} px too {side}, as balls of two sizes show"
-    if report.fall is not None:
-        tilt_deg = np.rad2deg(np.arccos(-report.fall.direction[2]))
-        yield f"fall: {tilt_deg:.2f} +- {report.fall.sd_deg:.2f} degrees off the initial vertical; corrected"
-    yield from (_problem_line(problem) for problem in report.problems)
-    yield f"calibration: {report.rig.calibration_id}"
-
-
-def _problem_line(problem: Problem) -> str:
-    return f"{'refused' if problem.is_fatal else 'warning'}: {problem.detail}"
-
-
-def _fixed(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
+        found = list(track(pool.map(read, headers), "observing", total=len(headers), console=console))
+    unreadable += [str(each) for each in found if isinstance(each, RecordingError)]
+    return [each for each in found if not isinstance(each, RecordingError)]

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.cameras.description import genicam_xml
-from drivers.gvcp import Device, discover, local_addresses
+from drivers.gvcp import DiscoveredCamera, discover, local_addresses
 
 
 def ipv4_address(text: str) -> str:
@@ -54,7 +54,7 @@ def command(
         typer.echo(f"No camera answers out of {', '.join(interface or local_addresses())}.")
 
 
-def _table(devices: list[Device]) -> Table:
+def _table(devices: list[DiscoveredCamera]) -> Table:
     table = Table()
     for title in ("address", "serial", "user name", "model", "MAC"):
         table.add_column(title, overflow="fold")

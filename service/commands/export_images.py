@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.progress import track
 
 from drivers.errors import RecordingError
-from drivers.files.bundle_file import DAMAGED
 from drivers.files.durable import new_folder
 from drivers.files.png_file import write_png
 from drivers.files.recording import open_recording, playback_order, read_bundle
 from drivers.files.rig_file import write_rig
+from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind
 
 
@@ -39,7 +39,7 @@ def command(
             left_out += [
                 f"{header.path}: camera {camera} is damaged"
                 for camera, reason in bundle.missing.items()
-                if reason == DAMAGED
+                if reason == FrameLossReason.DAMAGED
             ]
             (folder / bundle.name).mkdir()
             for camera, frame in bundle.frames.items():

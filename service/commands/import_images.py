@@ -15,7 +15,7 @@ from drivers.errors import RecordingError
 from drivers.files.png_file import read_png
 from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
 from service.errors import UsageError
 
 SPACING_NS = 250_000_000
@@ -108,7 +108,7 @@ def _bundle(
             sequence=sequence,
             received_ns=trigger_ns,
             device_ns=trigger_ns,
-            utc=utc.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            utc=rfc3339(utc),
             kind=kind,
             name=folder.name,
         ),

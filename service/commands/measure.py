@@ -33,6 +33,7 @@ from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import read_silhouettes
 from pipeline.frames import BundleKind
 from pipeline.gradation.passing import gradation
+from pipeline.meshing import Mesher
 from pipeline.particle import BodyParameters, PipelineParameters
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
@@ -66,13 +67,6 @@ class BodyName(StrEnum):
     HULL = "hull"
 
 
-class MesherName(StrEnum):
-    """What makes the mesh of the hull."""
-
-    LEAVES = "leaves"
-    SKIMAGE = "skimage"
-
-
 class Field(StrEnum):
     """Which field is carved."""
 
@@ -98,8 +92,8 @@ def command(
         BodyName | None, typer.Option(help="What mesh and shape describe; as configured, else the estimate.")
     ] = None,
     mesher: Annotated[
-        MesherName, typer.Option(help="skimage is scikit-image's marching cubes, the reference.")
-    ] = MesherName.LEAVES,
+        Mesher, typer.Option(help="skimage is scikit-image's marching cubes, the reference.")
+    ] = Mesher.LEAVES,
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
     save_silhouettes: Annotated[bool, typer.Option("--save-silhouettes")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -114,7 +108,7 @@ def command(
     settings = load_settings(config) if config else None
     parameters = settings.pipeline if settings else PipelineParameters()
     segmentation = settings.segmentation if settings else SegmentationSettings()
-    parameters = replace(parameters, mesher=mesher.value)
+    parameters = replace(parameters, mesher=mesher)
     if body is not None:
         parameters = replace(parameters, body=BodyParameters(body.value))
     if field is not None:

@@ -20,11 +20,11 @@ from drivers.files.durable import require_unused
 from drivers.files.rig_file import read_rig
 from pipeline.frames import Trigger
 from service.acquisition.session import INBOX_TRIGGERS, Acquisition
-from service.api.control import AcquisitionState, AcquisitionTarget
 from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
-from service.recording.live_recording import EndedBy, LiveRecording, recording_source
+from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
+from service.status import AcquisitionState, AcquisitionTarget
 
 TURN_S = 0.1
 """How often it is looked whether something has ended."""
@@ -75,7 +75,7 @@ class _Unaccounted:
 async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecording:
     calibration = read_rig(settings.rig.calibration_path)
     devices = build_devices(settings.rig.backend_for(calibration))
-    source = recording_source(devices, calibration, settings.model_dump(mode="json")["rig"])
+    source = settings.rig.source(devices, calibration)
     require_room(out.parent, count or 1, source, settings.recordings.reserve_bytes)
     recording = LiveRecording(
         out,

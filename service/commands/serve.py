@@ -25,7 +25,7 @@ def command(
     import_for_workers("service.processing.worker_imports")
     # imported here: meanwhile
     from service.configuration.settings import load_settings, problems
-    from service.daemon.build import run
+    from service.daemon.run import run
 
     settings = load_settings(config)
     if wrong := "; ".join(problems(settings)):

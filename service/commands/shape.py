@@ -3,7 +3,7 @@
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,8 +15,9 @@ from rich.progress import track
 from rich.table import Table
 
 from pipeline.errors import MeshError
-from pipeline.measuring import measure_shape
+from pipeline.measuring import ShapeMeasurement, measure_shape
 from service.errors import UsageError
+from service.results.fields import MEASURED_FIELDS
 
 SUFFIXES = (".stl", ".ply", ".obj")
 MESHES_PER_TABLE = 3
@@ -32,26 +33,8 @@ PARSER_ERRORS = (
 )
 """What trimesh's parsers raise on damaged files."""
 
-ROWS = {
-    "volume_mm3": "volume, mm³",
-    "surface_area_mm2": "surface, mm²",
-    "length_mm": "length (D4791), mm",
-    "width_mm": "width (D4791), mm",
-    "thickness_mm": "thickness (D4791), mm",
-    "max_feret_mm": "greatest Feret, mm",
-    "min_feret_mm": "least Feret, mm",
-    "min_box_mm": "least box, mm",
-    "sieve_size_mm": "sieve size, mm",
-    "equivalent_diameter_mm": "equivalent diameter, mm",
-    "sphericity": "sphericity (Wadell)",
-    "convexity": "convexity",
-    "elongation_ratio": "elongation b/a",
-    "flatness_ratio": "flatness c/b",
-    "zingg_class": "Zingg class",
-    "krumbein": "Krumbein",
-    "corey": "Corey",
-    "center_mm": "centre of mass, mm",
-}
+ROWS = [name for name in MEASURED_FIELDS if name in {field.name for field in fields(ShapeMeasurement)}]
+"""The fields of a result that a mesh alone has."""
 
 
 def command(
@@ -107,8 +90,8 @@ def _table(measured: Sequence[Mapping[str, Any]]) -> Table:
     table.add_column(no_wrap=True)
     for shape in measured:
         table.add_column(Path(shape["file"]).name, justify="right", overflow="fold")
-    for key, label in ROWS.items():
-        table.add_row(label, *(_text(shape[key]) for shape in measured))
+    for name in ROWS:
+        table.add_row(name, *(_text(shape[name]) for shape in measured))
     return table
 
 

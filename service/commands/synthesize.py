@@ -13,13 +13,13 @@ from rich.progress import track
 from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
-from pipeline.fall import GRAVITY_MM_S2, speed_mm_s
-from pipeline.frames import BundleKind
+from pipeline.fall import GRAVITY_MM_S2, Fall
+from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
 from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
-from pipeline.synthesis.optics import ExposureParameters
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
@@ -38,8 +38,6 @@ MAX_RADIUS_MM = 100.0
 BALL_DIAMETERS_MM = (2.0, 40.0)
 MAX_FALL_JITTER_MS = 6.0
 """More, and the ball falls past the field of view."""
-DROP_MM = 300.0
-"""From the light gate to the centre of the rig."""
 
 HOUSING, BACKGROUND, PARTICLE = range(3)
 """Keys of the random streams: what a bundle shows does not depend on how many others there are."""
@@ -93,7 +91,7 @@ def command(
         raise typer.BadParameter(
             f"{spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
         )
-    design = nominal_rig(created_at=FIRST_UTC.isoformat().replace("+00:00", "Z"))
+    design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
     true_rig = as_built(design, seed) if rig is None else read_rig(rig)
     names = [name.strip() for name in bodies.split(",")]
     writer = RecordingWriter(
@@ -167,7 +165,7 @@ def command(
 def _fallen_mm(late_ms: float) -> float:
     """How far a body falls from when it is expected to `late_ms` later."""
     late_s = late_ms / 1e3
-    return speed_mm_s(DROP_MM) * late_s + GRAVITY_MM_S2 / 2 * late_s**2
+    return Fall().speed_at_center_mm_s * late_s + GRAVITY_MM_S2 / 2 * late_s**2
 
 
 def _turn(name: str, size_mm: float | None) -> Turn:

@@ -1,22 +1,70 @@
 """What physics and the network forbid a live rig, in the words of its settings."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.fall import blur_px, longest_exposure_us, speed_mm_s
+from drivers.errors import RecordingError
+from drivers.files.recording import open_recording, require_rig_of
+from drivers.files.rig_file import read_rig
+from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
-
-if TYPE_CHECKING:
-    from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 
 BUSY_SLACK_MS = 30.0
 """A stone may follow the one before by so much less than a camera is busy: it is lost as a stone without frames."""
 
 
-def timing_problems(rig: "AravisRigSettings", bundling: BundlingParameters) -> Iterator[str]:
+def rig_problems(rig: RigSettings, bundling: BundlingParameters) -> Iterator[str]:
+    """Say what about the rig cannot work, each with its field and the physics of it."""
+    match rig:
+        case ReplayRigSettings():
+            yield from _replay_problems(rig)
+        case AravisRigSettings():
+            yield from _live_problems(rig, bundling)
+
+
+def _replay_problems(rig: ReplayRigSettings) -> Iterator[str]:
+    """Say what of the recording cannot be used."""
+    try:
+        recording = open_recording(rig.recording)
+    except RecordingError as err:
+        yield f"rig.recording: {err}"
+        return
+    try:
+        require_rig_of(recording, read_rig(rig.calibration_path), rig.calibration_path)
+    except RecordingError as err:
+        yield f"rig.calibration: {err}"
+
+
+def _live_problems(rig: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
+    """Say what cannot work, with the physics of it."""
+    yield from timing_problems(rig, bundling)
+    try:
+        calibration = read_rig(rig.calibration)
+    except RecordingError as err:
+        yield f"rig.calibration: {err}"
+        return
+    calibrated = {camera.id: camera for camera in calibration.cameras}
+    if calibrated.keys() != {camera.id for camera in rig.cameras}:
+        yield (
+            f"rig.cameras: {', '.join(sorted(camera.id for camera in rig.cameras))} are not the cameras of"
+            f" {rig.calibration}: {', '.join(sorted(calibrated))}"
+        )
+        return
+    for place in rig.cameras:
+        serial = calibrated[place.id].serial
+        if place.serial and serial and place.serial != serial:
+            yield (
+                f"rig.cameras: {place.id} is camera {place.serial},"
+                f" but {rig.calibration} was made with camera {serial} in its place"
+            )
+    yield from blur_problems(rig, calibration)
+    yield from transfer_problems(rig, calibration, bundling)
+
+
+def timing_problems(rig: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Say which times of the bundling do not fit the fall."""
     if rig.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < rig.busy_ms:
         yield (
@@ -31,10 +79,10 @@ def timing_problems(rig: "AravisRigSettings", bundling: BundlingParameters) -> I
         )
 
 
-def blur_problems(rig: "AravisRigSettings", calibration: RigCalibration) -> Iterator[str]:
+def blur_problems(rig: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
     """Say whether a stone moves too far while it is lit."""
     lit_us = (rig.flash_us or rig.exposure_us) + rig.trigger_skew_us
-    speed = speed_mm_s(rig.fall_height_mm, rig.speed_at_gate_mm_s)
+    speed = rig.fall.speed_at_center_mm_s
     pixel_mm = min(
         float(np.linalg.norm(camera.center_mm)) / float(camera.K[1, 1]) for camera in calibration.cameras
     )
@@ -49,7 +97,7 @@ def blur_problems(rig: "AravisRigSettings", calibration: RigCalibration) -> Iter
 
 
 def transfer_problems(
-    rig: "AravisRigSettings", calibration: RigCalibration, bundling: BundlingParameters
+    rig: AravisRigSettings, calibration: RigCalibration, bundling: BundlingParameters
 ) -> Iterator[str]:
     """All frames of a trigger share the uplink, and must be through before the next ones come."""
     rate_bytes_s = min(rig.link_bytes_s, rig.throughput_limit_bytes_s or rig.link_bytes_s)

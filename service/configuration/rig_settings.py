@@ -3,12 +3,11 @@
 When the cameras expose follows from the height of the fall, not from a number somebody typed.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Discriminator, Tag, ValidationInfo
+from pydantic import AfterValidator, Discriminator, Tag, TypeAdapter, ValidationInfo
 
 from drivers.cameras.genicam import (
     Feature,
@@ -19,19 +18,19 @@ from drivers.cameras.genicam import (
     trigger_features,
 )
 from drivers.cameras.host_trigger import ActionKeys
-from drivers.errors import RecordingError
-from drivers.factory import AravisBackend, GateDevice, ReplayBackend
-from drivers.files.recording import open_recording, require_rig_of
-from drivers.files.rig_file import read_rig
+from drivers.factory import AravisBackend, Devices, GateDevice, ReplayBackend
 from drivers.gates.gpio import GpioGateSettings
 from drivers.gates.modem_line import ModemLineSettings
 from drivers.gates.serial_gate import SerialGateSettings
-from pipeline.fall import fall_time_ms, speed_mm_s
+from pipeline.fall import FALL_HEIGHT_MM, Fall, fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
 from service.configuration.paths import ConfiguredPath, resolve_path
-from service.configuration.rig_checks import blur_problems, timing_problems, transfer_problems
+from service.recording.live_recording import RecordingSource
+
+OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")
+"""Settings of a live rig that change what its cameras see."""
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
 
@@ -64,20 +63,26 @@ class ReplayRigSettings:
         return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
 
     def describe(self) -> dict[str, Any]:
-        """What a session was run on, for the store."""
+        """Return what a run of the daemon measures, for the store."""
         return {"recording": str(self.recording)}
 
-    def problems(self, bundling: BundlingParameters) -> Iterator[str]:
-        """Say what the settings refer to and cannot be used."""
-        try:
-            recording = open_recording(self.recording)
-        except RecordingError as err:
-            yield f"rig.recording: {err}"
-            return
-        try:
-            require_rig_of(recording, read_rig(self.calibration_path), self.calibration_path)
-        except RecordingError as err:
-            yield f"rig.calibration: {err}"
+    def source(self, devices: Devices, rig: RigCalibration) -> RecordingSource:
+        """Return what a recording of this replay says of its rig: what the replayed one says."""
+        assert devices.belt is not None  # noqa: S101 - every replay has one
+        recording = devices.belt.recording
+        return RecordingSource(
+            camera_ids=tuple(devices.cameras),
+            rig=rig,
+            is_simulated=devices.is_simulated,
+            camera_settings=recording.document.get("camera_settings", {}),
+            gate_settings=recording.document.get("gate_settings", {}),
+            fall=Fall(speed_at_gate_mm_s=recording.speed_at_gate_mm_s),
+        )
+
+    @property
+    def optical_settings(self) -> None:
+        """Return None: in replay the recording alone says what the empty rig looks like."""
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +131,7 @@ class AravisRigSettings:
     gate: GateSettings
     is_simulated: bool = False  # results say so
 
-    fall_height_mm: float = 300.0  # from the beam of the gate to the rig's centre
+    fall_height_mm: float = FALL_HEIGHT_MM  # from the beam of the gate to the rig's centre
     start_above_gate_mm: float = 0.0  # the stone starts from rest with its lowest point so far above the beam
     delay_correction_ms: float = 0.0  # measured, for the latency of gate and cameras: negative
     exposure_us: float = 20.0
@@ -187,13 +192,14 @@ class AravisRigSettings:
         return self.calibration
 
     @property
-    def speed_at_gate_mm_s(self) -> float:
-        return speed_mm_s(self.start_above_gate_mm)
+    def fall(self) -> Fall:
+        """Return how the stones fall."""
+        return Fall(height_mm=self.fall_height_mm, speed_at_gate_mm_s=speed_mm_s(self.start_above_gate_mm))
 
     @property
     def trigger_delay_ms(self) -> float:
         """From the edge of the light gate to the exposure at the rig's centre."""
-        return fall_time_ms(self.fall_height_mm, self.speed_at_gate_mm_s) + self.delay_correction_ms
+        return fall_time_ms(self.fall.height_mm, self.fall.speed_at_gate_mm_s) + self.delay_correction_ms
 
     @property
     def busy_ms(self) -> float:
@@ -217,33 +223,29 @@ class AravisRigSettings:
         )
 
     def describe(self) -> dict[str, Any]:
-        """What a session was run on, for the store."""
+        """Return what a run of the daemon measures, for the store."""
         return {"cameras": [camera.id for camera in self.cameras], "gate": type(self.gate.device).__name__}
 
-    def problems(self, bundling: BundlingParameters) -> Iterator[str]:
-        """Say what cannot work, with the physics of it."""
-        yield from timing_problems(self, bundling)
-        try:
-            calibration = read_rig(self.calibration)
-        except RecordingError as err:
-            yield f"rig.calibration: {err}"
-            return
-        calibrated = {camera.id: camera for camera in calibration.cameras}
-        if calibrated.keys() != {camera.id for camera in self.cameras}:
-            yield (
-                f"rig.cameras: {', '.join(sorted(camera.id for camera in self.cameras))} are not the cameras of"
-                f" {self.calibration}: {', '.join(sorted(calibrated))}"
-            )
-            return
-        for place in self.cameras:
-            serial = calibrated[place.id].serial
-            if place.serial and serial and place.serial != serial:
-                yield (
-                    f"rig.cameras: {place.id} is camera {place.serial},"
-                    f" but {self.calibration} was made with camera {serial} in its place"
-                )
-        yield from blur_problems(self, calibration)
-        yield from transfer_problems(self, calibration, bundling)
+    def source(self, devices: Devices, rig: RigCalibration) -> RecordingSource:
+        """Return what a recording of these devices says of them."""
+        document = self._document()
+        return RecordingSource(
+            camera_ids=tuple(devices.cameras),
+            rig=rig,
+            is_simulated=devices.is_simulated,
+            camera_settings={name: value for name, value in document.items() if name != "gate"},
+            gate_settings={**document["gate"], "speed_at_gate_mm_s": self.fall.speed_at_gate_mm_s},
+            fall=self.fall,
+        )
+
+    @property
+    def optical_settings(self) -> list[Any]:
+        """Return the settings that change what the cameras see, as JSON has them."""
+        document = self._document()
+        return [document[name] for name in OPTICAL]
+
+    def _document(self) -> dict[str, Any]:
+        return dict(TypeAdapter(AravisRigSettings).dump_python(self, mode="json"))
 
     @property
     def _fired_by(self) -> ActionKeys | Literal["software"] | None:

@@ -8,7 +8,7 @@ import onnxruntime
 from pydantic import AfterValidator, ValidationInfo
 
 from pipeline.errors import ModelError
-from pipeline.segmentation.choice import Wanted
+from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.configuration.paths import resolve_path
 from service.models.networks import load_model, read_model
@@ -25,7 +25,7 @@ def _resolve_model(model: str, info: ValidationInfo) -> str:
 class SegmentationSettings(SegmentationParameters):
     """The parameters of the pipeline, and which segmenter is asked."""
 
-    segmenter: Wanted = "auto"
+    segmenter: SegmenterKind = "auto"
     model: Annotated[str, AfterValidator(_resolve_model)] = ""  # built-in; the name of a fetched one; a path
     providers: tuple[str, ...] = ()  # of onnxruntime, the first that works; CUDA where there is, else the CPU
 

@@ -22,6 +22,7 @@ from service.api.settings import ApiSettings
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.paths import ConfiguredPath
+from service.configuration.rig_checks import rig_problems
 from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
@@ -137,7 +138,7 @@ def problems(settings: Settings) -> Iterator[str]:
             f"views.min: must be at least {n_disagreeing + 2}, two more than"
             f" carving.max_disagreeing_views, not {settings.views.min}"
         )
-    yield from settings.rig.problems(settings.bundling)
+    yield from rig_problems(settings.rig, settings.bundling)
     try:
         _ = settings.measuring.parameters
     except VolumeModelError as err:

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.files.durable import replacing
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.particle import MeasuringParameters
 from service.configuration.paths import ConfiguredPath
@@ -78,6 +79,5 @@ def write_volume_model(path: Path, model: VolumeModel, remarks: dict[str, float 
         "hidden_share": model.hidden_share,
         **remarks,
     }
-    partial = path.with_name(path.name + ".tmp")
-    partial.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    partial.replace(path)
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -3,15 +3,14 @@
 import logging
 import shutil
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pipeline.frames import CameraId
 from service.acquisition.session import Acquisition
-from service.api.control import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.calibration.sessions import Calibrations
 from service.configuration.settings import Settings
-from service.daemon.heartbeats import Heartbeats
+from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
 from service.health.assessment import Facts, assess
 from service.health.optical_watch import OpticalWatch
@@ -23,6 +22,7 @@ from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
+from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.store import Store
 
 log = logging.getLogger(__name__)
@@ -42,7 +42,7 @@ class Daemon:
     spool: Spool
     recordings: Recordings
     archive: RawArchive
-    rig: Acquisition
+    acquisition: Acquisition
     processing: Processing
     heartbeats: Heartbeats
     loop_watch: LoopWatch
@@ -50,29 +50,31 @@ class Daemon:
     optical_watch: OpticalWatch
     segmentation_watch: SegmentationWatch
 
-    def acquisition(self) -> AcquisitionStatus:
-        return self.rig.status()
+    def acquisition_status(self) -> AcquisitionStatus:
+        return self.acquisition.status()
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
-        state = self.rig.request(target)
+        state = self.acquisition.request(target)
         log.info("acquisition requested target=%s state=%s", target, state)
         return state
 
     def cameras(self) -> list[CameraStatus]:
         scores, optics = self.rig_watch.scores(), self.optical_watch.optics()
         return [
-            replace(status, **asdict(scores.get(status.id, CameraScore())), optics=optics.get(status.id))
-            for status in self.rig.cameras.statuses()
+            status.model_copy(
+                update=asdict(scores.get(status.id, CameraScore())) | {"optics": optics.get(status.id)}
+            )
+            for status in self.acquisition.cameras.statuses()
         ]
 
     async def snapshot(self, camera: CameraId) -> bytes | None:
-        return await self.rig.cameras.snapshot(camera)
+        return await self.acquisition.cameras.snapshot(camera)
 
     def health(self) -> Health:
         return assess(
             Facts(
-                acquisition=self.rig.status(),
-                blind_triggers=self.rig.cameras.blind_triggers,
+                acquisition=self.acquisition.status(),
+                blind_triggers=self.acquisition.cameras.blind_triggers,
                 cameras=self.cameras(),
                 views=self.settings.views,
                 waiting=self.spool.held,
@@ -98,18 +100,20 @@ class Daemon:
             )
         )
 
-    def late(self) -> list[str]:
+    def late(self) -> list[Part]:
         """Parts that have something to do and make no progress."""
         return self.heartbeats.late(time.monotonic())
 
-    def watch(self) -> list[str]:
+    def watch(self) -> list[Part]:
         """Look after the parts, often: those with nothing to do are not late, the others are named."""
-        if not self.rig.is_at_work:
-            self.heartbeats.beat("acquisition", time.monotonic())
+        if not self.acquisition.is_at_work:
+            self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
         if self.spool.held == 0:
-            self.heartbeats.beat("processing", time.monotonic())
+            self.heartbeats.beat(Part.PROCESSING, time.monotonic())
         return self.late()
 
     def status(self) -> str:
         """One line for `systemctl status`."""
-        return f"{self.rig.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"
+        return (
+            f"{self.acquisition.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"
+        )

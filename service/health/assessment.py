@@ -9,17 +9,19 @@ from dataclasses import dataclass
 
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.common_cause import cause_of_all
-from service.api.control import (
-    AcquisitionState,
-    AcquisitionStatus,
-    CameraStatus,
-    Check,
-    CheckStatus,
-    Health,
-    Ne107,
-)
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
+from service.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    CalibrationFacts,
+    CameraStatus,
+    CheckStatus,
+    DeviceState,
+    Health,
+    HealthCheck,
+    Ne107,
+)
 
 LOW_DISK_BYTES = 1 << 30
 """Less free space on the store's file system is a warning, a tenth of it a failure."""
@@ -27,17 +29,6 @@ BLIND_TRIGGERS = 3
 """So many triggers in a row without any image: the cameras are well, the line between them and the gate is not."""
 LOOP_MS = 250.0
 """A loop held up for longer matches frames late."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationFacts:
-    """What stones are measured with now."""
-
-    calibration_id: str
-    method: str
-    used_since: str  # RFC 3339
-    at_work: str | None = None  # who has balls dropped
-    trouble: str | None = None  # why its results are not to be trusted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +75,7 @@ def assess(facts: Facts) -> Health:
         if check.status is not CheckStatus.PASS and not (parent and name.startswith("camera:"))
     )
     failed = {name for name, check in checks.items() if check.status is CheckStatus.FAIL}
-    usable = sum(camera.state != "lost" for camera in facts.cameras)
+    usable = sum(camera.state is not DeviceState.LOST for camera in facts.cameras)
     has_failed = any(not name.startswith("camera:") for name in failed)
     state = facts.acquisition.state
     if state is AcquisitionState.HELD:
@@ -121,76 +112,78 @@ def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne
     return Ne107.GOOD if is_clean else Ne107.MAINTENANCE_REQUIRED
 
 
-def _checks(facts: Facts) -> Mapping[str, Check]:
+def _checks(facts: Facts) -> Mapping[str, HealthCheck]:
     checks = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
     checks["cameras"] = _all_cameras(facts)
     rig = facts.acquisition
-    is_gate_lost = rig.gate == "lost"
-    checks["gate"] = Check(
+    is_gate_lost = rig.gate is DeviceState.LOST
+    checks["gate"] = HealthCheck(
         status=_status(warn=bool(rig.gate_warnings), fail=is_gate_lost),
-        value=rig.gate,
+        observed_value=rig.gate,
         detail=rig.gate_error if is_gate_lost else "; ".join(rig.gate_warnings) or None,
     )
     is_blind = facts.blind_triggers >= BLIND_TRIGGERS
-    checks["trigger_line"] = Check(
+    checks["trigger_line"] = HealthCheck(
         status=_status(fail=is_blind),
-        value=facts.blind_triggers,
-        unit="triggers",
+        observed_value=facts.blind_triggers,
+        observed_unit="triggers",
         detail=_if(
             is_blind,
             f"{facts.blind_triggers} triggers in a row without any image: look at the line from gate to cameras",
         ),
     )
-    checks["loop"] = Check(
+    checks["loop"] = HealthCheck(
         status=_status(warn=facts.loop_ms > LOOP_MS),
-        value=round(facts.loop_ms, 1),
-        unit="ms",
+        observed_value=round(facts.loop_ms, 1),
+        observed_unit="ms",
         detail=_if(facts.loop_ms > LOOP_MS, f"held up for {facts.loop_ms:.0f} ms within the last minute"),
     )
     step_s = facts.clock_step_s
-    checks["clock"] = Check(
+    checks["clock"] = HealthCheck(
         status=_status(warn=step_s is not None),
-        value=step_s,
-        unit="s",
+        observed_value=step_s,
+        observed_unit="s",
         detail=None
         if step_s is None
         else f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt",
     )
     checks["progress"] = _passes(not facts.late, f"no progress of {', '.join(facts.late)}")
     checks["queue"] = _queue(facts)
-    checks["workers"] = Check(
+    checks["workers"] = HealthCheck(
         status=_status(warn=facts.workers < facts.slots, fail=facts.workers == 0),
-        value=facts.workers,
-        unit="processes",
+        observed_value=facts.workers,
+        observed_unit="processes",
         detail=f"{facts.workers} of {facts.slots} up, {facts.worker_restarts} restarts",
     )
-    checks["background"] = Check(
+    checks["background"] = HealthCheck(
         status=_status(warn=not facts.has_background),
-        value=facts.has_background,
+        observed_value=facts.has_background,
         detail=_if(
             not facts.has_background,
             "the empty rig was not seen yet: let no stone fall for a moment"
             + ("; until then the network alone finds them" if facts.has_network else ""),
         ),
     )
-    checks["segmentation"] = Check(
+    checks["segmentation"] = HealthCheck(
         status=_status(warn=facts.segmentation_warning is not None), detail=facts.segmentation_warning
     )
     checks["calibration"] = _calibration(facts.calibration)
     # a store that cannot be written ends the daemon, so whoever can still ask finds it working
-    checks["store"] = Check(status=CheckStatus.PASS, value=facts.last_seq, unit="results")
-    checks["disk"] = Check(
+    checks["store"] = HealthCheck(
+        status=CheckStatus.PASS, observed_value=facts.last_seq, observed_unit="results"
+    )
+    checks["disk"] = HealthCheck(
         status=_status(warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10),
-        value=facts.free_bytes,
-        unit="bytes",
+        observed_value=facts.free_bytes,
+        observed_unit="bytes",
         detail=f"{facts.free_bytes / 1e9:.1f} GB free for results",
     )
     trouble = facts.recording_trouble
-    checks["recording"] = Check(status=_status(warn=trouble is not None), detail=trouble)
-    checks["archive"] = Check(
+    checks["recording"] = HealthCheck(status=_status(warn=trouble is not None), detail=trouble)
+    checks["archive"] = HealthCheck(
         status=_status(warn=facts.archive_trouble is not None),
-        value=facts.left_out,
-        unit="left out",
+        observed_value=facts.left_out,
+        observed_unit="left out",
         detail=facts.archive_trouble,
     )
     checks["rig"] = _rig(facts)
@@ -198,44 +191,46 @@ def _checks(facts: Facts) -> Mapping[str, Check]:
     return checks
 
 
-def _all_cameras(facts: Facts) -> Check:
-    lost = [camera for camera in facts.cameras if camera.state == "lost"]
+def _all_cameras(facts: Facts) -> HealthCheck:
+    lost = [camera for camera in facts.cameras if camera.state is DeviceState.LOST]
     is_all = len(lost) == len(facts.cameras) > 1
-    return Check(
+    return HealthCheck(
         status=_status(fail=is_all),
-        value=len(facts.cameras) - len(lost),
-        unit="cameras",
+        observed_value=len(facts.cameras) - len(lost),
+        observed_unit="cameras",
         detail=_if(is_all, cause_of_all([camera.last_error for camera in lost])),
     )
 
 
-def _camera(camera: CameraStatus) -> Check:
-    is_lost = camera.state == "lost"
+def _camera(camera: CameraStatus) -> HealthCheck:
+    is_lost = camera.state is DeviceState.LOST
     detail = camera.last_error if is_lost else "; ".join(camera.warnings) or None
-    return Check(status=_status(warn=bool(camera.warnings), fail=is_lost), value=camera.state, detail=detail)
+    return HealthCheck(
+        status=_status(warn=bool(camera.warnings), fail=is_lost), observed_value=camera.state, detail=detail
+    )
 
 
-def _rig(facts: Facts) -> Check:
+def _rig(facts: Facts) -> HealthCheck:
     """What the stones say about the cameras."""
     scores_px = [camera.tangency_px for camera in facts.cameras if camera.tangency_px is not None]
     scores_px += [suspicion.score_px for suspicion in facts.suspicions]
-    return Check(
+    return HealthCheck(
         status=_status(warn=bool(facts.suspicions)),
-        value=round(max(scores_px), 2) if scores_px else None,
-        unit="px",
+        observed_value=round(max(scores_px), 2) if scores_px else None,
+        observed_unit="px",
         detail="; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in facts.suspicions)
         or None,
     )
 
 
-def _optics(facts: Facts) -> Check:
+def _optics(facts: Facts) -> HealthCheck:
     """What the images say about windows, lenses and light."""
     n_cameras = len(facts.cameras)
     concerned = {camera for finding in facts.optics for camera in finding.cameras}
-    return Check(
+    return HealthCheck(
         status=_status(warn=bool(facts.optics)),
-        value=n_cameras - len(concerned),
-        unit="cameras",
+        observed_value=n_cameras - len(concerned),
+        observed_unit="cameras",
         detail="; ".join(
             f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
             for finding in facts.optics
@@ -244,26 +239,26 @@ def _optics(facts: Facts) -> Check:
     )
 
 
-def _calibration(facts: CalibrationFacts) -> Check:
+def _calibration(facts: CalibrationFacts) -> HealthCheck:
     wrong = [each for each in (facts.trouble, facts.at_work) if each is not None]
-    return Check(
+    return HealthCheck(
         status=_status(warn=bool(wrong)),
-        value=facts.calibration_id,
+        observed_value=facts.calibration_id,
         detail="; ".join(wrong) or f"{facts.method}, in use since {facts.used_since}",
     )
 
 
-def _queue(facts: Facts) -> Check:
-    return Check(
+def _queue(facts: Facts) -> HealthCheck:
+    return HealthCheck(
         status=_status(warn=2 * facts.waiting > facts.max_waiting, fail=facts.waiting >= facts.max_waiting),
-        value=facts.waiting,
-        unit="bundles",
+        observed_value=facts.waiting,
+        observed_unit="bundles",
         detail=f"{facts.waiting} of {facts.max_waiting} waiting, {facts.overflows} lost",
     )
 
 
-def _passes(is_good: bool, problem: str | None) -> Check:
-    return Check(status=_status(fail=not is_good), detail=_if(not is_good, problem))
+def _passes(is_good: bool, problem: str | None) -> HealthCheck:
+    return HealthCheck(status=_status(fail=not is_good), detail=_if(not is_good, problem))
 
 
 def _if(is_so: bool, detail: str | None) -> str | None:

@@ -18,6 +18,7 @@ from typing import Any
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
+from service.status import CameraOptics
 
 WINDOW = 20
 """Exposures that an opinion rests on."""
@@ -57,22 +58,6 @@ class Severity(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraOptics:
-    """Of one camera, medians over the latest exposures; `None` while too few have been seen."""
-
-    brightness: float | None = None  # of the plain wall; 1: as in the clean rig
-    gradient_u: float | None = None  # of that, from the left to the right border
-    gradient_v: float | None = None
-    flicker: float | None = None
-    dust: float | None = None
-    spots_share: float | None = None
-    saturated_share: float | None = None
-    noise_grey: float | None = None
-    edge_width_px: float | None = None
-    contrast: float | None = None  # of stone and wall at the outline
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class OpticalFinding:
     """Something that should be cleaned or replaced."""
 
@@ -96,7 +81,7 @@ WORDS = {
 @dataclass(slots=True)
 class _Camera:
     series: dict[str, deque[float]] = field(default_factory=dict)
-    optics: CameraOptics = CameraOptics()  # of these
+    optics: CameraOptics = field(default_factory=CameraOptics)  # of these
     severities: dict[str, Severity] = field(default_factory=dict)  # by limit
 
     def add(self, figures: Mapping[str, Any], limits: OpticalParameters) -> None:

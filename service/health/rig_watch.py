@@ -11,17 +11,15 @@ came before, hence not on the number of workers. What lasts here is only the ala
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from statistics import median
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from pipeline.fall import speed_mm_s
+from pipeline.fall import Fall
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
-from service.processing.processing import ResultSink
 
 WINDOW = 20
 """Stones that an opinion rests on."""
@@ -106,8 +104,8 @@ class _Camera:
 class RigWatch:
     """`feed` it the records of all stones, in the order of their triggers; `suspicions` are for people."""
 
-    def __init__(self, rig: RigCalibration, speed_mm_s: float = speed_mm_s(300.0)) -> None:
-        self._speed_mm_s = speed_mm_s
+    def __init__(self, rig: RigCalibration, fall: Fall = Fall()) -> None:  # noqa: B008 - frozen
+        self._speed_mm_s = fall.speed_at_center_mm_s
         self.restart(rig)
 
     def restart(self, rig: RigCalibration) -> None:
@@ -170,29 +168,6 @@ class RigWatch:
             and name not in {suspicion.camera for suspicion in displaced}
         ]
         return tuple(sorted([*displaced, *differing], key=lambda suspicion: -suspicion.score_px))
-
-
-class Watch(Protocol):
-    """Whoever learns from results."""
-
-    def feed(self, record: Mapping[str, Any]) -> None: ...
-
-
-class WatchedResults:
-    """The sink of all results, and the watches that read along."""
-
-    def __init__(self, results: ResultSink, *watches: Watch) -> None:
-        self._results = results
-        self._watches = watches
-
-    async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
-    ) -> int:
-        """Pass a result on, then learn from it: what is said about the rig is durable."""
-        seq = await self._results.finish(session, bundle, record, files)
-        for watch in self._watches:
-            watch.feed(record)
-        return seq
 
 
 def _what_happened(camera: _Camera, score_px: float, speed_mm_s: float) -> str:

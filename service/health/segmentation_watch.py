@@ -8,7 +8,8 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.segmentation.network import CANNOT_BE_RUN, CPU_COMPUTES
+from pipeline.segmentation.network import NetworkTrouble
+from pipeline.segmentation.silhouette import FoundBy
 from service.processing.segmenters import SegmenterPlan
 
 WINDOW = 20
@@ -26,8 +27,8 @@ class SegmentationWatch:
         """Learn from one result."""
         flags = record.get("segmentation_flags", {}).values()
         parts = (part for flag in flags for part in flag.split("; "))
-        trouble = next((part for part in parts if CPU_COMPUTES in part or CANNOT_BE_RUN in part), None)
-        if trouble is not None or set(record.get("segmenters", {}).values()) - {"background"}:
+        trouble = next((part for part in parts if any(kind in part for kind in NetworkTrouble)), None)
+        if trouble is not None or set(record.get("segmenters", {}).values()) - {FoundBy.BACKGROUND}:
             self._troubles.append(trouble)
 
     @property

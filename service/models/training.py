@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.evaluation.hard_cases import HardCase
 from pipeline.segmentation.network import load_network
-from pipeline.training.layers import render_bodies, render_walls
+from pipeline.training.image_layers import render_bodies, render_walls
 from pipeline.training.samples import Sample, compose
 from pipeline.training.scores import exam, score
 from service.errors import UsageError

@@ -11,7 +11,7 @@ import logging
 import shutil
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,6 @@ KEEP_EVERY_S = 600.0
 """It is 110 MB; dust does not settle faster."""
 
 
-OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")
-"""Settings of a rig that change what its cameras see."""
-
-
 class KeptBackground:
     """Called from threads, one call at a time."""
 
@@ -36,10 +32,9 @@ class KeptBackground:
         self,
         folder: Path,
         image_sizes_px: Mapping[CameraId, tuple[int, int]],
-        rig_settings: Mapping[str, Any],
+        optical_settings: Sequence[Any],
     ) -> None:
-        optics = [image_sizes_px, *(rig_settings.get(name) for name in OPTICAL)]
-        identity = hashlib.sha256(json.dumps(optics).encode()).hexdigest()[:16]
+        identity = hashlib.sha256(json.dumps([image_sizes_px, *optical_settings]).encode()).hexdigest()[:16]
         self._path = folder / f"background-{identity}.npz"
         self._kept_at_s: float | None = None
 

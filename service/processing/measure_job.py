@@ -29,16 +29,16 @@ from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
-from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.optics import observe_all
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.errors import WorkerFailure
 from service.processing.background_files import read_background, write_background
 from service.processing.process_memory import keep_freed_memory
-from service.processing.result_record import optics_record, result_record
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.processing.worker_process import WarmUp, worker_boundary
+from service.results.record import optics_record, result_record
 
 MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
 """Files of a result."""

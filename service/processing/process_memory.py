@@ -21,7 +21,7 @@ def keep_freed_memory() -> None:
     libc.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
-def spare_collections() -> None:
+def freeze_gc() -> None:
     """Never look at what is there by now for garbage again: that took 100 ms, with the interpreter's lock held."""
     gc.collect()
     gc.freeze()

@@ -15,8 +15,6 @@ from typing import Any, Protocol
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
-from service.calibration.drop_files import ObservedDrop
-from service.calibration.drop_jobs import ObserveJob, observe
 from service.processing.background_keeping import KeptBackground
 from service.processing.background_versions import BackgroundVersions, Learnt
 from service.processing.measure_job import (
@@ -28,9 +26,9 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
-from service.processing.result_record import lost_record
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, WorkerPool
+from service.results.record import lost_record
 
 log = logging.getLogger(__name__)
 
@@ -45,14 +43,20 @@ class BundleSource(Protocol):
     async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DropCollector:
-    """Somebody who waits for balls, or for stones."""
+Record = Mapping[str, Any]
+KeepDrop = Callable[[Record], Awaitable[None]]
+"""Keeps what was observed of a drop, once its result is durable; `OSError` when that cannot be written."""
 
-    kind: BundleKind
-    diameters_mm: tuple[float, ...]  # of the balls
-    add: Callable[[ObservedDrop, Mapping[str, Any], Path | None], Awaitable[None]]
-    """Takes a drop, its result, and the file of its outlines if there is one."""
+
+class DropCollector(Protocol):
+    """A calibration or verification that waits for balls or stones."""
+
+    @property
+    def kind(self) -> BundleKind: ...
+
+    async def observe(self, pool: WorkerPool, job: MeasureJob) -> KeepDrop:
+        """Have a worker observe the drop that the job has measured; files may be left in the job's folder."""
+        ...
 
 
 class CalibrationInUse(Protocol):
@@ -99,11 +103,9 @@ class ProcessingContext:
 class _Measured:
     record: dict[str, Any]
     folder: Path
-    drop: ObservedDrop | None
+    keep_drop: KeepDrop | None
 
 
-OUTLINES = "outlines.npz"
-"""In a worker's folder, of a drop that somebody collects."""
 KEPT = (MESH, SILHOUETTES)
 """What the store wants of a worker's folder; a worker that crashed may have left more."""
 
@@ -235,14 +237,13 @@ class Processing:
                     is_simulated=self._context.is_simulated,
                 )
                 await self._results.finish(self._context.session, bundle.name, record)
-            case _Measured(record, folder, drop):
+            case _Measured(record, folder, keep_drop):
                 files = {path.name: path for name in KEPT if (path := folder / name).exists()}
                 self._last_loss = ("", "")
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
-                if (collector := turn.given.collector) is not None and drop is not None:
-                    outlines = folder / OUTLINES if drop.problem is None else None
+                if keep_drop is not None:
                     try:
-                        await collector.add(drop, record, outlines)
+                        await keep_drop(record)
                     except OSError as err:  # the ball has its outcome; a calibration lacks it
                         log.error("ball not kept for the calibration: %s bundle=%s", err, bundle.name)
                 await asyncio.to_thread(shutil.rmtree, folder)
@@ -295,20 +296,6 @@ class Processing:
             threads=self._pool.share,
         )
         record = await self._pool.run(measure, job)
-        if (collector := given.collector) is None:
-            return _Measured(record, folder, None)
-        observing = ObserveJob(
-            bundle_path=path,
-            camera_ids=self._context.camera_ids,
-            rig=given.rig,
-            background_path=given.background,
-            kind=collector.kind,
-            diameters_mm=collector.diameters_mm,
-            out_path=folder / OUTLINES,
-        )
-        try:
-            drop = await self._pool.run(observe, observing)
-        except (JobLostError, RecordingError) as err:  # it has its result all the same
-            problem = err.problem if isinstance(err, RecordingError) else str(err)
-            drop = ObservedDrop(bundle=record["bundle"], problem=problem)
-        return _Measured(record, folder, drop)
+        collector = given.collector
+        keep_drop = None if collector is None else await collector.observe(self._pool, job)
+        return _Measured(record, folder, keep_drop)

@@ -11,11 +11,11 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import choice
+from pipeline.segmentation import segmenter_choice
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.choice import ChoosingSegmenter, Wanted
 from pipeline.segmentation.network import available_providers, load_network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, SegmenterKind
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 
 log = logging.getLogger(__name__)
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 class SegmenterPlan:
     """What a worker builds its segmenter from; the default is the background's alone."""
 
-    wanted: Wanted = "background"
+    wanted: SegmenterKind = "background"
     model: bytes | None = None  # content of an ONNX file
     providers: tuple[str, ...] = ()
     trouble: str | None = None  # why there is no model
@@ -63,7 +63,7 @@ def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> Network
 
 def warm_up(segmenter: ChoosingSegmenter) -> None:
     """Have everything compiled and allocated that the first stone would wait for: segment squares."""
-    choice.warm_up()
+    segmenter_choice.warm_up()
     if segmenter.network is None:
         return
     wall = np.full((256, 320), 200, np.float32)

@@ -9,20 +9,19 @@ A lost bundle keeps its place in the order, without a file.
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
-from drivers.replay.belt import UNREADABLE
+from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.bundling.window import DISARMED
+from service.processing.bundle_files import BundleFiles
 
 log = logging.getLogger(__name__)
-
-SPARE_FILES = 4
-"""So many files of bundles that are through are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,21 +45,28 @@ class SpooledBundle:
         return self.trigger.kind is BundleKind.BACKGROUND
 
 
-class Spool:
-    """`offer` on one side, `take` and `release` on the other, `write` as a task in between.
+class Archive(Protocol):
+    """Keeps the frames of stones that have their result."""
 
-    `folder` exists and belongs to this spool alone.
-    """
+    def take(self, path: Path, seq: int) -> bool:
+        """Say whether it takes over the file of the result `seq`; it gives the file back itself then."""
+        ...
+
+
+class Spool:
+    """`offer` on one side, `take` and `release` on the other, `write` as a task in between."""
 
     def __init__(
         self,
-        folder: Path,
+        files: BundleFiles,
         *,
         max_bundles: int,
         camera_ids: Sequence[CameraId],
+        archive: Archive | None = None,
     ) -> None:
-        self._folder = folder
+        self._files = files
         self._camera_ids = tuple(camera_ids)
+        self._archive = archive
         self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
         self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
         self.max_bundles = max_bundles
@@ -68,12 +74,6 @@ class Spool:
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
         """Stones and balls lost because there were so many."""
-        self.on_release: Callable[[], None] = lambda: None
-        """Called on the loop for every bundle that is through, file and all, lost ones included."""
-        self.keep: Callable[[Path, int], bool] = lambda path, seq: False
-        """Asked whether somebody takes over the file of the result `seq`, until `reuse`."""
-        self._n_files = 0
-        self._spare: list[Path] = []
 
     def offer(self, bundle: FrameBundle) -> None:
         """Take a bundle over; never blocks."""
@@ -106,26 +106,18 @@ class Spool:
 
     async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
         """Forget a taken bundle that has its outcome; `seq` is the number of its result, if it was looked at."""
-        if isinstance(bundle.content, Path):
-            self.held -= 1
-            if seq is None or not self.keep(bundle.content, seq):
-                await self.reuse(bundle.content)
+        if isinstance(bundle.content, Loss):
+            self._files.on_through()
             return
-        self.on_release()
-
-    async def reuse(self, path: Path) -> None:
-        """Take back a file that nobody reads any more."""
-        if len(self._spare) < SPARE_FILES:
-            self._spare.append(path)
-        else:
-            await asyncio.to_thread(path.unlink)
-        self.on_release()
+        self.held -= 1
+        if seq is None or self._archive is None or not self._archive.take(bundle.content, seq):
+            await self._files.give_back(bundle.content)
 
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
         self._offered.put_nowait(SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss))
 
     async def _spooled(self, bundle: FrameBundle, thread: ThreadPoolExecutor) -> SpooledBundle:
-        path = self._file()
+        path = self._files.take()
         try:
             await asyncio.get_running_loop().run_in_executor(
                 thread, overwrite_bundle, path, bundle, self._camera_ids
@@ -138,18 +130,12 @@ class Spool:
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)
 
-    def _file(self) -> Path:
-        """One that nobody reads any more, else a new one."""
-        if self._spare:
-            return self._spare.pop()
-        self._n_files += 1
-        return self._folder / f"{self._n_files:08d}.tiff"
-
 
 def _without_frames(bundle: FrameBundle) -> Loss:
     causes = sorted(set(bundle.missing.values()))
-    if len(causes) == 1 and causes[0].startswith(f"{UNREADABLE}: "):  # in a recording
-        return Loss(reason="unreadable", detail=causes[0].removeprefix(f"{UNREADABLE}: "))
+    unreadable = f"{FrameLossReason.UNREADABLE}: "
+    if len(causes) == 1 and causes[0].startswith(unreadable):  # in a recording
+        return Loss(reason="unreadable", detail=causes[0].removeprefix(unreadable))
     if causes == [DISARMED]:
         return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
     return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")

@@ -4,7 +4,7 @@ It has numba's tables, which the first compiled function takes 0.4 s to fill, bu
 which has a thread.
 """
 
-import pipeline.particle  # noqa: F401 - to have it imported
+import service.results.fields  # noqa: F401 - to have both imported
 from pipeline.rig.design import nominal_rig
 
 nominal_rig().cameras[0].rays([[0, 0]])

@@ -21,7 +21,7 @@ from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 from service.errors import ServiceError, WorkerFailure
-from service.processing.process_memory import spare_collections
+from service.processing.process_memory import freeze_gc
 from service.processing.worker_process import Prepare, begin, prepare_process, warm_up
 
 Job = TypeVar("Job")
@@ -249,7 +249,7 @@ class _Slot:
             left.remove(number)
             async with self._warming[number]:
                 has_compiled |= await asyncio.wrap_future(executor.submit(warm_up, number))
-        await asyncio.wrap_future(executor.submit(spare_collections))
+        await asyncio.wrap_future(executor.submit(freeze_gc))
         return has_compiled
 
     async def renew(self) -> None:

@@ -11,17 +11,16 @@ import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
-from drivers.factory import Devices
 from drivers.files.bundle_file import Compression
 from drivers.files.durable import read_json, write_json
 from drivers.files.recording import RecordingWriter
-from pipeline.fall import speed_mm_s
+from drivers.files.times import utc_now
+from pipeline.fall import Fall
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 
@@ -85,35 +84,13 @@ class RecordingSource:
     is_simulated: bool
     camera_settings: Mapping[str, Any] = field(default_factory=dict)  # JSON, as recording.json has them
     gate_settings: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def speed_at_gate_mm_s(self) -> float:
-        """Of the stones, as the beam closes; zero where nobody said so."""
-        return float(self.gate_settings.get("speed_at_gate_mm_s", 0.0))
+    fall: Fall = field(default_factory=Fall)
 
     @property
     def bundle_bytes(self) -> int:
         """Most that a bundle takes on disk."""
         width_px, height_px = self.rig.cameras[0].image_size_px
         return len(self.camera_ids) * (width_px * height_px + 4096)
-
-
-def recording_source(
-    devices: Devices, rig: RigCalibration, rig_settings: Mapping[str, Any]
-) -> RecordingSource:
-    """What a recording of these devices says of them; `rig_settings` is `[rig]` of the configuration, as JSON."""
-    settings = {
-        "camera_settings": {key: value for key, value in rig_settings.items() if key != "gate"},
-        "gate_settings": {
-            **rig_settings.get("gate", {}),
-            "speed_at_gate_mm_s": speed_mm_s(rig_settings.get("start_above_gate_mm", 0.0)),
-        },
-    }
-    if devices.belt is not None:
-        settings |= {key: devices.belt.recording.document.get(key, {}) for key in settings}
-    return RecordingSource(
-        camera_ids=tuple(devices.cameras), rig=rig, is_simulated=devices.is_simulated, **settings
-    )
 
 
 class LiveRecording:
@@ -146,7 +123,7 @@ class LiveRecording:
         self.failure: str | None = None
         self.closed = asyncio.Event()
         self._made_by = dict(made_by)
-        self._created_at = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+        self._created_at = utc_now("seconds")
         self._writer = RecordingWriter(
             path,
             camera_ids=source.camera_ids,

@@ -2,7 +2,6 @@
 
 from service.store.reads import ParticleFilter, Record, ResultPage
 from service.store.store import KEEP_RAW, Store, open_store
-from service.store.writes import rfc3339_ms, utc_now
 
 __all__ = [
     "KEEP_RAW",
@@ -11,6 +10,4 @@ __all__ = [
     "ResultPage",
     "Store",
     "open_store",
-    "rfc3339_ms",
-    "utc_now",
 ]

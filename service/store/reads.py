@@ -29,7 +29,7 @@ class ParticleFilter:
     kind: str | None = None
     min_sieve_size_mm: float | None = None
     max_sieve_size_mm: float | None = None
-    since: str | None = None  # captured at or after, as `writes.rfc3339_ms` writes it
+    since: str | None = None  # captured at or after, as `pipeline.frames.rfc3339` writes it
     until: str | None = None  # captured before
 
 

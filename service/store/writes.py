@@ -7,13 +7,13 @@ a gap, because the number is taken in the transaction that makes the result dura
 import json
 import sqlite3
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pipeline.frames import BundleKind, Trigger
+from drivers.files.times import utc_now
+from pipeline.frames import BundleKind, Trigger, rfc3339
 from service.errors import StoreError
-from service.processing.result_record import lost_record
+from service.results.record import lost_record
 from service.store.particle_files import drop_sources, keep_files, particle_id
 from service.store.schema import transaction
 
@@ -52,7 +52,7 @@ def record_triggers(connection: sqlite3.Connection, session: int, triggers: Mapp
                     bundle,
                     trigger.sequence,
                     trigger.kind,
-                    rfc3339_ms(trigger.utc),
+                    rfc3339(trigger.utc),
                     "background" if trigger.kind is BundleKind.BACKGROUND else "open",
                 )
                 for bundle, trigger in triggers.items()
@@ -149,19 +149,3 @@ def _end(
     )
     connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record["outcome"], trigger))
     return int(seq)
-
-
-def rfc3339_ms(text: str) -> str:
-    """Write the same instant in UTC with milliseconds and `Z`, so that text order is time order."""
-    moment = datetime.fromisoformat(text)
-    if moment.tzinfo is None:
-        raise ValueError(f"time {text!r} has no offset from UTC")
-    try:
-        utc = moment.astimezone(UTC)
-    except OverflowError:
-        raise ValueError(f"time {text!r} is out of range") from None
-    return utc.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def utc_now() -> str:
-    return rfc3339_ms(datetime.now(UTC).isoformat())

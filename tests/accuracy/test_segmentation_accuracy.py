@@ -18,8 +18,8 @@ from pipeline.frames import FrameBundle
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Segmenter, ViewStatus
 from pipeline.segmentation.background import learn_background
-from pipeline.segmentation.choice import ChoosingSegmenter
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.background import APERTURE_RADIUS_MM, build_wall, render_backgrounds, wall_directions
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream

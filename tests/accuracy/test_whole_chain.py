@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from pipeline.evaluation.trials import STANDARDS, Method, Trial
-from pipeline.synthesis.irregular import IRREGULAR_FORMS
+from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
 from service.benchmarks.accuracy import BenchPlan, BenchResult, run_accuracy_bench
 from service.commands.benchmark import WIDTH, accuracy_table

@@ -11,9 +11,9 @@ from support.rest import FakeControl, client_of
 
 from pipeline.rig.document import rig_from_document
 from service.api.app import create_app
-from service.api.control import AcquisitionState
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.calibration.verifications import VerificationState
+from service.status import AcquisitionState
 from service.store import Store
 
 BALL = {"ball_diameters_mm": [10.0], "by": "an engineer", "note": "after the new lens"}

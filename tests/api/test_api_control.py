@@ -4,8 +4,8 @@ import httpx
 import pytest
 from support.rest import PNG, SICK_HEALTH, FakeControl, add, measured, rejected, trigger
 
-from service.api.control import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
 from service.api.schemas import HealthDocument
+from service.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
 from service.store import Store
 
 

@@ -12,9 +12,9 @@ import uvicorn
 from support.rest import FakeControl, client_of
 
 from service.api.app import create_app
-from service.api.control import Health
 from service.api.server import server_config
 from service.api.settings import ApiKey, ApiSettings, Scope
+from service.status import Health
 from service.store import Store
 
 ARM = {"state": "armed"}

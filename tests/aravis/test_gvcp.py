@@ -12,7 +12,7 @@ import pytest
 from support.gige import INTERFACE, NET, design, place, powered, serial
 
 from drivers.gige_simulator.camera import SimulatedCamera
-from drivers.gvcp import GVCP_PORT, Device, action_command, discover, local_addresses, probe
+from drivers.gvcp import GVCP_PORT, DiscoveredCamera, action_command, discover, local_addresses, probe
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def camera() -> Iterator[SimulatedCamera]:
         yield simulated
 
 
-def ours(devices: list[Device]) -> list[Device]:
+def ours(devices: list[DiscoveredCamera]) -> list[DiscoveredCamera]:
     """Other simulators of this machine answer as well."""
     return [device for device in devices if device.address.startswith(f"{NET}.")]
 

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Print digests of what `stonefall measure` wrote, so that two versions can be shown to agree bit for bit.
 
-    python tests/benchmarks/fingerprint.py OUT [OUT ...]
+    python tests/benchmarks/fingerprint.py OUT [OUT ...] [--without FIELD]
 
-Results are digested field by field without the timings, which differ from run to run; meshes, silhouettes and the
+Results are digested field by field without the timings, which differ from run to run, and without fields that only
+one of the versions has (`--without`); meshes, silhouettes and the
 gradation byte by byte. Equal lines are equal files. Recordings and machine must be the same for both versions.
 """
 
@@ -21,12 +22,11 @@ def digest(texts: list[bytes]) -> str:
     return hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
 
 
-def fields_digest(results: Path) -> tuple[int, str]:
+def fields_digest(results: Path, without: set[str]) -> tuple[int, str]:
     """Return the number of results and the digest of their fields, in the order in which they are written."""
     records = [json.loads(line) for line in results.read_text().splitlines()]
-    for record in records:
-        del record[TIMED]
-    return len(records), digest([json.dumps(record).encode() for record in records])
+    compared = [{name: record[name] for name in record if name not in without} for record in records]
+    return len(records), digest([json.dumps(record).encode() for record in compared])
 
 
 def files_digest(folder: Path, pattern: str) -> tuple[int, str]:
@@ -43,9 +43,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path, nargs="+", help="a folder that `stonefall measure` wrote")
-    for out in parser.parse_args().out:
+    parser.add_argument("--without", action="append", default=[TIMED], help="a field that is not compared")
+    arguments = parser.parse_args()
+    for out in arguments.out:
         for kind, (count, value) in {
-            "results": fields_digest(out / "results.jsonl"),
+            "results": fields_digest(out / "results.jsonl", set(arguments.without)),
             "meshes": files_digest(out / "meshes", "*.ply"),
             "silhouettes": files_digest(out / "silhouettes", "*.png"),
             "gradation": files_digest(out, "gradation.json"),

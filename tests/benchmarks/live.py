@@ -27,7 +27,7 @@ from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
 
-from pipeline.segmentation.choice import Wanted
+from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 
 N_STONES = 20
@@ -47,7 +47,10 @@ def main() -> int:
     parser.add_argument("--loss", type=float, default=0, help="probability of losing a packet")
     parser.add_argument("--keep-raw", type=int, default=0)
     parser.add_argument(
-        "--segmenter", choices=get_args(Wanted), default="auto", help="onnx: the network sees every view"
+        "--segmenter",
+        choices=get_args(SegmenterKind),
+        default="auto",
+        help="onnx: the network sees every view",
     )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:

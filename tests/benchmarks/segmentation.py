@@ -44,9 +44,9 @@ from pipeline.evaluation.silhouette_errors import (
 )
 from pipeline.evaluation.silhouette_picture import silhouette_picture
 from pipeline.segmentation import Segmenter, ViewStatus
-from pipeline.segmentation.choice import ChoosingSegmenter
 from pipeline.segmentation.network import Network
-from pipeline.segmentation.neural import NetworkSegmenter
+from pipeline.segmentation.network_segmenter import NetworkSegmenter
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from service.models.networks import load_model
 

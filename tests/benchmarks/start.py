@@ -28,7 +28,7 @@ from support.daemon_process import DaemonProcess, descendants_of
 from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
-from pipeline.segmentation.choice import Wanted
+from pipeline.segmentation.segmenter_choice import SegmenterKind
 from service.benchmarks.performance import worker_context
 from service.processing.measure_job import initialize
 
@@ -51,7 +51,7 @@ def main() -> int:
     )
     parser.add_argument("--slots", type=int, default=2)
     parser.add_argument("--repeat", type=int, default=3, help="warm starts")
-    parser.add_argument("--segmenter", choices=get_args(Wanted), default="auto")
+    parser.add_argument("--segmenter", choices=get_args(SegmenterKind), default="auto")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -9,7 +9,7 @@ from support.small_recording import write_small_recording
 from typer.testing import CliRunner
 
 from service.cli import build_app
-from service.processing.result_record import MEASURED_FIELDS
+from service.results.fields import MEASURED_FIELDS
 
 COMPARED = (
     "bundle", "sequence", "kind", "captured_at", "outcome", "reason", "detail", "quality", "views",

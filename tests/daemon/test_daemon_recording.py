@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from drivers.files.recording import open_recording
 from pipeline.frames import BundleKind
 from service.cli import build_app
-from service.processing.result_record import MEASURED_FIELDS
+from service.results.fields import MEASURED_FIELDS
 
 COMPARED = (
     "bundle", "sequence", "kind", "outcome", "reason", "quality", "views", "dropped_views",

@@ -15,7 +15,7 @@ from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.interfaces import EventSink
 from service.configuration.rig_settings import ReplayRigSettings
 from service.configuration.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
-from service.daemon import build as daemon
+from service.daemon import build, run
 from service.daemon.systemd import ServiceManager
 from service.store import open_store
 
@@ -78,12 +78,12 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     def hanging(backend: ReplayBackend) -> Devices:
         return replace(build_devices(backend), gate=gate)
 
-    monkeypatch.setattr(daemon, "build_devices", hanging)
-    monkeypatch.setattr(daemon, "DISARM_S", disarm_s)
-    monkeypatch.setattr(daemon, "ACQUISITION_LIMIT_S", 0.1)
+    monkeypatch.setattr(build, "build_devices", hanging)
+    monkeypatch.setattr(run, "DISARM_S", disarm_s)
+    monkeypatch.setattr(build, "ACQUISITION_LIMIT_S", 0.1)
     manager = ListeningManager(watchdog_s=0.15)
     try:
-        await asyncio.wait_for(daemon.run(settings, manager), 100)
+        await asyncio.wait_for(run.run(settings, manager), 100)
     finally:
         gate.is_over.set()
     assert "READY=1" not in manager.heard
@@ -94,12 +94,12 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
 
 async def test_only_who_looks_after_the_parts_calls_an_idle_one_alive(settings: Settings):
     store = await asyncio.to_thread(open_store, settings.store.dir)
-    built = await daemon.build(settings, store)
+    built = await build.build(settings, store)
     for part in ("acquisition", "processing"):
         built.heartbeats.beat(part, time.monotonic() - 1000)
     assert built.late() == built.late() == ["acquisition", "processing"]
-    built.rig.is_at_work = True  # whatever its state is
+    built.acquisition.is_at_work = True  # whatever its state is
     assert built.watch() == ["acquisition"]
-    built.rig.is_at_work = False
+    built.acquisition.is_at_work = False
     assert built.watch() == built.late() == []
     await asyncio.to_thread(store.close)

@@ -21,7 +21,7 @@ from support.small_recording import write_odd_recording, write_small_recording
 
 from drivers.files.recording import Recording, open_recording, playback_order, read_bundle
 from pipeline.frames import BundleKind
-from service.processing.result_record import MEASURED_FIELDS
+from service.results.fields import MEASURED_FIELDS
 
 COMPARED = (
     "kind", "outcome", "reason", "detail", "quality", "views", "dropped_views", *MEASURED_FIELDS,

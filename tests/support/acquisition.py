@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 from drivers.factory import Devices
 from pipeline.frames import CameraId, FrameBundle, Trigger
 from service.acquisition.session import Acquisition
-from service.api.control import AcquisitionState, AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
+from service.status import AcquisitionState, AcquisitionTarget
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 DELAY_NS = 259_400_000

@@ -1,7 +1,7 @@
 """Calibrations on a folder of a test, and a solver in the place of the workers that makes up what it finds."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +11,6 @@ from drivers.files.durable import write_json
 from drivers.files.rig_file import write_rig
 from pipeline.calibration import Problem
 from pipeline.rig.cameras import RigCalibration
-from service.api.control import AcquisitionState
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solution, SolveJob
 from service.calibration.plan import CalibrationPlan
@@ -20,6 +19,7 @@ from service.calibration.startup import find_calibrations
 from service.calibration.states import CalibrationAction, CalibrationState
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import open_verifications
+from service.status import AcquisitionState
 
 CONFIGURED = small_rig()
 ARMED = AcquisitionState.ARMED
@@ -56,11 +56,18 @@ def open_desk(
     configured: RigCalibration = CONFIGURED,
     solver: MadeUpSolver | None = None,
     parameters: VerificationParameters | None = None,
+    on_activated: Callable[[RigCalibration], Awaitable[None]] | None = None,
 ) -> Calibrations:
     """As the daemon opens them when it starts."""
     found = find_calibrations(folder / "calibrations", configured)
     verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
-    return Calibrations(found, verifications, solver or MadeUpSolver())
+
+    async def nothing(rig: RigCalibration) -> None:
+        pass
+
+    return Calibrations(
+        found, verifications, on_activated=on_activated or nothing, solver=solver or MadeUpSolver()
+    )
 
 
 def a_drop(name: str = "000001-ball") -> ObservedDrop:

@@ -10,9 +10,9 @@ from pipeline.carving import CarvingParameters, carve
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.segmentation.delineation import delineate
-from pipeline.segmentation.grey_levels import limits_from
+from pipeline.segmentation.local_threshold import trimap_of
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, SilhouetteSet, ViewStatus
-from pipeline.synthesis import outline
+from pipeline.synthesis import pixel_coverage
 from pipeline.synthesis.bodies import Body, body_from_mesh, cylinder
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ FORMS = (
 
 def silhouettes_of(mesh: trimesh.Trimesh, rig: RigCalibration, rng: np.random.Generator) -> SilhouetteSet:
     """Silhouettes of a closed mesh in the world frame, blurred and noisy like segmented images."""
-    edges = outline.edges_of(mesh.faces)
+    edges = pixel_coverage.edges_of(mesh.faces)
     return {camera.id: _silhouette(camera, mesh, edges, rng) for camera in rig.cameras}
 
 
@@ -69,20 +69,22 @@ def hull_of(silhouettes: SilhouetteSet, rig: RigCalibration) -> ParticleMesh:
 
 
 def _silhouette(
-    camera: CameraCalibration, mesh: trimesh.Trimesh, edges: outline.Edges, rng: np.random.Generator
+    camera: CameraCalibration, mesh: trimesh.Trimesh, edges: pixel_coverage.Edges, rng: np.random.Generator
 ) -> Silhouette:
     pixels_uv, _ = camera.project(mesh.vertices)
-    window = outline.window_around(pixels_uv, MARGIN_PX + 4)
+    window = pixel_coverage.window_around(pixels_uv, MARGIN_PX + 4)
     towards_mm = camera.center_mm - mesh.triangles[:, 0]
     is_front = np.einsum("ij,ij->i", mesh.face_normals, towards_mm) > 0
-    border_uv = pixels_uv[outline.border(edges, is_front)]
-    covered = cv2.GaussianBlur(outline.coverage(border_uv[:, 0], border_uv[:, 1], window), (0, 0), BLUR_PX)
+    border_uv = pixels_uv[pixel_coverage.border(edges, is_front)]
+    covered = cv2.GaussianBlur(
+        pixel_coverage.coverage(border_uv[:, 0], border_uv[:, 1], window), (0, 0), BLUR_PX
+    )
     covered = covered + COVERAGE_NOISE * rng.normal(size=covered.shape)
     image = np.rint(WALL + covered * (BODY - WALL)).astype(np.uint8)
     core = cv2.erode((covered > 0.5).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     possible = cv2.dilate((covered > 0.1).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    limits = limits_from(core[::2, ::2], possible[::2, ::2], np.zeros_like(core[::2, ::2]))
-    found = delineate(image, np.full_like(image, WALL), limits)
+    trimap = trimap_of(core[::2, ::2], possible[::2, ::2], np.zeros_like(core[::2, ::2]))
+    found = delineate(image, np.full_like(image, WALL), trimap)
     assert found.edge is not None
     return Silhouette(
         camera=camera.id,

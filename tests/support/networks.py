@@ -8,7 +8,8 @@ import onnx
 from onnx import TensorProto, helper
 from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
 
-from pipeline.segmentation.network import CPU, FORMAT, Array, Session, StartSession, start_session
+from pipeline.arrays import Singles
+from pipeline.segmentation.network import CPU, FORMAT, Session, StartSession, start_session
 
 GPU = "CUDAExecutionProvider"
 
@@ -110,7 +111,7 @@ class OnGpu:
     def get_providers(self) -> Sequence[str]:
         return [GPU, CPU]
 
-    def run(self, output_names: Sequence[str], feed: Mapping[str, Array]) -> Sequence[Array]:
+    def run(self, output_names: Sequence[str], feed: Mapping[str, Singles]) -> Sequence[Singles]:
         self.n_runs -= 1
         if self.n_runs < 0:
             raise RuntimeException("Failed to allocate memory\n for requested buffer")

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.frames import BundleKind, CameraId, Trigger
+from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob
 from service.processing.measure_job import LearnJob, MeasureJob, RigFile
-from service.processing.processing import DropCollector, Processing, ProcessingContext
+from service.processing.processing import Processing, ProcessingContext
 from service.processing.spool import Loss, SpooledBundle
 
 RIG = RigFile(Path("rig.json"), "rig")

@@ -13,19 +13,19 @@ from fastapi import FastAPI
 from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.api.control import (
+from service.calibration.sessions import Calibrations
+from service.recording.recordings import Recordings
+from service.status import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
     CameraStatus,
-    Check,
     CheckStatus,
     Health,
+    HealthCheck,
     Ne107,
     next_state,
 )
-from service.calibration.sessions import Calibrations
-from service.recording.recordings import Recordings
 from service.store import Store
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
@@ -36,13 +36,15 @@ PNG = b"\x89PNG\r\n\x1a\n"
 GOOD_HEALTH = Health(
     ne107=Ne107.GOOD,
     ready=True,
-    checks={"camera:c01": Check(status=CheckStatus.PASS, value=0.2, unit="s", detail=None)},
+    checks={
+        "camera:c01": HealthCheck(status=CheckStatus.PASS, observed_value=0.2, observed_unit="s", detail=None)
+    },
 )
 SICK_HEALTH = Health(
     ne107=Ne107.FAILURE,
     ready=False,
     reasons=("camera c02 is lost",),
-    checks={"camera:c02": Check(status=CheckStatus.FAIL, detail="does not answer")},
+    checks={"camera:c02": HealthCheck(status=CheckStatus.FAIL, detail="does not answer")},
 )
 
 
@@ -56,7 +58,7 @@ class FakeControl:
     snapshots: dict[str, bytes] = field(default_factory=dict)
     calibrations: Calibrations | None = None
 
-    def acquisition(self) -> AcquisitionStatus:
+    def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:

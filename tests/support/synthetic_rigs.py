@@ -9,7 +9,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import nominal_rig
 from pipeline.synthesis.bodies import Body
-from pipeline.synthesis.optics import ExposureParameters
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.renderer import PlacedBody
 
 QUIET = ExposureParameters(exposure_us=0, flash_sd=0, camera_flash_sd=0, read_noise=0, shot_noise=0)

@@ -4,11 +4,10 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.schemas import TIME
-from service.calibration.drop_jobs import Method
 from service.calibration.files import Origin
-from service.calibration.plan import BALL_DIAMETERS_MM
+from service.calibration.plan import BALL_DIAMETERS_MM, Method
 from service.calibration.states import CalibrationState
+from service.results.fields import TIME
 
 DiameterMm = Annotated[float, Field(ge=BALL_DIAMETERS_MM[0], le=BALL_DIAMETERS_MM[1])]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -26,7 +25,7 @@ class CalibrationRequest(BaseModel):
         " are found out as well; mm",
     )
     method: Method = Field(
-        default="bundle",
+        default=Method.BUNDLE,
         description="`bundle`: all cameras and balls together; `paper`: its Algorithm 1; `stones`: puts cameras that"
         " moved back in place, from the stones that fall anyway, without any ball",
     )

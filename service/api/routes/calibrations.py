@@ -59,7 +59,7 @@ async def start_calibration(
     """
     plan = _valid_plan(wanted)
     control = context.control
-    record = await control.calibrations.start(plan, control.acquisition().state)
+    record = await control.calibrations.start(plan, control.acquisition_status().state)
     response.headers["Location"] = f"{BASE}/calibrations/{record.id}"
     return _summary(context, record)
 

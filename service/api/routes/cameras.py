@@ -1,15 +1,14 @@
 """The cameras of the rig, live."""
 
-from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
 
 from service.api.context import ApiContext, Context
-from service.api.control import CameraStatus
 from service.api.problems import Problem, documented
 from service.api.schemas import Camera, Cameras
+from service.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
 
@@ -19,13 +18,13 @@ CameraName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 @router.get("", response_model=Cameras, responses=documented())
 async def cameras(context: Context) -> dict[str, Any]:
     """State and counters of all cameras."""
-    return {"items": [asdict(status) for status in context.control.cameras()]}
+    return {"items": context.control.cameras()}
 
 
 @router.get("/{camera}", response_model=Camera, responses=documented(404))
-async def camera_status(context: Context, camera: CameraName) -> dict[str, Any]:
+async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
     """State and counters of one camera."""
-    return asdict(_status_of(context, camera))
+    return _status_of(context, camera)
 
 
 @router.get(

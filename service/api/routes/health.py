@@ -6,11 +6,11 @@ from fastapi import APIRouter, Depends
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.control import CheckStatus, Ne107
 from service.api.problems import Problem, documented
 from service.api.schemas import HealthDocument, Live, Ready
 from service.api.settings import Scope
 from service.api.version import API_VERSION
+from service.status import CheckStatus, Ne107
 
 router = APIRouter(prefix="/health", tags=["health"])
 
@@ -53,13 +53,5 @@ async def health(context: Context) -> dict[str, Any]:
         "reasons": state.reasons,
         "version": API_VERSION,
         "instance_id": context.store.instance_id,
-        "checks": {
-            name: {
-                "status": check.status,
-                "observed_value": check.value,
-                "observed_unit": check.unit,
-                "detail": check.detail,
-            }
-            for name, check in state.checks.items()
-        },
+        "checks": state.checks,
     }

@@ -10,6 +10,7 @@ from fastapi import Path as PathParameter
 from fastapi.responses import JSONResponse, Response
 from pydantic import AfterValidator
 
+from pipeline.frames import rfc3339
 from service.api.context import ApiContext, Context
 from service.api.negotiation import FOREVER, best_match, names_etag
 from service.api.pages import page_of
@@ -18,8 +19,9 @@ from service.api.routes import particle_files as pictures
 from service.api.routes.cameras import CameraName
 from service.api.routes.particle_files import MeshFormat, NotKeptError
 from service.api.routes.results import MAX_SEQ
-from service.api.schemas import ParticlesPage, Result, result_document
-from service.store import ParticleFilter, Record, rfc3339_ms
+from service.api.schemas import ParticlesPage
+from service.results.fields import Result, completed
+from service.store import ParticleFilter, Record
 
 router = APIRouter(prefix="/particles", tags=["particles"])
 
@@ -34,7 +36,7 @@ ParticleKey = Annotated[
 ]
 SizeMm = Annotated[float | None, Query(ge=0, allow_inf_nan=False)]
 Time = Annotated[
-    str, AfterValidator(rfc3339_ms), Query(description="RFC 3339", json_schema_extra={"format": "date-time"})
+    str, AfterValidator(rfc3339), Query(description="RFC 3339", json_schema_extra={"format": "date-time"})
 ]
 Responses = dict[int | str, dict[str, Any]]
 
@@ -82,7 +84,7 @@ async def particles(
 @router.get("/{particle_id}", response_model=Result, responses=documented(404))
 async def particle(context: Context, particle_id: ParticleKey) -> JSONResponse:
     """One result."""
-    return JSONResponse(result_document(await _record(context, particle_id)))
+    return JSONResponse(completed(await _record(context, particle_id)))
 
 
 @router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **documented(404, 406)})

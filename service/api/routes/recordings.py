@@ -9,11 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import Problem, documented, found
-from service.api.schemas import TIME
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import RecordingPlan, RecordingRefusedError, Refusal
+from service.results.fields import TIME
 
 router = APIRouter(prefix="/recordings", tags=["recordings"])
 

@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import documented, found
-from service.api.schemas import TIME
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.calibration.verifications import Verification, VerificationPlan, VerificationState
+from service.results.fields import TIME
 
 router = APIRouter(prefix="/verifications", tags=["verifications"])
 
@@ -99,7 +99,7 @@ async def start_verification(
     """
     control = context.control
     plan = VerificationPlan(**wanted.model_dump())
-    verification = await control.calibrations.verify(plan, control.acquisition().state)
+    verification = await control.calibrations.verify(plan, control.acquisition_status().state)
     response.headers["Location"] = f"{BASE}/verifications/{verification.id}"
     return _document(verification)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.preview import FILLING, INK_RGB, render_preview
+from pipeline.preview import BODY_SHARE, INK_RGB, render_preview
 from pipeline.synthesis.bodies import cube, sphere
 
 
@@ -15,7 +15,7 @@ def test_a_body_stands_lit_on_a_pale_ground() -> None:
     assert corners.min() > 210
     # a disc of the promised size in the middle: stone is warm, the ground is not
     is_body = image[..., 0].astype(int) - image[..., 2] > 8
-    assert is_body.sum() == pytest.approx(np.pi / 4 * (FILLING * 240) ** 2, rel=0.02)
+    assert is_body.sum() == pytest.approx(np.pi / 4 * (BODY_SHARE * 240) ** 2, rel=0.02)
     brightness = image.mean(axis=2)
     assert brightness[120 - 60, 120 - 40] > brightness[120 + 60, 120 + 40] + 20, "lit from above and the left"
 
@@ -32,10 +32,10 @@ def test_the_bar_is_10_mm_long() -> None:
     image = render_preview(mesh.vertices, mesh.faces, size_px=480)
     ink = (image == INK_RGB).all(axis=2)
     row = ink.sum(axis=1).argmax()
-    assert ink[row].sum() == pytest.approx(10 * FILLING * 480 / 15, abs=1.5)
+    assert ink[row].sum() == pytest.approx(10 * BODY_SHARE * 480 / 15, abs=1.5)
     tiny = render_preview(mesh.vertices / 20, mesh.faces, size_px=480)
     ink = (tiny == INK_RGB).all(axis=2)
-    assert ink.sum(axis=1).max() == pytest.approx(FILLING * 480 / 0.75 * 0.1, abs=1.5)
+    assert ink.sum(axis=1).max() == pytest.approx(BODY_SHARE * 480 / 0.75 * 0.1, abs=1.5)
 
 
 def test_the_faces_of_a_cube_differ() -> None:

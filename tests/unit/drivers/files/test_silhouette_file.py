@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import RecordingError
-from drivers.files.silhouette_file import OF_WHOLE_IMAGES, read_silhouettes, write_silhouettes
+from drivers.files.silhouette_file import WHOLE_IMAGES_FORMAT, read_silhouettes, write_silhouettes
 from pipeline.frames import CameraId
 
 CAMERAS = (CameraId("c01"), CameraId("c03"))
@@ -48,7 +48,7 @@ def test_reading_gives_whole_images(tmp_path_factory: pytest.TempPathFactory, se
 def test_files_of_releases_before_are_read(tmp_path: Path) -> None:
     path = tmp_path / "s.tiff"
     pages = np.stack([labels_of(0), labels_of(1)])
-    description = json.dumps({"format": OF_WHOLE_IMAGES, "cameras": CAMERAS})
+    description = json.dumps({"format": WHOLE_IMAGES_FORMAT, "cameras": CAMERAS})
     tifffile.imwrite(path, pages, photometric="minisblack", description=description, metadata=None)
     found = read_silhouettes(path)
     assert tuple(found) == CAMERAS

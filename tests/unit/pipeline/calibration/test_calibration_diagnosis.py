@@ -8,7 +8,7 @@ from support.ball_drops import drops_across, with_views_of, without_views
 
 from pipeline.calibration.diagnosis import diagnose_before
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.problem import Problem
+from pipeline.errors import Problem
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 

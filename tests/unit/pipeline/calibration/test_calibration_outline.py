@@ -22,7 +22,7 @@ from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import ball, cube
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream, without_views
-from pipeline.synthesis.optics import ExposureParameters
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.renderer import simulate_rig
 
 AT_MM = (4.0, -6.0, 5.0)

@@ -5,10 +5,10 @@ import pytest
 from support.ball_drops import drops_across, without_views
 
 from pipeline.calibration.calibration import by_paper
-from pipeline.calibration.nearest_point import nearest_point
 from pipeline.calibration.paper import ball_points_mm, refined
 from pipeline.calibration.report import CalibrationReport, report_document
 from pipeline.errors import CalibrationError
+from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.rig.document import rig_from_document

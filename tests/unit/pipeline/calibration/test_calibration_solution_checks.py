@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from support.ball_drops import drops_across
 
 from pipeline.calibration import BallDrop, CalibrationReport, calibrate
+from pipeline.calibration.acceptance_limits import AcceptanceLimits
 from pipeline.calibration.diagnosis import diagnose_after
-from pipeline.calibration.limits import CalibrationLimits
 from pipeline.calibration.solution_checks import scale_problems
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
@@ -95,7 +95,7 @@ def test_drops_close_together_cannot_tell_a_lens_from_a_diameter() -> None:
     # refused as a thin column before they are solved: judged here beside another solution
     blind = drops_across(rig, 6, seed=15, spread_mm=(0.4, 0.4, 0.4), noise_px=0.2)
     _, report = sound()
-    (problem,) = scale_problems(report, blind, CalibrationLimits())
+    (problem,) = scale_problems(report, blind, AcceptanceLimits())
     assert problem.code == "focal_length_or_diameter"
     assert problem.is_fatal
 
@@ -158,7 +158,7 @@ def test_residuals_and_uncertain_lengths_are_judged_by_the_limits() -> None:
         ("large_held_out_residual", None, True),
         ("uncertain_lengths", None, False),
     }
-    strict = CalibrationLimits(good_length_percent=0.001, max_length_percent=0.002)
+    strict = AcceptanceLimits(good_length_percent=0.001, max_length_percent=0.002)
     assert any(
         each.code == "uncertain_lengths" and each.is_fatal for each in diagnose_after(report, drops, strict)
     )

@@ -15,7 +15,7 @@ from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.estimate.inner import inner_body
 from pipeline.estimate.smoothness import sphere_segment_mm
 from pipeline.estimate.tangents import tangents_of
-from pipeline.evaluation.comparison import Surface, even_samples
+from pipeline.evaluation.surface_distances import Surface, even_samples
 from pipeline.measuring.solid import solid_of
 from pipeline.meshing import ParticleMesh
 from pipeline.rig.cameras import CameraCalibration
@@ -23,7 +23,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import SilhouetteSet
 from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
 from pipeline.synthesis.bundles import stream
-from pipeline.synthesis.irregular import irregular
+from pipeline.synthesis.irregular_bodies import irregular
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 

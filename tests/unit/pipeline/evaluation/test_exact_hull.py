@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from support.forms import silhouettes_of
 
 from pipeline.carving import CarvingParameters, carve
-from pipeline.evaluation.comparison import Surface, even_samples, surface_distances
 from pipeline.evaluation.exact_hull import exact_hull_mesh, polar_outline, star_center_mm
+from pipeline.evaluation.surface_distances import Surface, even_samples, surface_distances
 from pipeline.measuring import sphere_hull_excess
 from pipeline.meshing import mesh_hull
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.irregular import irregular
+from pipeline.synthesis.irregular_bodies import irregular
 
 NOMINAL = nominal_rig()
 BUILT = as_built(NOMINAL, seed=1)

@@ -19,7 +19,7 @@ def test_no_vertex_is_higher_than_those_looked_at(seed: int, n: int, radius: flo
     if is_round:
         points_mm /= np.linalg.norm(points_mm, axis=1, keepdims=True)
     body = convex_body(points_mm * rng.uniform(3, 12, size=3))
-    frame, turns = boxes._room(1), boxes._turns(len(body.vertices_mm))
+    frame, turns = boxes._empty_frames(1), boxes._turns(len(body.vertices_mm))
     frame.axes[0] = Rotation.random(rng=rng).as_matrix()
     heights_mm = frame.axes[0] @ body.vertices_mm.T
     frame.touching[:] = np.column_stack([heights_mm.argmax(axis=1), heights_mm.argmin(axis=1)])
@@ -38,7 +38,7 @@ def test_no_vertex_is_higher_than_those_looked_at(seed: int, n: int, radius: flo
 
 
 def test_frames_of_a_neighbourhood_are_near_and_nearly_orthogonal() -> None:
-    axes = half_sphere().directions[near_frames()]  # (3, HOOD, C, 3)
+    axes = half_sphere().directions[near_frames()]  # (3, N_NEIGHBORS, C, 3)
 
     products = np.abs(np.einsum("ahci,bhci->habc", axes, axes))
     assert products[:, ~np.eye(3, dtype=bool)].max() < 0.08

@@ -14,7 +14,7 @@ from skimage.measure import marching_cubes
 from support.quick_and_full import examples
 
 from pipeline.carving import LEAF, VisualHull, all_leaves
-from pipeline.meshing import mesh_hull
+from pipeline.meshing import Mesher, mesh_hull
 from pipeline.meshing.cubes import march
 
 Field = NDArray[np.float32]
@@ -171,8 +171,8 @@ def test_what_lies_in_no_leaf_is_not_read() -> None:
         np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize("mesher", ["leaves", "skimage"])
-def test_a_mesh_is_the_largest_part_in_mm(mesher: Literal["leaves", "skimage"]) -> None:
+@pytest.mark.parametrize("mesher", Mesher)
+def test_a_mesh_is_the_largest_part_in_mm(mesher: Mesher) -> None:
     field = np.maximum(ball(32, 6, (9, 9.3, 9.1)), ball(32, 4, (22, 21.3, 20.8)))
     mesh = mesh_hull(hull_of(field), mesher)
     assert mesh is not None
@@ -183,7 +183,7 @@ def test_a_mesh_is_the_largest_part_in_mm(mesher: Literal["leaves", "skimage"]) 
     assert body.center_mass == pytest.approx([3.5, 6.65, 7.55], abs=0.01)
 
 
-@pytest.mark.parametrize("mesher", ["leaves", "skimage"])
+@pytest.mark.parametrize("mesher", Mesher)
 @pytest.mark.parametrize("shape", [(0, 0, 0), (9, 8, 7)])
-def test_an_empty_hull_has_no_mesh(shape: tuple[int, ...], mesher: Literal["leaves", "skimage"]) -> None:
+def test_an_empty_hull_has_no_mesh(shape: tuple[int, ...], mesher: Mesher) -> None:
     assert mesh_hull(hull_of(np.full(shape, -1, np.float32)), mesher) is None

@@ -15,14 +15,14 @@ from pipeline.segmentation.background import (
     CHANGED_SHARE,
     COARSE,
     MAX_REFUSED,
-    SETTLED,
+    SETTLED_FRAMES,
     CameraBackground,
     coarsen,
     learn_background,
 )
-from pipeline.segmentation.comparison import sampled
 from pipeline.segmentation.light import flash_gain
-from pipeline.segmentation.subtraction import BackgroundSegmenter, EmptyView, empty_view
+from pipeline.segmentation.pixel_comparison import sampled
+from pipeline.segmentation.subtraction import BackgroundSegmenter, ComparedView, compare_view
 
 C02 = CameraId("c02")
 HEIGHT, WIDTH = 512, 640
@@ -57,7 +57,7 @@ def with_disc(
 
 @cache
 def learnt() -> CameraBackground:
-    return after({}, *(wall() for _ in range(SETTLED)))
+    return after({}, *(wall() for _ in range(SETTLED_FRAMES)))
 
 
 def after(model: dict[CameraId, CameraBackground], *greys: NDArray[np.float32]) -> CameraBackground:
@@ -73,7 +73,7 @@ def deviation(known: CameraBackground) -> float:
 
 def test_noise_averages_out() -> None:
     assert deviation(learnt()) < 2.5
-    assert learnt().n_frames == SETTLED
+    assert learnt().n_frames == SETTLED_FRAMES
 
 
 @examples(0.12)
@@ -110,7 +110,7 @@ def test_a_spot_that_stays_is_learnt_in_its_place() -> None:
     spotted = with_disc((400, 200), 8, 120)
     known = after({C02: learnt()}, *(spotted for _ in range(MAX_REFUSED)))
     assert np.abs(coarsen(known.mean) - coarsen(spotted)).max() < 4
-    assert known.n_frames == SETTLED + MAX_REFUSED
+    assert known.n_frames == SETTLED_FRAMES + MAX_REFUSED
     assert np.mean(np.abs(coarsen(spotted) - coarsen(wall())) > 20) < CHANGED_SHARE
 
 
@@ -118,7 +118,7 @@ def test_light_that_fades_over_an_hour_is_followed() -> None:
     """A panel that loses 30 % of its light on one side, one exposure a minute."""
     fading = [(wall() * (1 - 0.3 * minute / 60 * (1 + U) / 2)).astype(np.float32) for minute in range(61)]
     known = after({C02: learnt()}, *fading)
-    assert known.n_frames == SETTLED + 61
+    assert known.n_frames == SETTLED_FRAMES + 61
     ratio = coarsen(known.mean) / coarsen(fading[-1])
     assert ratio.max() / ratio.min() < 1.08, "ten minutes behind; the light itself has 1.43"
 
@@ -131,13 +131,15 @@ def test_the_clean_flat_field_is_kept_whatever_the_mean_learns() -> None:
 
 
 def test_a_flat_field_begun_with_a_stone_goes_with_it() -> None:
-    known = after({}, with_disc((300, 250), 60), *(wall() for _ in range(SETTLED + 2)))
+    known = after({}, with_disc((300, 250), 60), *(wall() for _ in range(SETTLED_FRAMES + 2)))
     assert np.abs(known.flat_field / coarsen(coarsen(wall())) - 1).max() < 0.02
 
 
 def test_a_rig_that_was_dirty_when_first_seen_is_clean_once_it_is_cleaned() -> None:
     dusty = (wall() * (1 - 0.25 * np.exp(-((U - 0.4) ** 2 + V**2) / 0.1))).astype(np.float32)
-    known = after({}, *(dusty for _ in range(SETTLED)), *(wall() for _ in range(MAX_REFUSED + SETTLED)))
+    known = after(
+        {}, *(dusty for _ in range(SETTLED_FRAMES)), *(wall() for _ in range(MAX_REFUSED + SETTLED_FRAMES))
+    )
     assert np.abs(known.flat_field / coarsen(coarsen(wall())) - 1).max() < 0.02
     known = after({C02: learnt()}, *(dusty for _ in range(MAX_REFUSED + 1)))
     assert known.flat_field is learnt().flat_field, "dust alone renews nothing"
@@ -145,14 +147,14 @@ def test_a_rig_that_was_dirty_when_first_seen_is_clean_once_it_is_cleaned() -> N
     assert known.flat_field is learnt().flat_field
 
 
-def empty_view_of(image: NDArray[np.uint8], known: CameraBackground) -> EmptyView:
+def compared_view(image: NDArray[np.uint8], known: CameraBackground) -> ComparedView:
     blocks = sampled(image)
-    return empty_view(blocks, known, BackgroundSegmenter().thresholds(blocks, known))
+    return compare_view(blocks, known, BackgroundSegmenter().thresholds(blocks, known))
 
 
 def light_of(grey: NDArray[np.float32], seed: int = 7) -> NDArray[np.float32]:
     """As the segmenter finds it, from one pixel of each block."""
-    empty = empty_view_of(seen(grey, seed).image, learnt())
+    empty = compared_view(seen(grey, seed).image, learnt())
     gain = np.full(empty.seen.shape, empty.gain, np.float32)
     return gain if empty.light is None else gain * empty.light
 
@@ -200,14 +202,14 @@ def test_a_body_that_leaves_a_strip_of_the_wall(free: int) -> None:
 def test_an_even_light_is_a_factor() -> None:
     for radius_px in (0, 40, 200):
         image = seen(0.9 * with_disc((320, 250), radius_px), 1).image
-        assert empty_view_of(image, learnt()).light is None
+        assert compared_view(image, learnt()).light is None
 
 
 @pytest.mark.parametrize("shape", [(4, 5), (15, 17), (100, 64)])
 def test_images_of_any_size_are_judged(shape: tuple[int, int]) -> None:
     known = CameraBackground(mean=np.full(shape, 100, np.float32), n_frames=1)
     image = np.full(shape, 120, np.uint8)
-    empty = empty_view_of(image, known)
+    empty = compared_view(image, known)
     assert empty.light is None
     assert empty.gain == pytest.approx(1.2)
     assert empty.gain == flash_gain(sampled(image), known.coarse)

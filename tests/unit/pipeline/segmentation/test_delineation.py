@@ -16,10 +16,10 @@ from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
 from support.quick_and_full import examples
 
-from pipeline.segmentation import edge, grey_levels, steepest
-from pipeline.segmentation.choice import warm_up
+from pipeline.segmentation import edge_refinement, local_threshold, subpixel_edge
 from pipeline.segmentation.delineation import Delineation, delineate
-from pipeline.segmentation.grey_levels import limits_from
+from pipeline.segmentation.local_threshold import trimap_of
+from pipeline.segmentation.segmenter_choice import warm_up
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 
 SIZE_PX = 220
@@ -55,7 +55,7 @@ def blocky(mask: Mask) -> Mask:
 
 
 def halved(*masks: Mask) -> NDArray[np.uint8]:
-    return limits_from(*(mask[::2, ::2] for mask in masks))
+    return trimap_of(*(mask[::2, ::2] for mask in masks))
 
 
 def wall() -> NDArray[np.uint8]:
@@ -201,11 +201,11 @@ def test_nothing_inside_is_no_edge() -> None:
 
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
-        grey_levels._decide,
-        grey_levels.cross,
-        steepest.to_steepest,
-        edge._between,
-        edge._keep_nearest,
+        local_threshold._label_cells,
+        local_threshold.find_crossings,
+        edge_refinement.refine_edge_points,
+        subpixel_edge._interpolated,
+        subpixel_edge._keep_nearest,
     ]
     warm_up()
     compiled = [len(kernel.signatures) for kernel in kernels]

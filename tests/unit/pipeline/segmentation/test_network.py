@@ -10,12 +10,13 @@ from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
 from support.networks import GPU, OnGpu, darkness_network, difference_network, start_on_gpu
 from support.quick_and_full import examples
 
+from pipeline.arrays import Singles
 from pipeline.errors import ModelError
-from pipeline.segmentation.network import CPU, Array, Session, load_network, start_session
+from pipeline.segmentation.network import CPU, Session, load_network, start_session
 from pipeline.segmentation.u2net import saliency, u2net_input
 
 
-def _disc(height: int, width: int, radius_px: int) -> Array:
+def _disc(height: int, width: int, radius_px: int) -> Singles:
     """A dark disc in the middle before a wall of 1."""
     v, u = np.mgrid[:height, :width]
     inside = np.hypot(u - width / 2, v - height / 2) < radius_px

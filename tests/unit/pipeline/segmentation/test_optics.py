@@ -16,14 +16,14 @@ from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import BackgroundModel, learn_background
 from pipeline.segmentation.optics import (
     BLOCK_PX,
-    LEAST_LIGHT,
-    ROWS,
-    SPOT,
-    SURROUNDINGS,
+    MIN_LIGHT,
+    SAMPLED_ROWS,
+    SPOT_CONTRAST,
+    SURROUNDINGS_BLOCKS,
     ViewOptics,
-    _level,
-    _light,
-    _plane,
+    _fill_levels,
+    _fill_light,
+    _fit_plane,
     _spots_share,
     observe_all,
     observe_optics,
@@ -32,7 +32,7 @@ from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance, dimmed_sector, dust, flicker
-from pipeline.synthesis.optics import ExposureParameters
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph, simulate_rig
 
 C05 = CameraId("c05")
@@ -210,7 +210,7 @@ def lights(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sums_of(light: np.ndarray, is_wall: np.ndarray) -> np.ndarray:
-    """What `_light` adds up in each column."""
+    """What `_fill_light` adds up in each column."""
     v = np.broadcast_to((2 * np.arange(len(light))[:, None] + 1) / len(light) - 1, light.shape)
     return np.stack(
         [
@@ -229,11 +229,11 @@ def test_the_light_is_that_of_rows_of_blocks(
     height, width = is_wall.shape
     shape = BLOCK_PX * height + more_rows, BLOCK_PX * width + more_columns
     image = np.random.default_rng(seed).integers(200, 256, shape, np.uint8)
-    looked_at = image[np.arange(height)[:, None] * BLOCK_PX + ROWS, : BLOCK_PX * width]
+    looked_at = image[np.arange(height)[:, None] * BLOCK_PX + SAMPLED_ROWS, : BLOCK_PX * width]
     means = looked_at.reshape(height, 2, width, BLOCK_PX).mean(axis=(1, 3))
     light, sums = np.empty(is_wall.shape, np.float32), np.zeros((5, width))
     room = np.zeros((2, width * BLOCK_PX), np.uint16)
-    saturated_share = _light(image, flat_field, is_wall, room, room[0].view(np.uint64), light, sums)
+    saturated_share = _fill_light(image, flat_field, is_wall, room, room[0].view(np.uint64), light, sums)
     assert saturated_share == pytest.approx(np.mean(looked_at == 255))
     assert light == pytest.approx(np.where(is_wall, means / np.maximum(flat_field, 1), 0), rel=1e-5)
     assert sums == pytest.approx(sums_of(light, is_wall), abs=1e-6)
@@ -244,12 +244,12 @@ def test_the_plane_is_that_of_least_squares(case: tuple[np.ndarray, np.ndarray])
     light, is_wall = case
     v, u = ((2 * at + 1) / size - 1 for at, size in zip(np.indices(light.shape), light.shape, strict=True))
     terms = np.stack([np.ones_like(u), u, v], axis=-1)
-    found, levels = np.array(_plane(sums_of(light, is_wall))), np.empty_like(light)
+    found, levels = np.array(_fit_plane(sums_of(light, is_wall))), np.empty_like(light)
     room = np.zeros((2, light.shape[1]), np.float32)
-    total, n_dark = _level(light, is_wall, tuple(found.tolist()), levels, room)
+    total, n_dark = _fill_levels(light, is_wall, tuple(found.tolist()), levels, room)
     assert total == pytest.approx(levels.sum(), rel=1e-4)
-    assert n_dark == np.count_nonzero(light[is_wall] < np.float32(1 - SPOT) * light.max())
-    assert levels == pytest.approx(light / np.maximum(terms @ found, LEAST_LIGHT), rel=1e-5)
+    assert n_dark == np.count_nonzero(light[is_wall] < np.float32(1 - SPOT_CONTRAST) * light.max())
+    assert levels == pytest.approx(light / np.maximum(terms @ found, MIN_LIGHT), rel=1e-5)
     # no other plane is nearer, but for the little that keeps places on one line from having none
     misses, best = (light - terms @ found)[is_wall], np.linalg.lstsq(terms[is_wall], light[is_wall])[0]
     assert misses @ misses <= np.sum((light[is_wall] - terms[is_wall] @ best) ** 2) + 0.01
@@ -259,10 +259,12 @@ def test_the_plane_is_that_of_least_squares(case: tuple[np.ndarray, np.ndarray])
 def test_spots_are_darker_than_the_wall_around_them(case: tuple[np.ndarray, np.ndarray]) -> None:
     light, is_wall = case
     around = np.lib.stride_tricks.sliding_window_view(
-        np.pad(np.where(is_wall, light, np.nan), SURROUNDINGS // 2, constant_values=np.nan),
-        (SURROUNDINGS, SURROUNDINGS),
+        np.pad(np.where(is_wall, light, np.nan), SURROUNDINGS_BLOCKS // 2, constant_values=np.nan),
+        (SURROUNDINGS_BLOCKS, SURROUNDINGS_BLOCKS),
     )
     with np.errstate(invalid="ignore"):
-        below = light / np.nanmean(np.where(is_wall[..., None, None], around, 1.0), axis=(2, 3)) - (1 - SPOT)
+        below = light / np.nanmean(np.where(is_wall[..., None, None], around, 1.0), axis=(2, 3)) - (
+            1 - SPOT_CONTRAST
+        )
     least, most = (np.mean(below[is_wall] < margin) for margin in (-1e-6, 1e-6))
     assert least <= _spots_share(np.where(is_wall, light, np.float32(0)), is_wall) <= most

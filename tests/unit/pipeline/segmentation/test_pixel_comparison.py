@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from support.quick_and_full import examples
 
 from pipeline.segmentation.background import COARSE, coarsen
-from pipeline.segmentation.comparison import (
+from pipeline.segmentation.light import EVEN, LIGHT_BLOCK, MAX_WALL_DEVIATION
+from pipeline.segmentation.local_threshold import OPEN, RegionLevels, threshold, trimap_of
+from pipeline.segmentation.pixel_comparison import (
     DARK,
     DIFFERS,
     NOISE_GREY,
     Thresholds,
+    background_trimap,
     compare,
-    limits_around,
     sampled,
 )
-from pipeline.segmentation.grey_levels import OPEN, GreyLevels, decided, limits_from
-from pipeline.segmentation.light import EVEN, LIT, UNLIKE
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
 THRESHOLDS = Thresholds(gain=np.float32(0.9), min_contrast=np.float32(0.12), dark=np.uint8(100))
@@ -63,13 +63,13 @@ def test_a_pixel_of_each_block_is_compared_and_the_light_of_larger_ones(
         assert box == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
     else:
         assert box[3] == 0
-    if min(samples.shape) < LIT:
+    if min(samples.shape) < LIGHT_BLOCK:
         assert n_uneven == 0
         return
     ratio = coarsen(samples.astype(np.float32)) / (np.float32(0.9) * lit)
     np.testing.assert_allclose(light, ratio, rtol=1e-5)
     error = np.abs(light - 1)
-    assert n_uneven == np.count_nonzero(is_plain & (error > EVEN) & (error < UNLIKE))
+    assert n_uneven == np.count_nonzero(is_plain & (error > EVEN) & (error < MAX_WALL_DEVIATION))
 
 
 @given(sides, sides, seeds)
@@ -77,7 +77,7 @@ def test_a_pixel_of_each_block_is_compared_and_the_light_of_larger_ones(
 def test_the_core_is_eroded_and_the_possible_dilated(height: int, width: int, seed: int) -> None:
     """By a disc and a cross; beyond the border nothing differs."""
     wall, image = view(height, width, seed)
-    limits = limits_around(image, wall, wall, THRESHOLDS)
+    trimap = background_trimap(image, wall, wall, THRESHOLDS)
     marks = reference(image[::2, ::2], wall[::2, ::2])
     differs = np.pad((marks == DIFFERS).view(np.uint8), 2)
     is_dark = np.pad((marks == DARK).view(np.uint8), 2)
@@ -89,7 +89,7 @@ def test_the_core_is_eroded_and_the_possible_dilated(height: int, width: int, se
             cv2.dilate(is_dark, np.ones((3, 3), np.uint8)),
         )
     )
-    np.testing.assert_array_equal(limits, limits_from(core, possible, unknown))
+    np.testing.assert_array_equal(trimap, trimap_of(core, possible, unknown))
 
 
 @given(sides, sides, st.integers(0, 1), seeds)
@@ -98,15 +98,15 @@ def test_what_is_open_is_decided_by_the_level_beside_it_and_the_rest_is_as_it_wa
     height: int, width: int, odd: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    limits = rng.choice([INSIDE, UNKNOWN, OUTSIDE, OPEN], (height, width))
+    trimap = rng.choice([INSIDE, UNKNOWN, OUTSIDE, OPEN], (height, width))
     image = rng.integers(20, 200, (2 * height - odd, 2 * width - odd), np.uint8)
     wall = np.full_like(image, 130)
-    labels, levels, is_inside = decided(GreyLevels(image, wall, np.float32(1), limits), 0.12)
-    of_pixels = limits.repeat(2, axis=0).repeat(2, axis=1)[: image.shape[0], : image.shape[1]]
+    labels, levels, is_inside = threshold(RegionLevels(image, wall, np.float32(1), trimap), 0.12)
+    of_pixels = trimap.repeat(2, axis=0).repeat(2, axis=1)[: image.shape[0], : image.shape[1]]
     np.testing.assert_array_equal(labels[of_pixels != OPEN], of_pixels[of_pixels != OPEN])
-    for y, x in np.argwhere(limits == OPEN):
+    for y, x in np.argwhere(trimap == OPEN):
         near = (slice(max(y // 2 * 2 - 2, 0), y // 2 * 2 + 4), slice(max(x // 2 * 2 - 2, 0), x // 2 * 2 + 4))
-        core = image[::2, ::2][near][limits[near] == INSIDE]
+        core = image[::2, ::2][near][trimap[near] == INSIDE]
         level = levels[y // 2, x // 2]
         if len(core):
             np.testing.assert_allclose(level, core.mean(), rtol=1e-6)

@@ -17,8 +17,8 @@ from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segment_all
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.delineation import delineate
-from pipeline.segmentation.grey_levels import limits_from
 from pipeline.segmentation.light import flash_gain
+from pipeline.segmentation.local_threshold import trimap_of
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.bodies import sphere
@@ -206,7 +206,7 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     )  # so that rounding moves no edge
     image, expected = grey.astype(np.uint8), np.full(coverage.shape, 200, np.uint8)
     few_px = true_px[::2, ::2]
-    edge = delineate(image, expected, limits_from(few_px > 4.5, few_px > -4.5, few_px > 99)).edge
+    edge = delineate(image, expected, trimap_of(few_px > 4.5, few_px > -4.5, few_px > 99)).edge
     assert edge is not None
     errors_px, outline = edge.fine_px(edge.coarse_px()) - true_px[::FINE_PX, ::FINE_PX], edge.outline_uv
     within = ((np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25))[::FINE_PX, ::FINE_PX]

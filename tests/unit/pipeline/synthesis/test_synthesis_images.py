@@ -12,7 +12,7 @@ from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.background import DOT_RADIUS_MM, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import ball, cube, cylinder, sphere
-from pipeline.synthesis.optics import ExposureParameters, blur_kernel, expose
+from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, expose
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph, simulate_rig
 from pipeline.synthesis.stones import stone
 

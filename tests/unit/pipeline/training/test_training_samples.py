@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.segmentation.network import MAX_RELATIVE
-from pipeline.training.layers import (
+from pipeline.training.image_layers import (
     CANVAS_PX,
     VIEW_PX,
     BodyLayer,

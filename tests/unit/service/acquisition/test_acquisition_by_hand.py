@@ -9,7 +9,7 @@ from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
 from drivers.factory import Devices
 from drivers.interfaces import CameraLost, CameraVitals, EventSink, TriggersLost
 from pipeline.frames import BundleKind, CameraId, Frame, Trigger
-from service.api.control import AcquisitionState, AcquisitionTarget
+from service.status import AcquisitionState, AcquisitionTarget
 
 
 class HandCamera:

@@ -20,7 +20,8 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
-from service.calibration.drop_jobs import Method, ObserveJob, Solution, SolveJob, observe, solve
+from service.calibration.drop_jobs import ObserveJob, Solution, SolveJob, observe, solve
+from service.calibration.plan import Method
 from service.processing import measure_job as worker_job
 from service.processing.background_files import write_background
 from service.processing.measure_job import RigFile, Worker, WorkerContext, WorkerFailure
@@ -113,7 +114,7 @@ def solution_of(
 
 def test_balls_are_solved_into_a_rig_and_a_report(tmp_path: Path):
     nominal = nominal_rig()
-    found = solution_of(tmp_path, drops_across(as_built(nominal, 5), 10), nominal, "bundle")
+    found = solution_of(tmp_path, drops_across(as_built(nominal, 5), 10), nominal, Method.BUNDLE)
     assert found.refusal is None
     assert read_rig(tmp_path / "rig.json").calibration_id == found.calibration_id
     report = read_json(tmp_path / "report.json")
@@ -131,7 +132,7 @@ def test_all_drops_together_tell_which_ball_is_which(tmp_path: Path):
     drops = [
         replace(drop, name=f"{number}", diameter_mm=11.5) for number, drop in enumerate((*small, *large))
     ]
-    found = solution_of(tmp_path, drops, nominal, "bundle", (10.0, 11.5))
+    found = solution_of(tmp_path, drops, nominal, Method.BUNDLE, (10.0, 11.5))
     assert found.refusal is None
     report = read_json(tmp_path / "report.json")
     assert abs(report["edge_offset_px"]) < 0.05
@@ -141,7 +142,7 @@ def test_stones_put_a_camera_back(tmp_path: Path):
     rig = as_built(nominal_rig(), 12)
     rng = np.random.default_rng(8)
     stones = [_as_drop(stone_outlines(rig, rng, noise_px=0.08)) for _ in range(MIN_STONES)]
-    found = solution_of(tmp_path, stones, bumped(rig, "c05", np.array([0.06, -0.08, 0.0])), "stones")
+    found = solution_of(tmp_path, stones, bumped(rig, "c05", np.array([0.06, -0.08, 0.0])), Method.STONES)
     assert found.refusal is None
     assert read_rig(tmp_path / "rig.json").calibration_id == found.calibration_id
     report = read_json(tmp_path / "report.json")
@@ -157,7 +158,7 @@ def _as_drop(outlines: dict[CameraId, np.ndarray]) -> BallDrop:
     return BallDrop(name="stone", diameter_mm=None, views=views)
 
 
-@pytest.mark.parametrize("method", ["bundle", "paper", "stones"])
+@pytest.mark.parametrize("method", list(Method))
 def test_too_few_drops_are_a_reason_and_no_failure(tmp_path: Path, method: Method):
     nominal = nominal_rig()
     found = solution_of(tmp_path, drops_across(as_built(nominal, 5), 1), nominal, method)

@@ -22,9 +22,8 @@ from support.calibration_desk import (
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import Problem
 from pipeline.frames import BundleKind
-from service.api.control import AcquisitionState
 from service.calibration import sessions as calibrations
-from service.calibration.plan import CalibrationPlan
+from service.calibration.plan import CalibrationPlan, Method
 from service.calibration.states import (
     OPEN,
     TRANSITIONS,
@@ -36,6 +35,7 @@ from service.calibration.states import (
 from service.calibration.verifications import VerificationPlan
 from service.errors import StoreError
 from service.processing.worker_pool import JobLostError
+from service.status import AcquisitionState
 
 
 def test_the_table_ends_every_session_and_asks_twice_for_free():
@@ -53,11 +53,11 @@ def test_the_table_ends_every_session_and_asks_twice_for_free():
 @pytest.mark.parametrize(
     ("diameters_mm", "method"),
     [
-        ((), "bundle"),
-        ((10.0, 11.0), "bundle"),
-        ((10.0, 15.0, 20.0), "paper"),
-        ((0.1,), "bundle"),
-        ((10.0,), "stones"),
+        ((), Method.BUNDLE),
+        ((10.0, 11.0), Method.BUNDLE),
+        ((10.0, 15.0, 20.0), Method.PAPER),
+        ((0.1,), Method.BUNDLE),
+        ((10.0,), Method.STONES),
     ],
 )
 def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
@@ -68,12 +68,11 @@ def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
 async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
     told = []
     solver = MadeUpSolver()
-    desk = open_desk(tmp_path, solver=solver)
 
     async def on_activated(rig):
         told.append(rig.name)
 
-    desk.on_activated = on_activated
+    desk = open_desk(tmp_path, solver=solver, on_activated=on_activated)
     record = await desk.start(BALL, ARMED)
     assert desk.wants_balls
     assert desk.facts().at_work == "calibration 0002 is collecting: what falls is a ball"
@@ -121,7 +120,7 @@ async def test_somebody_is_at_work_already(tmp_path: Path):
 
 async def test_a_stone_session_leaves_stones_stones(tmp_path: Path):
     desk = open_desk(tmp_path)
-    await desk.start(CalibrationPlan(method="stones"), ARMED)
+    await desk.start(CalibrationPlan(method=Method.STONES), ARMED)
     assert desk.collector is not None
     assert desk.collector.kind is BundleKind.PARTICLE
     assert not desk.wants_balls

@@ -9,10 +9,13 @@ import pytest
 import trimesh
 from typer.testing import CliRunner, Result
 
-from pipeline.evaluation.trials import METHODS
+from pipeline.evaluation.comparison import SurfaceDistances
+from pipeline.evaluation.trials import METHODS, ShapeErrors, Trial
 from service.benchmarks import performance as performance_bench
 from service.benchmarks import scaling as scaling_bench
+from service.benchmarks.accuracy import BenchPlan, BenchResult
 from service.cli import build_app
+from service.commands.benchmark import size_table
 
 RUNNER = CliRunner()
 
@@ -92,6 +95,27 @@ def test_two_files_of_one_name(wedge: Path, tmp_path: Path) -> None:
     result = run("--bodies", f"{wedge},{other}")
     assert result.exit_code == 1
     assert "another mesh file is named wedge too" in str(result.exception)
+
+
+def test_errors_of_sizes_are_told_as_bias_and_rms() -> None:
+    distances = SurfaceDistances(mean_mm=0, max_mm=0, signed_mm=0, back_mean_mm=0, back_max_mm=0)
+    trials = [
+        Trial(
+            body="sphere", number=number, rig="true", method="hull", failure=None, distances=distances,
+            errors=ShapeErrors(
+                mesh_volume_percent=0, volume_percent=0, area_percent=0, max_feret_mm=0.3,
+                min_feret_mm=-0.1, thickness_mm=error_mm, sieve_size_mm=2 * error_mm,
+            ),
+        )
+        for number, error_mm in enumerate((0.1, 0.7))
+    ]  # fmt: skip
+    result = BenchResult(trials=tuple(trials), reports={}, refused={})
+    table = size_table(BenchPlan(poses={"sphere": 2}), result)
+    cells = {str(column.header): list(column.cells) for column in table.columns}
+    assert cells["sieve"] == ["+0.800, 1.000"]
+    assert cells["thickness"] == ["+0.400, 0.500"]
+    assert cells["max Feret"] == ["+0.300, 0.300"]
+    assert cells["min Feret"] == ["-0.100, 0.100"]
 
 
 def test_times_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import Settings, load_settings, problems
 from service.configuration.volume_models import write_volume_model
 from service.errors import SettingsError
-from service.recording.live_recording import recording_source
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
 
@@ -243,9 +243,21 @@ def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: 
     settings = settings_of(tmp_path, LIVE.replace("[rig]", "[rig]\nstart_above_gate_mm = 5"))
     assert isinstance(settings.rig, AravisRigSettings)
     devices = build_devices(settings.rig.backend_for(nominal_rig()))
-    source = recording_source(devices, nominal_rig(), settings.model_dump(mode="json")["rig"])
-    assert source.speed_at_gate_mm_s == settings.rig.speed_at_gate_mm_s == pytest.approx(313.2, abs=0.1)
+    source = settings.rig.source(devices, nominal_rig())
+    assert source.fall == settings.rig.fall
+    assert source.gate_settings["speed_at_gate_mm_s"] == pytest.approx(313.2, abs=0.1)
+    assert source.camera_settings == {
+        name: value for name, value in settings.model_dump(mode="json")["rig"].items() if name != "gate"
+    }
     assert source.gate_settings["serial"]["port"] == f"{tmp_path}/gate"
+
+
+def test_the_kept_background_depends_on_what_the_cameras_see_alone(tmp_path: Path):
+    def optical(line: str) -> list[Any] | None:
+        return settings_of(tmp_path, LIVE.replace("[rig]", f"[rig]\n{line}")).rig.optical_settings
+
+    assert optical("uplink_bytes_s = 1e9") == optical("")
+    assert optical("exposure_us = 10") != optical("")
 
 
 @pytest.mark.parametrize(

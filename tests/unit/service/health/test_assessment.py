@@ -4,10 +4,10 @@ import pytest
 
 from pipeline.frames import CameraId
 from pipeline.views.quality import ViewsParameters
-from service.api.control import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
+from service.status import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 
 
 def cameras(lost: int = 0) -> list[CameraStatus]:
@@ -108,8 +108,8 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
         ),
         (
             {
-                "acquisition": replace(
-                    rig(AcquisitionState.ARMED), gate_warnings=("the beam has been closed",)
+                "acquisition": rig(AcquisitionState.ARMED).model_copy(
+                    update={"gate_warnings": ("the beam has been closed",)}
                 )
             },
             Ne107.MAINTENANCE_REQUIRED,
@@ -182,14 +182,18 @@ def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():
 
 
 def test_what_a_camera_warns_of_is_maintenance():
-    warned = [replace(camera, warnings=("receive buffer is small",)) for camera in cameras()[:1]]
+    warned = [
+        camera.model_copy(update={"warnings": ("receive buffer is small",)}) for camera in cameras()[:1]
+    ]
     health = assess(replace(HEALTHY, cameras=[*warned, *cameras()[1:]]))
     assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
     assert health.reasons == ("camera:c01: receive buffer is small",)
 
 
 def test_cameras_that_answer_and_belong_to_someone_else_are_not_the_switch():
-    taken = [replace(camera, last_error="is in use by another application") for camera in cameras(16)]
+    taken = [
+        camera.model_copy(update={"last_error": "is in use by another application"}) for camera in cameras(16)
+    ]
     (reason,) = assess(replace(HEALTHY, cameras=taken)).reasons
     assert reason == "cameras: all 16 cameras are lost, the first one: is in use by another application"
 
@@ -205,13 +209,15 @@ def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: N
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("rig: c05: moved: recalibrate",)
     check = health.checks["rig"]
-    assert (check.status, check.value, check.unit) == (CheckStatus.WARN, 0.8, "px")
+    assert (check.status, check.observed_value, check.observed_unit) == (CheckStatus.WARN, 0.8, "px")
 
 
 def test_the_worst_score_of_a_healthy_rig_is_shown():
-    scored = [replace(camera, tangency_px=0.05 + 0.01 * n) for n, camera in enumerate(cameras())]
+    scored = [
+        camera.model_copy(update={"tangency_px": 0.05 + 0.01 * n}) for n, camera in enumerate(cameras())
+    ]
     check = assess(replace(HEALTHY, cameras=scored)).checks["rig"]
-    assert (check.status, check.value, check.detail) == (CheckStatus.PASS, 0.2, None)
+    assert (check.status, check.observed_value, check.detail) == (CheckStatus.PASS, 0.2, None)
 
 
 @pytest.mark.parametrize(
@@ -227,6 +233,6 @@ def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Sever
     health = assess(replace(HEALTHY, optics=(dusty,)))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("optics: c05: clean window and lens",)
-    assert health.checks["optics"].value == 15
+    assert health.checks["optics"].observed_value == 15
     weak = OpticalFinding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
     assert assess(replace(HEALTHY, optics=(weak,))).reasons == ("optics: all: look at the strobes' supply",)

@@ -11,7 +11,8 @@ from support.outlines import seen_by, stone_outlines, stone_points, watch_record
 
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
-from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch, Suspicion, WatchedResults
+from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch, Suspicion
+from service.processing.observers import WatchedResults
 
 RIG = as_built(nominal_rig(), seed=3)
 C05 = CameraId("c05")

@@ -10,9 +10,14 @@ from numba.core import event
 from numpy.typing import NDArray
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation.background import SETTLED, BackgroundModel, CameraBackground, learn_background
-from pipeline.segmentation.choice import ChoosingSegmenter, warm_up
+from pipeline.segmentation.background import (
+    SETTLED_FRAMES,
+    BackgroundModel,
+    CameraBackground,
+    learn_background,
+)
 from pipeline.segmentation.optics import observe_optics
+from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, warm_up
 from pipeline.segmentation.silhouette import ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.processing.background_files import FOLLOWING, read_background, write_background
@@ -56,7 +61,7 @@ def test_for_a_settled_rig_nothing_is_compiled_anew(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     wall, camera = rng.integers(190, 210, (256, 320), np.uint8), CameraId("c01")
     settled: BackgroundModel = {}
-    for version in range(SETTLED):
+    for version in range(SETTLED_FRAMES):
         folder = tmp_path / str(version)
         write_background(folder, learn_background(settled, {camera: frame_of(wall)}))
         settled = read_background(folder)

@@ -12,7 +12,7 @@ from service.processing.background_keeping import KeptBackground
 
 SIZES = {CameraId("c01"): (5, 4)}
 OTHER_SIZES = {CameraId("c01"): (5, 6)}
-RIG = {"backend": "aravis", "exposure_us": 20.0}
+RIG = ["cameras", 20.0]
 
 
 def background(path: Path, grey: float) -> Path:
@@ -47,12 +47,12 @@ def test_what_an_earlier_release_kept_is_restored(tmp_path: Path, store: Path):
 
 def test_another_rig_starts_without_and_replaces_it(tmp_path: Path, store: Path):
     KeptBackground(store, SIZES, RIG).keep(background(tmp_path / "seen", 200))
-    other = KeptBackground(store, SIZES, RIG | {"exposure_us": 10.0})
+    other = KeptBackground(store, SIZES, ["cameras", 10.0])
     assert other.restore(tmp_path / "restored") is None
     other.keep(background(tmp_path / "darker", 100))
     assert KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored") is None
-    assert KeptBackground(store, OTHER_SIZES, RIG | {"exposure_us": 10.0}).restore(tmp_path / "r") is None
-    same = KeptBackground(store, SIZES, RIG | {"exposure_us": 10.0, "uplink_bytes_s": 1e9})
+    assert KeptBackground(store, OTHER_SIZES, ["cameras", 10.0]).restore(tmp_path / "r") is None
+    same = KeptBackground(store, SIZES, ["cameras", 10.0])
     assert same.restore(tmp_path / "restored") is not None
     assert len(list(store.iterdir())) == 1
 

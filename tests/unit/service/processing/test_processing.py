@@ -8,10 +8,10 @@ from support.processing import Bench, Desk, ScriptedPool, turn
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
+from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.processing.background_versions import BESIDE, WAITED_FOR
 from service.processing.measure_job import LearnJob, RigFile
-from service.processing.processing import DropCollector
 from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
 

@@ -16,7 +16,7 @@ from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation import Silhouette, ViewStatus
 from pipeline.views.quality import Quality
-from service.processing.result_record import lost_record, result_record
+from service.results.record import lost_record, result_record
 
 MIN_FERET_MM, MAX_FERET_MM = 10.0, 37.417  # of a box of 10 x 20 x 30 mm
 REJECTED = ParticleResult(silhouettes={}, rejection=RejectedError(RejectReason.EMPTY, "nothing there"))

@@ -9,7 +9,7 @@ import pytest
 from support.networks import difference_network
 
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import ViewStatus, choice
+from pipeline.segmentation import ViewStatus, segmenter_choice
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import Settings, load_settings, shortcomings
@@ -100,7 +100,9 @@ def test_a_processor_that_is_not_there_is_replaced_and_told(caplog: pytest.LogCa
 
 def test_without_a_network_the_comparison_alone_is_made_ready(monkeypatch: pytest.MonkeyPatch):
     called: list[str] = []
-    monkeypatch.setattr(choice, "warm_up", lambda: called.append("all kernels, see test_delineation"))
+    monkeypatch.setattr(
+        segmenter_choice, "warm_up", lambda: called.append("all kernels, see test_delineation")
+    )
     warm_up(build_segmenter(CLASSICAL, PARAMETERS))
     assert called
 

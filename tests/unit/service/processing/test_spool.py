@@ -9,7 +9,8 @@ import pytest
 
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.processing.spool import SPARE_FILES, Loss, Spool, SpooledBundle
+from service.processing.bundle_files import SPARE_FILES, BundleFiles
+from service.processing.spool import Loss, Spool, SpooledBundle
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))
 
@@ -43,7 +44,7 @@ async def take_all(spool: Spool) -> list[SpooledBundle]:
 
 
 async def test_bundles_come_out_as_files_in_order_and_unchanged(tmp_path: Path):
-    spool = Spool(tmp_path, max_bundles=5, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=5, camera_ids=CAMERAS)
     async with writing(spool):
         for sequence in (1, 2, 3):
             spool.offer(bundle_of(sequence))
@@ -57,8 +58,8 @@ async def test_bundles_come_out_as_files_in_order_and_unchanged(tmp_path: Path):
 
 async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
     released = []
-    spool = Spool(tmp_path, max_bundles=2, camera_ids=CAMERAS)
-    spool.on_release = lambda: released.append(1)
+    files = BundleFiles(tmp_path, on_through=lambda: released.append(1))
+    spool = Spool(files, max_bundles=2, camera_ids=CAMERAS)
     async with writing(spool):
         for sequence in (1, 2, 3):
             spool.offer(bundle_of(sequence))
@@ -79,7 +80,7 @@ async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
 
 
 async def test_lost_exposures_of_the_empty_rig_are_no_lost_stones(tmp_path: Path):
-    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS)
     for sequence in (1, 2):
         spool.offer(bundle_of(sequence, kind=BundleKind.BACKGROUND))
     assert (spool.held, spool.overflows) == (1, 0)
@@ -90,7 +91,7 @@ async def test_lost_exposures_of_the_empty_rig_are_no_lost_stones(tmp_path: Path
 async def test_no_stone_waits_for_what_others_have_done_in_threads(tmp_path: Path):
     answered = threading.Event()
     others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
-    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS)
     async with writing(spool):
         spool.offer(bundle_of(1))
         assert await asyncio.wait_for(spool.take(), 10) is not None
@@ -99,7 +100,7 @@ async def test_no_stone_waits_for_what_others_have_done_in_threads(tmp_path: Pat
 
 
 async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path):
-    spool = Spool(tmp_path, max_bundles=20, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=20, camera_ids=CAMERAS)
     async with writing(spool):
         for first in (1, 11):
             for sequence in range(first, first + 10):
@@ -115,7 +116,7 @@ async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path
 
 
 async def test_a_bundle_without_any_frame_is_lost_and_takes_no_room(tmp_path: Path):
-    spool = Spool(tmp_path, max_bundles=1, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS)
     async with writing(spool):
         spool.offer(bundle_of(1, cameras=()))
         spool.offer(bundle_of(2))
@@ -125,7 +126,7 @@ async def test_a_bundle_without_any_frame_is_lost_and_takes_no_room(tmp_path: Pa
 
 
 async def test_equal_sequences_do_not_overwrite_each_other(tmp_path: Path):
-    spool = Spool(tmp_path, max_bundles=2, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=2, camera_ids=CAMERAS)
     async with writing(spool):
         spool.offer(bundle_of(1, kind=BundleKind.BACKGROUND))
         spool.offer(bundle_of(1))
@@ -136,7 +137,7 @@ async def test_equal_sequences_do_not_overwrite_each_other(tmp_path: Path):
 async def test_a_spool_that_cannot_be_written_loses_bundles_not_the_daemon(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
-    spool = Spool(tmp_path / "gone", max_bundles=1, camera_ids=CAMERAS)
+    spool = Spool(BundleFiles(tmp_path / "gone"), max_bundles=1, camera_ids=CAMERAS)
     async with writing(spool):
         spool.offer(bundle_of(1))
     (bundle,) = await take_all(spool)

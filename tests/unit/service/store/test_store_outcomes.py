@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from support.rest import add, measured, particle_files, rejected, trigger
 
-from pipeline.frames import BundleKind
+from pipeline.frames import BundleKind, rfc3339
 from service.api.schemas import Result
 from service.errors import StoreError
-from service.processing.result_record import ALGORITHM_VERSION
-from service.store import ParticleFilter, Store, open_store, rfc3339_ms
+from service.results.record import ALGORITHM_VERSION
+from service.store import ParticleFilter, Store, open_store
 from service.store.store import NOTE_EVERY
 
 
@@ -278,8 +278,8 @@ def test_a_newer_schema_and_a_foreign_file_are_refused(tmp_path: Path) -> None:
 
 
 def test_times_are_written_in_one_way() -> None:
-    assert rfc3339_ms("2026-03-01T01:00:00.123456+01:00") == "2026-03-01T00:00:00.123Z"
-    assert rfc3339_ms("2026-03-01T00:00:00Z") == "2026-03-01T00:00:00.000Z"
+    assert rfc3339("2026-03-01T01:00:00.123456+01:00") == "2026-03-01T00:00:00.123Z"
+    assert rfc3339("2026-03-01T00:00:00Z") == "2026-03-01T00:00:00.000Z"
     for wrong in ("2026-03-01T00:00:00", "yesterday", "0001-01-01T00:00:00+14:00"):
         with pytest.raises(ValueError, match=r".+"):
-            rfc3339_ms(wrong)
+            rfc3339(wrong)

@@ -1,0 +1,258 @@
+"""The control channel of a camera: commands in, acknowledgements out; who may write, and for how long.
+
+No socket and no thread: a datagram goes in with its sender and the time, the answer comes out.
+"""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.gige_simulator.registers import (
+    CONTROL_PRIVILEGE,
+    HEARTBEAT_TIMEOUT,
+    Key,
+    RefusedError,
+    Registers,
+    Status,
+)
+from drivers.gvcp import ACK_HEADER, ACK_REQUIRED, ACTION, DISCOVERY, DISCOVERY_BYTES, HEADER, KEY, SCHEDULED
+
+Peer = tuple[str, int]
+"""Address and port of an application."""
+
+PACKET_RESEND = 0x40
+READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = 0x80, 0x82, 0x84, 0x86
+PENDING_ACK = 0x89
+
+_EXTENDED_IDS = 0x10
+_EXCLUSIVE, _CONTROL = 0x1, 0x2
+_MAX_MEMORY_BYTES = 536
+"""Most that fits into a command or answer of 576 bytes."""
+
+
+class Device(Protocol):
+    """What the control channel sets in motion."""
+
+    def written(self, key: Key) -> None:
+        """React to a register that was written; may raise `RefusedError`."""
+
+    def word_written(self, address: int, value: int) -> None:
+        """React to a bootstrap register that belongs to no feature."""
+
+    def released(self) -> None:
+        """React to the end of control: the stream ends."""
+
+    def acted(self, *, at_device_ns: int | None) -> Status:
+        """React to an action command with our keys."""
+
+    def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None: ...
+
+    def noted(self, event: str) -> None:
+        """Write down who has control."""
+
+
+@dataclass(slots=True)
+class _LastCommand:
+    """Of the controller."""
+
+    datagram: bytes
+    answer: bytes | None
+
+
+class GvcpChannel:
+    """One controller at a time; it loses control when it is silent for longer than its heartbeat timeout."""
+
+    def __init__(self, registers: Registers, device: Device) -> None:
+        self.controller: Peer | None = None
+        self.n_heartbeats = 0
+        self.n_actions = 0
+        self._registers = registers
+        self._device = device
+        self._is_exclusive = False
+        self._heard_ns = 0
+        self._last: _LastCommand | None = None
+        self._commands: dict[int, Callable[[bytes, Peer], bytes]] = {
+            DISCOVERY: self._discovery,
+            READ_REGISTER: self._read_registers,
+            WRITE_REGISTER: self._write_registers,
+            READ_MEMORY: self._read_memory,
+            WRITE_MEMORY: self._write_memory,
+        }
+
+    def answer(self, datagram: bytes, peer: Peer, now_ns: int) -> bytes | None:
+        """Do what a command asks; nothing for what is no command or wants no answer.
+
+        What the controller repeats is answered again, not done again; others only read.
+        """
+        if len(datagram) < HEADER.size or datagram[0] != KEY:
+            return None
+        _, flags, command, size, request_id = HEADER.unpack_from(datagram)
+        body = datagram[HEADER.size :]
+        if self.controller in (None, peer):  # nobody: whoever takes control with this command was heard
+            self._heard_ns = now_ns
+        if command == PACKET_RESEND:
+            self._resend(flags, body)
+            return None
+        if peer == self.controller and self._last and self._last.datagram == datagram:
+            return self._last.answer
+        answer = b""
+        try:
+            if size != len(body):
+                raise RefusedError(Status.INVALID_HEADER)
+            if command == ACTION:
+                status = self._action(flags, body)
+                if status is None:
+                    return None
+            elif command in self._commands:
+                answer = self._commands[command](body, peer)
+                status = Status.SUCCESS
+            else:
+                status = Status.NOT_IMPLEMENTED
+        except RefusedError as refused:
+            status, answer = refused.status, refused.answer
+        except struct.error:
+            status = Status.INVALID_HEADER
+        reply = ACK_HEADER.pack(status, command + 1, len(answer), request_id) + answer
+        wanted = reply if flags & ACK_REQUIRED else None
+        if peer == self.controller:
+            self._last = _LastCommand(datagram, wanted)
+        return wanted
+
+    def heartbeat_due_ns(self) -> int | None:
+        """When control ends if nothing is heard; nothing without a controller."""
+        if self.controller is None:
+            return None
+        return self._heard_ns + self._registers.word(HEARTBEAT_TIMEOUT) * 1_000_000
+
+    def check_heartbeat(self, now_ns: int) -> None:
+        due_ns = self.heartbeat_due_ns()
+        if due_ns is not None and now_ns >= due_ns:
+            self._device.noted(f"heartbeat of {_name(self.controller)} ended")
+            self.release()
+
+    def release(self) -> None:
+        """End control, whoever has it."""
+        self.controller, self._is_exclusive = None, False
+        self._registers.put_word(CONTROL_PRIVILEGE, 0)
+        self._device.released()
+
+    def seize(self, peer: Peer, *, heard_ns: int) -> None:
+        """Give control to `peer`, whoever has it; it was heard at `heard_ns`, which may lie ahead."""
+        self._heard_ns = heard_ns
+        self._take(peer, _CONTROL)
+
+    def _take(self, peer: Peer, privilege: int) -> None:
+        if peer != self.controller:
+            self._last = None
+        self.controller, self._is_exclusive = peer, bool(privilege & _EXCLUSIVE)
+        self._registers.put_word(CONTROL_PRIVILEGE, privilege)
+        self._device.noted(f"{'exclusive ' if self._is_exclusive else ''}control to {_name(peer)}")
+
+    def reset(self) -> None:
+        """Power on: nobody has control, nothing was asked."""
+        self.controller, self._is_exclusive, self._last = None, False, None
+
+    # --- commands ---
+
+    def _discovery(self, body: bytes, peer: Peer) -> bytes:
+        return self._registers.read(0, DISCOVERY_BYTES)
+
+    def _read_registers(self, body: bytes, peer: Peer) -> bytes:
+        addresses = [address for (address,) in struct.iter_unpack(">I", body)]
+        if addresses != [CONTROL_PRIVILEGE]:
+            self._demand_readable(peer)
+        elif peer == self.controller:
+            self.n_heartbeats += 1
+        return b"".join(self._registers.read(address, 4) for address in addresses)
+
+    def _write_registers(self, body: bytes, peer: Peer) -> bytes:
+        writes = list(struct.iter_unpack(">I4s", body))
+        for n_written, (address, value) in enumerate(writes):
+            try:
+                if address == CONTROL_PRIVILEGE:
+                    self._write_privilege(int.from_bytes(value, "big"), peer)
+                else:
+                    self._write(address, value, peer)
+            except RefusedError as refused:
+                raise RefusedError(refused.status, struct.pack(">HH", 0, n_written)) from refused
+        return struct.pack(">HH", 0, len(writes))
+
+    def _read_memory(self, body: bytes, peer: Peer) -> bytes:
+        address, size = struct.unpack(">IxxH", body)
+        if size > _MAX_MEMORY_BYTES:
+            raise RefusedError(Status.INVALID_PARAMETER)
+        self._demand_readable(peer)
+        return body[:4] + self._registers.read(address, size)
+
+    def _write_memory(self, body: bytes, peer: Peer) -> bytes:
+        (address,) = struct.unpack_from(">I", body)
+        try:
+            self._write(address, body[4:], peer)
+        except RefusedError as refused:
+            raise RefusedError(refused.status, bytes(4)) from refused
+        return struct.pack(">HH", 0, len(body) - 4)
+
+    def _write(self, address: int, data: bytes, peer: Peer) -> None:
+        if peer != self.controller:
+            raise RefusedError(Status.ACCESS_DENIED)
+        keys = self._registers.write(address, data)
+        for key in keys:
+            self._device.written(key)
+        if not keys:
+            self._device.word_written(address, int.from_bytes(data[:4], "big"))
+
+    def _demand_readable(self, peer: Peer) -> None:
+        if self._is_exclusive and peer != self.controller:
+            raise RefusedError(Status.ACCESS_DENIED)
+
+    def _write_privilege(self, value: int, peer: Peer) -> None:
+        if self.controller not in (None, peer):
+            raise RefusedError(Status.ACCESS_DENIED)
+        if value & (_CONTROL | _EXCLUSIVE):
+            self._take(peer, value & (_CONTROL | _EXCLUSIVE))
+        elif self.controller is not None:
+            self._device.noted(f"{_name(peer)} left control")
+            self.release()
+
+    def _action(self, flags: int, body: bytes) -> Status | None:
+        """Act if the keys are ours; otherwise be silent, as the command is for other cameras."""
+        device_key, group_key, group_mask = struct.unpack_from(">III", body)
+        registers = self._registers
+        if (
+            device_key != registers.number("ActionDeviceKey")
+            or group_key != registers.number("ActionGroupKey")
+            or not group_mask & registers.number("ActionGroupMask")
+        ):
+            return None
+        self.n_actions += 1
+        at_device_ns = struct.unpack_from(">Q", body, 12)[0] if flags & SCHEDULED else None
+        return self._device.acted(at_device_ns=at_device_ns)
+
+    def _resend(self, flags: int, body: bytes) -> None:
+        has_extended_ids = bool(flags & _EXTENDED_IDS)
+        if len(body) < (20 if has_extended_ids else 12):
+            return
+        _, block_id, first, last = struct.unpack_from(">HHII", body)
+        if has_extended_ids:
+            (block_id,) = struct.unpack_from(">Q", body, 12)
+        else:
+            first, last = first & 0xFFFFFF, last & 0xFFFFFF
+        self._device.resend(block_id, first, last, has_extended_ids=has_extended_ids)
+
+
+def is_discovery(datagram: bytes) -> bool:
+    """Whether this is the one command that is answered at once by everybody."""
+    return datagram[2:4] == DISCOVERY.to_bytes(2, "big")
+
+
+def pending_ack(datagram: bytes, delay_ms: int) -> bytes | None:
+    """Ask the sender of this command for patience; nothing if it is none."""
+    if len(datagram) < HEADER.size or datagram[0] != KEY:
+        return None
+    _, _, _, _, request_id = HEADER.unpack_from(datagram)
+    return ACK_HEADER.pack(Status.SUCCESS, PENDING_ACK, 4, request_id) + struct.pack(">HH", 0, delay_ms)
+
+
+def _name(peer: Peer | None) -> str:
+    return f"{peer[0]}:{peer[1]}" if peer else "nobody"

@@ -1,0 +1,56 @@
+"""How drops come from the measuring to a calibration or a verification."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RecordingError
+from pipeline.frames import BundleKind
+from service.calibration.drop_files import ObservedDrop
+from service.calibration.drop_jobs import ObserveJob, observe
+from service.processing.measure_job import MeasureJob
+from service.processing.processing import KeepDrop
+from service.processing.worker_pool import JobLostError, WorkerPool
+
+OUTLINES = "outlines.npz"
+"""Outlines of a drop, in the folder of the job that measured it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropCollector:
+    """Observes the drops of one kind and hands each on when its result is durable."""
+
+    kind: BundleKind
+    diameters_mm: tuple[float, ...]
+    """Diameters of the balls that may fall."""
+    add: Callable[[ObservedDrop, Mapping[str, Any], Path | None], Awaitable[None]]
+    """Takes a drop, its result record, and the file of its outlines if there is one."""
+
+    async def observe(self, pool: WorkerPool, job: MeasureJob) -> KeepDrop:
+        """Have a worker find the outlines of a drop; one that fails is handed on with the problem."""
+        outlines = job.out_dir / OUTLINES
+        observing = ObserveJob(
+            bundle_path=job.bundle_path,
+            camera_ids=job.camera_ids,
+            rig=job.rig,
+            background_path=job.background_path,
+            kind=self.kind,
+            diameters_mm=self.diameters_mm,
+            out_path=outlines,
+        )
+        problem: str | None = None
+        try:
+            drop = await pool.run(observe, observing)
+        except RecordingError as err:
+            problem = err.problem
+        except JobLostError as err:
+            problem = str(err)
+
+        async def keep(record: Mapping[str, Any]) -> None:
+            if problem is None:
+                await self.add(drop, record, outlines)
+            else:
+                await self.add(ObservedDrop(bundle=record["bundle"], problem=problem), record, None)
+
+        return keep

@@ -1,0 +1,163 @@
+"""The life of the daemon: each part is started in order, with how it ends beside it; the end is the reverse.
+
+The first SIGTERM or SIGINT stops the rig, measures what it has seen and exits 0; the second one gives up
+what is not measured yet. Whatever a part cannot handle ends the task group, and with it the process.
+"""
+
+import asyncio
+import logging
+import shutil
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from socket import socket
+
+from service.api.app import create_app
+from service.api.server import RestServer, listen, server_config
+from service.configuration.settings import Settings
+from service.daemon.build import build
+from service.daemon.running_daemon import Daemon
+from service.daemon.stopping import StopRequests
+from service.daemon.systemd import ServiceManager, feed_watchdog
+from service.processing.process_memory import freeze_gc, keep_freed_memory
+from service.status import AcquisitionTarget
+from service.store import open_store
+
+log = logging.getLogger(__name__)
+
+DRAIN_S = 30.0
+"""How long bundles already seen may take after SIGTERM before they are given up."""
+DISARM_S = 15.0
+"""How long the rig may take to disarm, the last stone's frames included, before it is left alone."""
+ARCHIVE_S = 5.0
+"""How long frames that wait to be archived may take then; results do not need them."""
+
+
+async def run(settings: Settings, manager: ServiceManager) -> None:
+    """Measure stones until a signal asks to stop.
+
+    Raises
+    ------
+    ServiceError, DriverError
+        A part cannot be started.
+    ExceptionGroup
+        A part failed beyond what it handles itself.
+    """
+    keep_freed_memory()
+    requests = StopRequests()
+    requests.listen()
+    async with AsyncExitStack() as resources:
+        listener = resources.enter_context(listen(settings.api.host, settings.api.port))
+        store = await asyncio.to_thread(open_store, settings.store.dir, keep_raw=settings.store.keep_raw)
+        resources.push_async_callback(asyncio.to_thread, store.close)
+        daemon = await build(settings, store)
+        resources.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder, ignore_errors=True)
+        resources.callback(daemon.pool.close)
+        resources.push_async_callback(daemon.recordings.close)
+        server = await _warmed_up(daemon, manager)
+        async with asyncio.TaskGroup() as tasks, AsyncExitStack() as parts:
+            for part in (
+                _serving(daemon, tasks, server, listener),
+                _watching(daemon, tasks, manager, requests),
+                _archiving(daemon, tasks, requests),
+                _processing(daemon, tasks, requests),
+                _calibrating(daemon, tasks),
+                _acquiring(daemon, tasks, manager, requests),
+            ):
+                await parts.enter_async_context(part)
+            await requests.stop.wait()
+
+
+async def _warmed_up(daemon: Daemon, manager: ServiceManager) -> RestServer:
+    """Start the workers, and prepare what would hold the loop for 0.3 s when it is first asked for."""
+    app = create_app(daemon.store, daemon, daemon.settings.api)
+    manager.notify("STATUS=warming up the workers")
+    await asyncio.gather(
+        daemon.pool.start(),
+        asyncio.to_thread(app.openapi),  # FastAPI's routes and their description
+        asyncio.to_thread(daemon.calibrations.calibration.cameras[0].rays, [[0, 0]]),  # numba's tables
+    )
+    freeze_gc()
+    return RestServer(server_config(app, daemon.settings.api))
+
+
+@asynccontextmanager
+async def _serving(
+    daemon: Daemon, tasks: asyncio.TaskGroup, server: RestServer, listener: socket
+) -> AsyncIterator[None]:
+    """Answer REST requests to the very end: whoever asks shall hear how it goes."""
+    serving = tasks.create_task(server.serve([listener]))
+    await server.is_serving.wait()
+    log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
+    yield
+    daemon.store.release_waiters()
+    server.should_exit = True
+    await serving
+
+
+@asynccontextmanager
+async def _watching(
+    daemon: Daemon, tasks: asyncio.TaskGroup, manager: ServiceManager, requests: StopRequests
+) -> AsyncIterator[None]:
+    """Feed the service manager's watchdog with progress, and watch the event loop."""
+    watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
+    watching_loop = tasks.create_task(daemon.loop_watch.run())
+    yield
+    log.info("stopped %s", await daemon.store.accounting(daemon.session))
+    watching.cancel()
+    watching_loop.cancel()
+
+
+@asynccontextmanager
+async def _archiving(daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopRequests) -> AsyncIterator[None]:
+    """Keep the frames of the newest stones."""
+    archiving = tasks.create_task(daemon.archive.run())
+    yield
+    daemon.archive.finish()
+    await requests.wait_for(archiving, ARCHIVE_S)
+    archiving.cancel()
+
+
+@asynccontextmanager
+async def _processing(
+    daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopRequests
+) -> AsyncIterator[None]:
+    """Measure what is in the spool; what is not through in time is lost, reason `shutdown`."""
+    tasks.create_task(daemon.spool.write())
+    processing = tasks.create_task(daemon.processing.run())
+    yield
+    daemon.spool.finish()
+    await requests.wait_for(processing, DRAIN_S)
+    daemon.processing.abandon()
+    await processing
+    daemon.pool.close()
+
+
+@asynccontextmanager
+async def _calibrating(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    """Solve calibrations when asked; a solution that is under way at the end has to be asked for again."""
+    calibrating = tasks.create_task(daemon.calibrations.run())
+    yield
+    calibrating.cancel()
+
+
+@asynccontextmanager
+async def _acquiring(
+    daemon: Daemon, tasks: asyncio.TaskGroup, manager: ServiceManager, requests: StopRequests
+) -> AsyncIterator[None]:
+    """Arm the rig and tell the service manager; in the end disarm it and hand over what it has seen."""
+    acquiring = tasks.create_task(daemon.acquisition.run())
+    if not requests.stop.is_set():
+        daemon.acquisition.request(AcquisitionTarget.ARMED)
+        await requests.unless_stopped(daemon.acquisition.settled)
+    if not requests.stop.is_set():
+        manager.notify("READY=1")
+    renewing = tasks.create_task(daemon.pool.renew())
+    yield
+    renewing.cancel()
+    manager.notify("STOPPING=1", "STATUS=disarming")
+    daemon.acquisition.stop()
+    await requests.wait_for(acquiring, DISARM_S)
+    if not acquiring.done():
+        log.error("the rig does not disarm in time and is left alone")
+        daemon.acquisition.abandon()
+        await acquiring

@@ -1,0 +1,169 @@
+"""The fields of a result, each in one place: name, type, unit, definition, and its value where nothing is known.
+
+The records in `results.jsonl` and in the store, the schema of the REST interface, the tables of the commands and the
+list in the guide follow from `Result`. A value that was measured has the name of the attribute of
+`pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement` that it is.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.config import JsonDict
+
+from service.status import always_present
+
+TIME: JsonDict = {"format": "date-time"}
+MEASURED = "measured"
+"""Marks a field that is null unless the outcome is `measured`."""
+
+
+class Hull(BaseModel):
+    """The largest body behind the silhouettes."""
+
+    model_config = ConfigDict(extra="allow")
+
+    volume_mm3: float
+    surface_area_mm2: float
+    equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
+
+
+class ViewOptics(BaseModel):
+    """How well a camera saw one exposure, against the rig when it was clean."""
+
+    brightness: float = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
+    gradient_uv: list[float] = Field(
+        description="The same, from the left border to the right one and from the upper to the lower one"
+    )
+    dust: float = Field(description="Share of the light lost in patches, 0..1")
+    spots_share: float = Field(description="Share of the view darker than its surroundings, 0..1")
+    saturated_share: float = Field(description="Share of all pixels that are saturated, 0..1")
+    noise_grey: float = Field(description="Noise of a pixel, grey levels")
+    edge_width_px: float | None = Field(
+        description="Width of the outline from 10 to 90 %, px; null without one"
+    )
+    contrast: float | None = Field(
+        description="Contrast of stone and wall at the outline, share of the wall's level"
+    )
+
+
+def _measured(description: str) -> Any:
+    return Field(default=None, description=description)
+
+
+Number = Annotated[float | None, MEASURED]
+Numbers = Annotated[list[float] | None, MEASURED]
+
+
+class Result(BaseModel):
+    """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
+
+    model_config = ConfigDict(extra="allow", json_schema_extra=always_present)
+
+    seq: int = Field(description="Place in the feed: strictly increasing, without gaps, never reused")
+    id: str = Field(description="Unique across stores; the key for removing duplicates")
+    session: int = Field(description="Run of the daemon in which the trigger came")
+    bundle: str = Field(description="Name of the bundle of images")
+    sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
+    kind: Literal["particle", "ball"] = Field(description="What was exposed")
+    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
+    recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
+    outcome: Literal["measured", "rejected", "lost"]
+    reason: str | None = Field(default=None, description="Why rejected or lost, one word; null when measured")
+    detail: str | None = Field(default=None, description="The reason for people")
+    quality: Literal["good", "reduced", "degraded"] | None = Field(
+        default=None, description="How well the stone was seen"
+    )
+    views: list[str] = Field(default=[], description="Cameras the measurement rests on")
+    dropped_views: dict[str, str] = Field(default={}, description="Cameras left out, each with the reason")
+    segmenters: dict[str, str] = Field(
+        default={}, description="What found the outline in each view: background, network or u2net"
+    )
+    segmentation_flags: dict[str, str] = Field(
+        default={},
+        description="Cameras whose view was not left to the segmenter asked first, each with the reason",
+    )
+    body: Annotated[Literal["estimate", "hull"] | None, MEASURED] = _measured("What mesh and shape describe")
+    volume_mm3: Number = _measured(
+        "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"
+    )
+    volume_raw_mm3: Number = _measured("Volume of the visual hull, mm³")
+    volume_estimate_mm3: Number = _measured(
+        "Volume of the estimated body's mesh, mm³; null: none was asked for"
+    )
+    volume_model: Annotated[str | None, MEASURED] = _measured(
+        "Id of the coefficients that `volume_mm3` rests on"
+    )
+    surface_area_mm2: Number = _measured("Surface area of the mesh, mm²")
+    length_mm: Number = _measured("Greatest dimension (ASTM D4791 length), mm")
+    width_mm: Number = _measured("Greatest dimension at right angles to the length (ASTM D4791 width), mm")
+    thickness_mm: Number = _measured("Dimension at right angles to both (ASTM D4791 thickness), mm")
+    max_feret_mm: Number = _measured("Greatest distance of two parallel tangent planes, mm")
+    min_feret_mm: Number = _measured("Least distance of two parallel tangent planes, mm")
+    min_box_mm: Numbers = _measured("Edges a >= b >= c of the box of least volume, mm")
+    sieve_size_mm: Number = _measured("Smallest square aperture the body passes, mm")
+    equivalent_diameter_mm: Number = _measured("Diameter of the sphere of `volume_mm3`, mm")
+    equivalent_diameter_raw_mm: Number = _measured("Diameter of the sphere of `volume_raw_mm3`, mm")
+    sphericity: Number = _measured(
+        "Wadell's sphericity: area of the sphere of equal volume by surface area, 0..1"
+    )
+    convexity: Number = _measured("Volume by volume of the convex hull, 0..1")
+    elongation_ratio: Number = _measured("b / a of the least box, 0..1")
+    flatness_ratio: Number = _measured("c / b of the least box, 0..1")
+    zingg_class: Annotated[str | None, MEASURED] = _measured(
+        "Zingg's form of the least box: equant, disc, rod or blade"
+    )
+    krumbein: Number = _measured("Krumbein's intercept sphericity (b c / a²)^(1/3) of the least box, 0..1")
+    corey: Number = _measured("Corey's shape factor c / sqrt(a b) of the least box, 0..1")
+    angularity: Number = _measured(
+        "Gradient angularity of the outlines, mean over the views; larger is sharper"
+    )
+    mass_g: Number = _measured("Mass at the configured density, g; null without a density")
+    center_mm: Numbers = _measured("Centroid in the rig's frame (x, y, z up), mm")
+    hull: Annotated[Hull | None, MEASURED] = _measured("The visual hull, uncorrected")
+    gate_extent_mm: float | None = Field(
+        default=None,
+        description="Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown",
+    )
+    gate_extent_is_plausible: bool | None = Field(
+        default=None,
+        description="Whether the measured body can be what closed the beam; null when there is nothing to compare."
+        " False: two stones in a row, a dirty beam, or a wrong measurement",
+    )
+    mesh: str | None = Field(
+        default=None, description="Address of the mesh, relative to the base path; null without one"
+    )
+    view_residuals_px: dict[str, float] = Field(
+        default={}, description="Silhouette against the hull, per camera, px"
+    )
+    tangency_px: dict[str, float] = Field(
+        default={},
+        description="Epipolar residual of each camera, the median over its pairs, px;"
+        " from 0.3 the camera has moved",
+    )
+    image_shifts_px: dict[str, list[float]] = Field(
+        default={},
+        description="By how much (u, v) each camera sees the stone beside where the others expect it, px",
+    )
+    optics: dict[str, ViewOptics] = Field(default={}, description="How well each camera saw this stone")
+    timings_ms: dict[str, float] = Field(default={}, description="Computing time of each stage, ms")
+    calibration_id: str | None = Field(default=None, description="Calibration the measurement rests on")
+    algorithm_version: str | None = Field(default=None, description="Changes whenever results may")
+    is_simulated: bool | None = Field(default=None, description="True when the images are synthetic")
+
+
+MEASURED_FIELDS = tuple(name for name, field in Result.model_fields.items() if MEASURED in field.metadata)
+"""Fields that are null unless the outcome is `measured`."""
+
+STORED_FIELDS = ("seq", "id", "session", "recorded_at")
+"""Fields that a result gets when it becomes durable; `results.jsonl` has no such."""
+
+EMPTY: Mapping[str, Any] = {
+    name: None if field.is_required() else field.default for name, field in Result.model_fields.items()
+}
+"""Every field as it is where nothing is known."""
+
+
+def completed(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Complete a record that was stored by an earlier version: what it does not know is null."""
+    return {**EMPTY, **record}

@@ -1,0 +1,134 @@
+"""The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+from pipeline.fall import extent_is_plausible, vertical_extent_mm
+from pipeline.frames import CameraId, Trigger
+from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
+from pipeline.segmentation.optics import ViewOptics
+from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull
+
+ALGORITHM_VERSION = "9"
+"""Raised by every change that may change a result."""
+
+
+def result_record(
+    result: ParticleResult,
+    trigger: Trigger,
+    *,
+    bundle: str,
+    calibration_id: str,
+    is_simulated: bool,
+    speed_at_gate_mm_s: float,
+    timings_ms: dict[str, float],
+) -> dict[str, Any]:
+    """The record of a bundle that was looked at: `measured`, or `rejected` with the reason."""
+    measurement, rejection = result.measurement, result.rejection
+    record = _base(trigger, bundle, calibration_id, is_simulated)
+    record |= {
+        "outcome": "rejected" if measurement is None else "measured",
+        "reason": None if rejection is None else str(rejection.reason),
+        "detail": None if rejection is None else rejection.detail,
+        "quality": None if result.quality is None else str(result.quality),
+        "views": list(result.views),
+        "dropped_views": dict(result.dropped),
+        "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
+        "segmentation_flags": {
+            camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
+        },
+        "view_residuals_px": {camera: round(px, 4) for camera, px in result.residuals_px.items()},
+        **_tangency(result),
+        "optics": optics_record(result.optics),
+        "timings_ms": timings_ms,
+    }
+    if measurement is not None:
+        record |= _measured(measurement)
+    return record | _at_the_gate(trigger, measurement, speed_at_gate_mm_s)
+
+
+def _tangency(result: ParticleResult) -> dict[str, Any]:
+    """What the stone says about the cameras, those it was rejected for included."""
+    if result.consistency is None:
+        return {}
+    found = result.consistency
+    return {
+        "tangency_px": {camera: round(px, 4) for camera, px in found.tangency_px.items()},
+        "image_shifts_px": {
+            camera: [round(px, 4) for px in shift] for camera, shift in found.image_shifts_px.items()
+        },
+    }
+
+
+def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
+    """How well each camera sees, rounded to what can be told from one exposure."""
+    return {
+        camera: {
+            "brightness": round(seen.brightness, 4),
+            "gradient_uv": [round(slope, 4) for slope in seen.gradient_uv],
+            "dust": round(seen.dust, 4),
+            "spots_share": round(seen.spots_share, 4),
+            "saturated_share": round(seen.saturated_share, 5),
+            "noise_grey": round(seen.noise_grey, 2),
+            "edge_width_px": None if seen.edge_width_px is None else round(seen.edge_width_px, 2),
+            "contrast": None if seen.contrast is None else round(seen.contrast, 3),
+        }
+        for camera, seen in optics.items()
+    }
+
+
+def lost_record(
+    trigger: Trigger | None, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
+) -> dict[str, Any]:
+    """The record of a trigger whose bundle was never looked at; `None` when even its header cannot be read."""
+    record = _base(trigger, bundle, calibration_id, is_simulated)
+    return record | {"outcome": "lost", "reason": reason, "detail": detail}
+
+
+def _base(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
+    """Every field but those of the store, with everything measured still null, in the order of the contract."""
+    empty = {name: value for name, value in EMPTY.items() if name not in STORED_FIELDS}
+    return empty | {
+        "bundle": bundle,
+        "sequence": None if trigger is None else trigger.sequence,
+        "kind": None if trigger is None else str(trigger.kind),
+        "captured_at": None if trigger is None else trigger.utc,
+        "calibration_id": calibration_id,
+        "algorithm_version": ALGORITHM_VERSION,
+        "is_simulated": is_simulated,
+    }
+
+
+def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
+    """The measured fields: attributes of the particle, else of its shape."""
+    return {
+        name: _plain(getattr(measurement if hasattr(measurement, name) else measurement.shape, name))
+        for name in MEASURED_FIELDS
+    }
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON has it."""
+    match value:
+        case HullMeasurement():
+            return {name: getattr(value, name) for name in Hull.model_fields}
+        case tuple():
+            return list(value)
+        case StrEnum():
+            return str(value)
+    return value
+
+
+def _at_the_gate(
+    trigger: Trigger, measurement: ParticleMeasurement | None, speed_at_gate_mm_s: float
+) -> dict[str, Any]:
+    """What closed the beam, against what was measured: it turns as it falls, so its diameters bound the extent."""
+    if trigger.pulse_width_ns is None:
+        return {}
+    extent_mm = vertical_extent_mm(trigger.pulse_width_ns, speed_at_gate_mm_s)
+    found: dict[str, Any] = {"gate_extent_mm": extent_mm}
+    if measurement is not None:
+        ferets_mm = (measurement.shape.min_feret_mm, measurement.shape.max_feret_mm)
+        found["gate_extent_is_plausible"] = extent_is_plausible(extent_mm, ferets_mm)
+    return found

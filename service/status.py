@@ -1,0 +1,287 @@
+"""What the daemon reports of itself: states, checks, health, cameras and calibration.
+
+These are the very models that the REST interface returns: a field that is added here is documented, checked and served.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.frames import CameraId
+from service.errors import ServiceError
+
+
+def always_present(schema: dict[str, Any]) -> None:
+    """Describe a model whose fields are all in every answer, whether or not they have a default here."""
+    schema["required"] = list(schema["properties"])
+    for property_ in schema["properties"].values():
+        property_.pop("default", None)
+
+
+class Report(BaseModel):
+    """What one part of the daemon reports at one moment."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra=always_present)
+
+
+class DeviceState(StrEnum):
+    """Where one camera or the light gate stands."""
+
+    CLOSED = "closed"
+    ARMED = "armed"
+    LOST = "lost"
+    """It does not do what it should; the daemon keeps trying to bring it back."""
+
+
+class AcquisitionState(StrEnum):
+    """Where the rig stands between stones being ignored and stones being measured."""
+
+    DISARMED = "disarmed"
+    """Nobody listens to the light gate."""
+    ARMING = "arming"
+    ARMED = "armed"
+    """Every trigger becomes a bundle."""
+    HELD = "held"
+    """Armed is wanted, own trouble prevents it; the daemon keeps trying."""
+    DISARMING = "disarming"
+    STOPPING = "stopping"
+    """The daemon is on its way out; nothing can be asked of it any more."""
+
+
+class AcquisitionTarget(StrEnum):
+    """What may be asked for."""
+
+    ARMED = "armed"
+    DISARMED = "disarmed"
+
+
+TRANSITIONS: Mapping[tuple[AcquisitionState, AcquisitionTarget], AcquisitionState] = {
+    (AcquisitionState.DISARMED, AcquisitionTarget.ARMED): AcquisitionState.ARMING,
+    (AcquisitionState.ARMING, AcquisitionTarget.ARMED): AcquisitionState.ARMING,
+    (AcquisitionState.ARMED, AcquisitionTarget.ARMED): AcquisitionState.ARMED,
+    (AcquisitionState.HELD, AcquisitionTarget.ARMED): AcquisitionState.HELD,
+    (AcquisitionState.DISARMED, AcquisitionTarget.DISARMED): AcquisitionState.DISARMED,
+    (AcquisitionState.ARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.ARMED, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.HELD, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.DISARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+}
+"""The state that follows a request; asking for what already is or comes changes nothing. A pair that is
+absent is a conflict: arming while disarming, and anything while stopping."""
+
+
+class ConflictError(ServiceError):
+    """The acquisition cannot go from its current state to the one asked for."""
+
+    def __init__(self, current: AcquisitionState, target: AcquisitionTarget) -> None:
+        super().__init__(f"acquisition is {current} and cannot become {target} now")
+        self.current = current
+        self.target = target
+
+
+def next_state(current: AcquisitionState, target: AcquisitionTarget) -> AcquisitionState:
+    """Return the state after asking for `target`; raise `ConflictError` where the table has no answer."""
+    try:
+        return TRANSITIONS[current, target]
+    except KeyError:
+        raise ConflictError(current, target) from None
+
+
+class CheckStatus(StrEnum):
+    """Of one check, from best to worst."""
+
+    PASS = "pass"  # noqa: S105 - the word of the health+json draft
+    WARN = "warn"
+    FAIL = "fail"
+
+
+class Ne107(StrEnum):
+    """Device state in the words of NAMUR NE 107."""
+
+    GOOD = "good"
+    CHECK_FUNCTION = "check_function"
+    """Results are temporarily not to be trusted: calibration, replay, service."""
+    MAINTENANCE_REQUIRED = "maintenance_required"
+    """Still right, but not for long."""
+    OUT_OF_SPECIFICATION = "out_of_specification"
+    """Results are less certain than promised."""
+    FAILURE = "failure"
+    """No results."""
+
+
+class AcquisitionStatus(Report):
+    """Where the rig stands; counters are of the time since it was last armed."""
+
+    state: AcquisitionState
+    trouble: str | None = Field(default=None, description="Why it is held; null when it is not")
+    activity: Literal["idle", "measuring", "suspended"] = Field(
+        default="idle", description="Suspended: armed, and no stone for a minute"
+    )
+    cameras_armed: int = 0
+    cameras: int = 0
+    gate: DeviceState = Field(default=DeviceState.CLOSED)
+    gate_error: str | None = None
+    gate_warnings: tuple[str, ...] = Field(
+        default=(), description="What works but should be looked at, with the remedy"
+    )
+    last_stone_age_s: float | None = Field(
+        default=None, description="Seconds since the last stone; null before the first"
+    )
+    triggers: int = Field(
+        default=0, description="Since the rig was armed, exposures of the empty rig among them"
+    )
+    orphans: int = Field(
+        default=0, description="Stones that the gate did not announce; measured all the same"
+    )
+    unseen: int = Field(
+        default=0,
+        description="Stones that only the gate's counter knows, without announcement or image; lost",
+    )
+    in_dead_time: int = Field(default=0, description="Triggers too soon after another; lost")
+    triggers_ignored: int = Field(
+        default=0,
+        description="Bounces and doubles of one stone, merged by the gate, and orphans announced after all",
+    )
+    triggers_lost: int = Field(
+        default=0,
+        description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen",
+    )
+    events_refused: int = Field(default=0, description="Frames that the daemon was too slow for")
+
+
+class HealthCheck(Report):
+    """One thing that was looked at."""
+
+    status: CheckStatus
+    observed_value: float | int | str | bool | None = None
+    observed_unit: str | None = None
+    detail: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """How the daemon judges itself."""
+
+    ne107: Ne107
+    ready: bool
+    """Whether the next stone will be measured."""
+    reasons: tuple[str, ...] = ()
+    """Why it is not ready, or not `good`."""
+    checks: Mapping[str, HealthCheck]
+    """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
+    `segmentation`, `calibration`, `clock`, `store`, `disk`, `archive`, `recording`, `rig`, `optics`."""
+
+
+class CameraOptics(Report):
+    """How well a camera sees: medians of the latest 20 exposures, null before the fifth.
+
+    Compared with the rig when it was clean: the first exposures with these optical settings, as long as the
+    background is kept.
+    """
+
+    brightness: float | None = Field(
+        default=None, description="Light on the wall beside the stone, 1: as in the clean rig"
+    )
+    gradient_u: float | None = Field(
+        default=None, description="The same, from the left border to the right one"
+    )
+    gradient_v: float | None = Field(
+        default=None, description="The same, from the upper border to the lower one"
+    )
+    flicker: float | None = Field(
+        default=None, description="Standard deviation of the brightness from exposure to exposure"
+    )
+    dust: float | None = Field(default=None, description="Share of the light lost in patches, 0..1")
+    spots_share: float | None = Field(
+        default=None, description="Share of the view darker than its surroundings, 0..1"
+    )
+    saturated_share: float | None = Field(
+        default=None, description="Share of all pixels that are saturated, 0..1"
+    )
+    noise_grey: float | None = Field(default=None, description="Noise of a pixel, grey levels")
+    edge_width_px: float | None = Field(default=None, description="Width of outlines from 10 to 90 %, px")
+    contrast: float | None = Field(
+        default=None, description="Contrast of stone and wall at the outline, share of the wall's level"
+    )
+
+
+class CameraStatus(Report):
+    """State of one camera, and its counters since the daemon started."""
+
+    id: CameraId
+    state: DeviceState
+    last_error: str | None = None
+    recoveries: int = Field(default=0, description="How often it came back from a loss")
+    serial: str | None = None
+    model: str | None = None
+    address: str | None = None
+    frames: int = Field(default=0, description="Frames that arrived whole")
+    fps: float = Field(default=0.0, description="Frames per second over the last ten seconds")
+    lost: int = Field(default=0, description="Frames reported lost")
+    late: int = Field(default=0, description="Frames that came after their bundle was closed")
+    duplicates: int = Field(default=0, description="Frames that came twice")
+    missing: int = Field(default=0, description="Bundles without a frame of this camera")
+    strays: int = Field(default=0, description="Frames without a trigger")
+    not_exposed: int = Field(default=0, description="Triggers that its frame ids did not count")
+    unannounced: int = Field(default=0, description="Exposures without a trigger, by its frame ids")
+    failed_frames: int = Field(default=0, description="Frames received in part, since it was opened")
+    missing_packets: int = Field(default=0, description="Packets that never came, since it was opened")
+    resent_packets: int = Field(
+        default=0, description="Packets that came at the second request, since it was opened"
+    )
+    receive_buffer_bytes: int | None = Field(
+        default=None, description="Size of its socket's buffer, as the kernel granted it"
+    )
+    temperature_c: float | None = None
+    ptp_offset_ns: int | None = Field(
+        default=None, description="Offset from the PTP master's clock; null without PTP"
+    )
+    latency_ms: float | None = Field(
+        default=None, description="From trigger to arrival, mean of the latest 64 bundles"
+    )
+    latency_min_ms: float | None = None
+    latency_max_ms: float | None = None
+    last_frame_age_s: float | None = Field(
+        default=None, description="Seconds since the last frame; null before it"
+    )
+    skew_us: float | None = Field(
+        default=None,
+        description="How far its exposures lie beside those of the others; 20 us are a pixel of fall",
+    )
+    tangency_px: float | None = Field(
+        default=None,
+        description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved",
+    )
+    tangency_drift_px: float | None = Field(
+        default=None,
+        description="The same against the first 20 stones since the start, or since this calibration was activated",
+    )
+    residual_px: float | None = Field(
+        default=None,
+        description="By how much its outlines leave the hull of the other views, median of the latest 20 stones",
+    )
+    residual_drift_px: float | None = Field(
+        default=None,
+        description="The same against the first 20 stones since the start, or since this calibration was activated",
+    )
+    optics: CameraOptics | None = Field(default=None, description="How well it sees")
+    warnings: tuple[str, ...] = Field(
+        default=(), description="What works but should be looked at, with the remedy"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationFacts:
+    """What stones are measured with now."""
+
+    calibration_id: str
+    method: str
+    used_since: str
+    """RFC 3339."""
+    at_work: str | None = None
+    """Which calibration or verification is waiting for balls."""
+    trouble: str | None = None
+    """Why its results are not to be trusted."""
