@@ -19,6 +19,8 @@ from pipeline.synthesis.bundles import stream
 
 SEED = 3
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def seen() -> Photographed:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support import rendered
+from support.quick_and_full import first_quick
 
 from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
 from pipeline.evaluation.silhouette_errors import TrueEdge, silhouette_errors, true_edge, true_status
@@ -57,7 +58,7 @@ def view_and_truth(case: HardCase, number: int, size_mm: float | None = None) ->
     return view, true_edge(view.coverage, view.contrast)
 
 
-@pytest.mark.parametrize("name", ["background", "network", "auto"])
+@pytest.mark.parametrize("name", first_quick(["auto", "background", "network"]))
 def test_clean_stones_of_10_mm_and_more(name: str) -> None:
     judged = []
     for number, size_mm in enumerate(SIZES_MM):
@@ -72,7 +73,7 @@ def test_clean_stones_of_10_mm_and_more(name: str) -> None:
     assert min(errors.seen_share for errors in judged) > 0.8  # screws hide some of it
 
 
-@pytest.mark.parametrize("case", SINGLE)
+@pytest.mark.parametrize("case", first_quick(SINGLE))
 def test_hard_views_are_exact_where_an_edge_is_visible_and_honest_where_not(case: HardCase) -> None:
     for number in range(N_HARD):
         view, truth = view_and_truth(case, number)
@@ -85,7 +86,7 @@ def test_hard_views_are_exact_where_an_edge_is_visible_and_honest_where_not(case
         assert errors.unknown_share < 0.5, f"view {number}: {errors.unknown_share:.0%}"
 
 
-@pytest.mark.parametrize("case", [HardCase.SEVERAL, HardCase.FRAGMENTS])
+@pytest.mark.parametrize("case", first_quick([HardCase.SEVERAL, HardCase.FRAGMENTS]))
 def test_more_than_one_body_is_told(case: HardCase) -> None:
     view, _ = view_and_truth(case, 0)
     assert true_status(view.coverage, SegmentationParameters()) is ViewStatus.MULTIPLE

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from support.eventually import eventually
 from support.gige import NET, design, picture, powered, serial, settings_for
+from support.quick_and_full import first_quick
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
@@ -25,7 +26,6 @@ from pipeline.frames import Frame
 
 FOUND_OUT_S = 0.5
 """How soon `examine` knows: 0.25 s, and this machine may be busy."""
-N_CYCLES = 100
 
 
 @pytest.fixture
@@ -276,10 +276,11 @@ def test_vitals_are_the_camera_s_own(camera: AravisCamera, simulated: SimulatedC
     assert vitals.warnings == ()
 
 
-def test_a_hundred_cycles_leave_nothing_behind(simulated: SimulatedCamera) -> None:
+@pytest.mark.parametrize("n_cycles", first_quick([12, 100]))
+def test_cycles_leave_nothing_behind(simulated: SimulatedCamera, n_cycles: int) -> None:
     camera = AravisCamera(settings_for(design()))
     used = []
-    for n in range(N_CYCLES):
+    for n in range(n_cycles):
         camera.open()
         camera.arm(sink := Collector())
         simulated.line()
@@ -288,14 +289,14 @@ def test_a_hundred_cycles_leave_nothing_behind(simulated: SimulatedCamera) -> No
         assert frame.frame_id == 1
         eventually(lambda: is_well(camera))  # here a busy machine holds up camera and host alike
         camera.close()
-        if n in (N_CYCLES // 4, N_CYCLES - 1):
+        if n in (n_cycles // 4, n_cycles - 1):
             used.append((entries("fd"), entries("task"), resident_kb()))
     (fds, threads, kb), (fds_after, threads_after, kb_after) = used
     assert fds_after <= fds
-    assert threads_after - threads < 5  # threads of GLib's pool come and go; one a cycle would be 75
+    assert threads_after - threads < 5  # threads of GLib's pool come and go; one a cycle would be 8 or 75
     assert kb_after - kb < 1000
     counters = simulated.counters
-    assert counters.frames == counters.triggers == N_CYCLES
+    assert counters.frames == counters.triggers == n_cycles
 
 
 def is_well(camera: AravisCamera) -> bool:

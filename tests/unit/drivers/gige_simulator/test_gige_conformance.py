@@ -4,6 +4,7 @@ The standard is not public: that Aravis accepts and Wireshark dissects what the 
 """
 
 import json
+import os
 import socket
 import struct
 import subprocess
@@ -22,7 +23,7 @@ from support.simulated_camera import picture
 from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
 from pipeline.frames import CameraId
 
-ADDRESS = "127.31.0.77"
+ADDRESS = f"127.35.{os.getpid() % 256}.77"
 SIZE_PX = (128, 96)
 N_PIXELS = SIZE_PX[0] * SIZE_PX[1]
 SCPD = 0xD08

@@ -1,6 +1,7 @@
 """The simulated rig before the real drivers: what falls is what is delivered."""
 
 import json
+import os
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -25,7 +26,8 @@ from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from drivers.interfaces import GateLost, LightGate, PulseEnded, TriggersLost
 from pipeline.frames import BundleKind, CameraId, Frame, Image, Trigger
 
-FIRST_ADDRESS = "127.32.0.2"
+NET = f"127.32.{os.getpid() % 256}"
+FIRST_ADDRESS = f"{NET}.2"
 EXPOSURE_US = 20.0
 DELAY_US = 50_000.0
 """A short fall: the tests shall be over soon."""
@@ -288,7 +290,7 @@ def test_what_is_in_the_way_is_named(recording_path: Path, design: RigDesign) ->
     with SimulatedRig(design, recording):
         with pytest.raises(CameraUnavailableError, match=FIRST_ADDRESS):
             SimulatedRig(design, recording).open()
-        elsewhere = replace(design, first_address="127.32.0.100")
+        elsewhere = replace(design, first_address=f"{NET}.100")
         with pytest.raises(OSError, match=str(design.control)):
             SimulatedRig(elsewhere, recording).open()
     design.gate_link.write_text("a file of somebody")

@@ -20,7 +20,7 @@ from pipeline.frames import BundleKind
 from service.commands.simulate import command
 from service.errors import UsageError
 
-FIRST_ADDRESS = "127.32.4.2"
+FIRST_ADDRESS = f"127.34.{os.getpid() % 256}.2"
 
 
 @pytest.fixture
