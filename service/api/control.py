@@ -7,7 +7,7 @@ device must be asked for is asked by the daemon's own tasks, and the answer is r
 from typing import Protocol
 
 from pipeline.frames import CameraId
-from service.calibration.sessions import Calibrations
+from service.calibration.calibrations import Calibrations
 from service.recording.recordings import Recordings
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 

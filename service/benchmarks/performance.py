@@ -216,7 +216,7 @@ def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tu
     job = MeasureJob(
         bundle_path=folder / f"{name}.tiff",
         camera_ids=scene.true_rig.camera_ids,
-        rig=RigFile(folder / "rig.json", scene.true_rig.calibration_id),
+        rig_file=RigFile(folder / "rig.json", scene.true_rig.calibration_id),
         background_path=folder / "background",
         out_dir=folder / name,
         save_silhouettes=True,

@@ -182,7 +182,7 @@ def _write_jobs(folder: Path, size_mm: float, seed: int) -> list[MeasureJob]:
     scene = build_scene(seed)
     write_rig(folder / "rig.json", scene.true_rig)
     write_background(folder / "background", scene.background)
-    rig = RigFile(folder / "rig.json", scene.true_rig.calibration_id)
+    rig_file = RigFile(folder / "rig.json", scene.true_rig.calibration_id)
     write_bundle(
         folder / "bundle.tiff", _photographed(scene, size_mm), scene.true_rig.camera_ids, compression="none"
     )
@@ -190,7 +190,7 @@ def _write_jobs(folder: Path, size_mm: float, seed: int) -> list[MeasureJob]:
         MeasureJob(
             bundle_path=folder / "bundle.tiff",
             camera_ids=scene.true_rig.camera_ids,
-            rig=rig,
+            rig_file=rig_file,
             background_path=folder / "background",
             out_dir=folder / str(number),
         )

@@ -33,7 +33,7 @@ class DropCollector:
         observing = ObserveJob(
             bundle_path=job.bundle_path,
             camera_ids=job.camera_ids,
-            rig=job.rig,
+            rig_file=job.rig_file,
             background_path=job.background_path,
             kind=self.kind,
             diameters_mm=self.diameters_mm,

@@ -29,7 +29,7 @@ class ObserveJob:
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
-    rig: RigFile
+    rig_file: RigFile
     background_path: Path | None
     kind: BundleKind
     diameters_mm: tuple[float, ...]  # of the balls that fall
@@ -75,7 +75,7 @@ def observe(job: ObserveJob) -> ObservedDrop:
     worker = this_worker()
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
-        rig = worker.rig_in(job.rig)
+        rig = worker.rig_in(job.rig_file)
         background = worker.background_at(job.background_path)
         # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
         segmenter = worker.segmenter.classical

@@ -213,7 +213,7 @@ class _Folder:
 def _measure_all(
     source: Recording,
     context: WorkerContext,
-    rig: RigFile,
+    rig_file: RigFile,
     out: Path,
     workers: int,
     save_silhouettes: bool,
@@ -231,14 +231,14 @@ def _measure_all(
             save_silhouettes=save_silhouettes,
             folder=work,
         )
-        asyncio.run(_run(source, context, rig, processing_context, results, workers, progress))
+        asyncio.run(_run(source, context, rig_file, processing_context, results, workers, progress))
     return results.records
 
 
 async def _run(
     source: Recording,
     context: WorkerContext,
-    rig: RigFile,
+    rig_file: RigFile,
     processing_context: ProcessingContext,
     results: _Folder,
     workers: int,
@@ -252,7 +252,7 @@ async def _run(
         spool=playback,
         pool=pool,
         results=results,
-        calibration=FixedCalibration(rig),
+        calibration=FixedCalibration(rig_file),
         on_progress=lambda: progress.update(bar, completed=len(results.records)),
     )
     try:

@@ -19,7 +19,7 @@ from drivers.factory import build_devices
 from drivers.files.durable import require_unused
 from drivers.files.rig_file import read_rig
 from pipeline.frames import Trigger
-from service.acquisition.session import INBOX_TRIGGERS, Acquisition
+from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition
 from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
@@ -88,7 +88,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     )
     if devices.belt is not None:
         devices.belt.permit(INBOX_TRIGGERS // 2)  # in fast pace; the next ones as these are written
-    rig = Acquisition(
+    acquisition = Acquisition(
         devices,
         session=0,
         triggers=_Unaccounted(),
@@ -100,16 +100,16 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     )
 
     def end() -> None:
-        if rig.state is AcquisitionState.STOPPING:  # asked again: the devices take too long
-            rig.abandon()
-        rig.stop()
+        if acquisition.state is AcquisitionState.STOPPING:  # asked again: the devices take too long
+            acquisition.abandon()
+        acquisition.stop()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, end)
     recording.start()
-    acquiring = asyncio.create_task(rig.run())
-    rig.request(AcquisitionTarget.ARMED)
-    trouble = await _follow(rig, acquiring, recording, count)
+    acquiring = asyncio.create_task(acquisition.run())
+    acquisition.request(AcquisitionTarget.ARMED)
+    trouble = await _follow(acquisition, acquiring, recording, count)
     recording.end(EndedBy.STOP)
     await acquiring
     await recording.closed.wait()
@@ -119,33 +119,33 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
 
 
 async def _follow(
-    rig: Acquisition, acquiring: "asyncio.Task[None]", recording: LiveRecording, count: int | None
+    acquisition: Acquisition, acquiring: "asyncio.Task[None]", recording: LiveRecording, count: int | None
 ) -> str | None:
     """Show the progress until rig or recording have ended; why the rig could not be armed, if so."""
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[found]}")
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         bar = progress.add_task("arming", total=count, found="")
-        settled = asyncio.create_task(rig.settled.wait())
+        settled = asyncio.create_task(acquisition.settled.wait())
         await asyncio.wait([settled, acquiring], return_when=asyncio.FIRST_COMPLETED)
         settled.cancel()
-        trouble = _why(rig)
+        trouble = _why(acquisition)
         while not acquiring.done():
             has_ended = recording.ended_by is not None or recording.closed.is_set()
-            if has_ended or trouble is not None or rig.state is AcquisitionState.DISARMED:
-                rig.stop()
+            if has_ended or trouble is not None or acquisition.state is AcquisitionState.DISARMED:
+                acquisition.stop()
             await asyncio.wait([acquiring], timeout=TURN_S)
-            found = f"{recording.stones} stones, {rig.cameras.armed} of {len(rig.cameras.ids)} cameras"
-            held = f"held: {rig.trouble}" if rig.trouble else "recording"
+            found = f"{recording.stones} stones, {acquisition.cameras.armed} of {len(acquisition.cameras.ids)} cameras"
+            held = f"held: {acquisition.trouble}" if acquisition.trouble else "recording"
             progress.update(bar, description=held, completed=recording.stones, found=found)
     return trouble
 
 
-def _why(rig: Acquisition) -> str | None:
+def _why(acquisition: Acquisition) -> str | None:
     """Why the rig is held, None when it is not; of several lost cameras one speaks for all."""
-    trouble = rig.trouble
-    if trouble is None or rig.gate.state == "lost":
+    trouble = acquisition.trouble
+    if trouble is None or acquisition.gate.state == "lost":
         return trouble
-    lost = [camera for camera in rig.cameras.statuses() if camera.state == "lost"]
+    lost = [camera for camera in acquisition.cameras.statuses() if camera.state == "lost"]
     causes = [
         f"; {camera.id}: {camera.last_error}" for camera in lost[:1] if str(camera.last_error) not in trouble
     ]

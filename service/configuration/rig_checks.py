@@ -16,99 +16,99 @@ BUSY_SLACK_MS = 30.0
 """A stone may follow the one before by so much less than a camera is busy: it is lost as a stone without frames."""
 
 
-def rig_problems(rig: RigSettings, bundling: BundlingParameters) -> Iterator[str]:
+def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Say what about the rig cannot work, each with its field and the physics of it."""
-    match rig:
+    match settings:
         case ReplayRigSettings():
-            yield from _replay_problems(rig)
+            yield from _replay_problems(settings)
         case AravisRigSettings():
-            yield from _live_problems(rig, bundling)
+            yield from _live_problems(settings, bundling)
 
 
-def _replay_problems(rig: ReplayRigSettings) -> Iterator[str]:
+def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
     """Say what of the recording cannot be used."""
     try:
-        recording = open_recording(rig.recording)
+        recording = open_recording(settings.recording)
     except RecordingError as err:
         yield f"rig.recording: {err}"
         return
     try:
-        require_rig_of(recording, read_rig(rig.calibration_path), rig.calibration_path)
+        require_rig_of(recording, read_rig(settings.calibration_path), settings.calibration_path)
     except RecordingError as err:
         yield f"rig.calibration: {err}"
 
 
-def _live_problems(rig: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
+def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Say what cannot work, with the physics of it."""
-    yield from timing_problems(rig, bundling)
+    yield from timing_problems(settings, bundling)
     try:
-        calibration = read_rig(rig.calibration)
+        calibration = read_rig(settings.calibration)
     except RecordingError as err:
         yield f"rig.calibration: {err}"
         return
     calibrated = {camera.id: camera for camera in calibration.cameras}
-    if calibrated.keys() != {camera.id for camera in rig.cameras}:
+    if calibrated.keys() != {camera.id for camera in settings.cameras}:
         yield (
-            f"rig.cameras: {', '.join(sorted(camera.id for camera in rig.cameras))} are not the cameras of"
-            f" {rig.calibration}: {', '.join(sorted(calibrated))}"
+            f"rig.cameras: {', '.join(sorted(camera.id for camera in settings.cameras))} are not the cameras of"
+            f" {settings.calibration}: {', '.join(sorted(calibrated))}"
         )
         return
-    for place in rig.cameras:
+    for place in settings.cameras:
         serial = calibrated[place.id].serial
         if place.serial and serial and place.serial != serial:
             yield (
                 f"rig.cameras: {place.id} is camera {place.serial},"
-                f" but {rig.calibration} was made with camera {serial} in its place"
+                f" but {settings.calibration} was made with camera {serial} in its place"
             )
-    yield from blur_problems(rig, calibration)
-    yield from transfer_problems(rig, calibration, bundling)
+    yield from blur_problems(settings, calibration)
+    yield from transfer_problems(settings, calibration, bundling)
 
 
-def timing_problems(rig: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
+def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Say which times of the bundling do not fit the fall."""
-    if rig.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < rig.busy_ms:
+    if settings.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < settings.busy_ms:
         yield (
-            f"bundling.dead_time_ms: cameras ignore an edge for {rig.busy_ms:.1f} ms after another; a gate without a"
-            f" clock is given {BUSY_SLACK_MS:g} ms of slack, {rig.busy_ms - BUSY_SLACK_MS:.0f} are needed,"
-            f" not {bundling.dead_time_ms:g}"
+            f"bundling.dead_time_ms: cameras ignore an edge for {settings.busy_ms:.1f} ms after another; a gate"
+            f" without a clock is given {BUSY_SLACK_MS:g} ms of slack,"
+            f" {settings.busy_ms - BUSY_SLACK_MS:.0f} are needed, not {bundling.dead_time_ms:g}"
         )
-    if abs(bundling.expected_delay_ms - rig.busy_ms) > bundling.window_ms / 2:
+    if abs(bundling.expected_delay_ms - settings.busy_ms) > bundling.window_ms / 2:
         yield (
-            f"bundling.expected_delay_ms: frames come {rig.busy_ms:.1f} ms after their trigger"
-            f" (fall of {rig.fall_height_mm:g} mm), not {bundling.expected_delay_ms:g}"
+            f"bundling.expected_delay_ms: frames come {settings.busy_ms:.1f} ms after their trigger"
+            f" (fall of {settings.fall_height_mm:g} mm), not {bundling.expected_delay_ms:g}"
         )
 
 
-def blur_problems(rig: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
+def blur_problems(settings: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
     """Say whether a stone moves too far while it is lit."""
-    lit_us = (rig.flash_us or rig.exposure_us) + rig.trigger_skew_us
-    speed = rig.fall.speed_at_center_mm_s
+    lit_us = (settings.flash_us or settings.exposure_us) + settings.trigger_skew_us
+    speed = settings.fall.speed_at_center_mm_s
     pixel_mm = min(
         float(np.linalg.norm(camera.center_mm)) / float(camera.K[1, 1]) for camera in calibration.cameras
     )
     blur = blur_px(lit_us, speed_mm_s=speed, pixel_mm=pixel_mm)
-    if blur > rig.max_blur_px:
-        longest_us = longest_exposure_us(rig.max_blur_px, speed_mm_s=speed, pixel_mm=pixel_mm)
+    if blur > settings.max_blur_px:
+        longest_us = longest_exposure_us(settings.max_blur_px, speed_mm_s=speed, pixel_mm=pixel_mm)
         yield (
             f"rig.exposure_us: {lit_us:g} us of light and skew blur a stone of {speed / 1e3:.2f} m/s by"
-            f" {blur:.1f} px; rig.max_blur_px = {rig.max_blur_px:g} allows {longest_us:.0f} us:"
+            f" {blur:.1f} px; rig.max_blur_px = {settings.max_blur_px:g} allows {longest_us:.0f} us:"
             " expose for less, or set rig.flash_us for a short strobe"
         )
 
 
 def transfer_problems(
-    rig: AravisRigSettings, calibration: RigCalibration, bundling: BundlingParameters
+    settings: AravisRigSettings, calibration: RigCalibration, bundling: BundlingParameters
 ) -> Iterator[str]:
     """All frames of a trigger share the uplink, and must be through before the next ones come."""
-    rate_bytes_s = min(rig.link_bytes_s, rig.throughput_limit_bytes_s or rig.link_bytes_s)
-    packet_bytes = 1500 if rig.packet_size_bytes == "negotiate" else rig.packet_size_bytes
-    per_packet_s = packet_bytes / rate_bytes_s + rig.packet_delay_ns / 1e9
-    sum_bytes_s = len(rig.cameras) * packet_bytes / per_packet_s
-    if sum_bytes_s > rig.uplink_bytes_s:
+    rate_bytes_s = min(settings.link_bytes_s, settings.throughput_limit_bytes_s or settings.link_bytes_s)
+    packet_bytes = 1500 if settings.packet_size_bytes == "negotiate" else settings.packet_size_bytes
+    per_packet_s = packet_bytes / rate_bytes_s + settings.packet_delay_ns / 1e9
+    sum_bytes_s = len(settings.cameras) * packet_bytes / per_packet_s
+    if sum_bytes_s > settings.uplink_bytes_s:
         yield (
-            f"rig.throughput_limit_bytes_s: {len(rig.cameras)} cameras send {sum_bytes_s / 1e6:.0f} MB/s at once,"
-            f" the uplink takes {rig.uplink_bytes_s / 1e6:.0f}: limit each to"
-            f" {rig.uplink_bytes_s / len(rig.cameras) / 1e6:.1f} MB/s or less, or raise rig.packet_delay_ns"
+            f"rig.throughput_limit_bytes_s: {len(settings.cameras)} cameras send {sum_bytes_s / 1e6:.0f} MB/s at once,"
+            f" the uplink takes {settings.uplink_bytes_s / 1e6:.0f}: limit each to"
+            f" {settings.uplink_bytes_s / len(settings.cameras) / 1e6:.1f} MB/s or less, or raise rig.packet_delay_ns"
         )
     largest_bytes = max(width * height for width, height in (c.image_size_px for c in calibration.cameras))
     transfer_ms = largest_bytes / packet_bytes * per_packet_s * 1e3

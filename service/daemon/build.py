@@ -10,9 +10,9 @@ from drivers.factory import build_devices
 from drivers.files.rig_file import read_rig
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
-from service.acquisition.session import Acquisition
+from service.acquisition.acquisition import Acquisition
+from service.calibration.calibrations import Calibrations
 from service.calibration.files import image_sizes_px
-from service.calibration.sessions import Calibrations
 from service.calibration.startup import CalibrationsFound, find_calibrations
 from service.calibration.verifications import open_verifications
 from service.configuration.segmentation_settings import plan_segmenter

@@ -74,7 +74,7 @@ async def _warmed_up(daemon: Daemon, manager: ServiceManager) -> RestServer:
     await asyncio.gather(
         daemon.pool.start(),
         asyncio.to_thread(app.openapi),  # FastAPI's routes and their description
-        asyncio.to_thread(daemon.calibrations.calibration.cameras[0].rays, [[0, 0]]),  # numba's tables
+        asyncio.to_thread(daemon.calibrations.rig.cameras[0].rays, [[0, 0]]),  # numba's tables
     )
     freeze_gc()
     return RestServer(server_config(app, daemon.settings.api))

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pipeline.frames import CameraId
-from service.acquisition.session import Acquisition
-from service.calibration.sessions import Calibrations
+from service.acquisition.acquisition import Acquisition
+from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch

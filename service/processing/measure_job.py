@@ -70,7 +70,7 @@ class MeasureJob:
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
-    rig: RigFile
+    rig_file: RigFile
     background_path: Path | None
     out_dir: Path
     save_silhouettes: bool = False
@@ -194,7 +194,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
 
     with worker_boundary():
         background = worker.background_at(job.background_path)
-        rig = worker.rig_in(job.rig)
+        rig = worker.rig_in(job.rig_file)
         on_stage("load")
         with several(job.threads) as each:
             result = measure_bundle(
@@ -207,7 +207,7 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         result,
         bundle.trigger,
         bundle=bundle.name,
-        calibration_id=job.rig.calibration_id,
+        calibration_id=job.rig_file.calibration_id,
         is_simulated=worker.context.is_simulated,
         speed_at_gate_mm_s=worker.context.speed_at_gate_mm_s,
         timings_ms=timings_ms,

@@ -63,7 +63,7 @@ class CalibrationInUse(Protocol):
     """Says what the next bundle is measured with, and who wants its outlines."""
 
     @property
-    def rig(self) -> RigFile: ...
+    def rig_file(self) -> RigFile: ...
 
     @property
     def collector(self) -> DropCollector | None: ...
@@ -73,7 +73,7 @@ class CalibrationInUse(Protocol):
 class FixedCalibration:
     """One calibration for all bundles."""
 
-    rig: RigFile
+    rig_file: RigFile
     collector: DropCollector | None = None
 
 
@@ -111,10 +111,10 @@ KEPT = (MESH, SILHOUETTES)
 
 
 @dataclass(frozen=True, slots=True)
-class _Given:
+class JobInputs:
     """What was in use when a bundle's turn began."""
 
-    rig: RigFile
+    rig_file: RigFile
     collector: DropCollector | None
     background: Path | None
 
@@ -122,7 +122,7 @@ class _Given:
 @dataclass(frozen=True, slots=True)
 class _Turn:
     bundle: SpooledBundle
-    given: _Given
+    inputs: JobInputs
     retired: tuple[Path, ...]  # versions of the background that neither this job nor a later one uses
     job: asyncio.Task[_Measured | Learnt | Loss]
 
@@ -185,11 +185,11 @@ class Processing:
                 collector = self._calibration.collector
                 if collector is not None and collector.kind is not bundle.trigger.kind:
                     collector = None
-                given = _Given(self._calibration.rig, collector, self._backgrounds.in_use)
-                job = tasks.create_task(self._process(bundle, given))
+                inputs = JobInputs(self._calibration.rig_file, collector, self._backgrounds.in_use)
+                job = tasks.create_task(self._process(bundle, inputs))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
-                turns.put_nowait(_Turn(bundle, given, retired, job))
+                turns.put_nowait(_Turn(bundle, inputs, retired, job))
                 if self._is_abandoned:
                     job.cancel()
                 if bundle.is_background:
@@ -233,7 +233,7 @@ class Processing:
                     bundle=bundle.name,
                     reason=reason,
                     detail=detail,
-                    calibration_id=turn.given.rig.calibration_id,
+                    calibration_id=turn.inputs.rig_file.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
                 await self._results.finish(self._context.session, bundle.name, record)
@@ -257,15 +257,15 @@ class Processing:
             await asyncio.wait([keeping])
         await asyncio.to_thread(shutil.rmtree, path)
 
-    async def _process(self, bundle: SpooledBundle, given: _Given) -> _Measured | Learnt | Loss:
+    async def _process(self, bundle: SpooledBundle, inputs: JobInputs) -> _Measured | Learnt | Loss:
         if isinstance(bundle.content, Loss):
             return bundle.content
         self._started += 1
         folder = self._context.folder / f"{self._started:08d}"
         try:
             if bundle.is_background:
-                return await self._learn(bundle.content, given.background, folder)
-            return await self._measure(bundle.content, given, folder)
+                return await self._learn(bundle.content, inputs.background, folder)
+            return await self._measure(bundle.content, inputs, folder)
         except JobLostError as err:
             loss = Loss(reason=err.reason, detail=err.detail)
         except RecordingError as err:
@@ -284,18 +284,18 @@ class Processing:
         )
         return Learnt(out_path, await self._pool.run(learn_background, job))
 
-    async def _measure(self, path: Path, given: _Given, folder: Path) -> _Measured:
+    async def _measure(self, path: Path, inputs: JobInputs, folder: Path) -> _Measured:
         job = MeasureJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            rig=given.rig,
-            background_path=given.background,
+            rig_file=inputs.rig_file,
+            background_path=inputs.background,
             out_dir=folder,
             save_silhouettes=self._context.save_silhouettes,
             checked=self._context.checked,
             threads=self._pool.share,
         )
         record = await self._pool.run(measure, job)
-        collector = given.collector
+        collector = inputs.collector
         keep_drop = None if collector is None else await collector.observe(self._pool, job)
         return _Measured(record, folder, keep_drop)

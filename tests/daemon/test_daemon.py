@@ -76,7 +76,7 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
             job = MeasureJob(
                 bundle_path=header.path,
                 camera_ids=recording.camera_ids,
-                rig=rig,
+                rig_file=rig,
                 background_path=background,
                 out_dir=out / header.name,
             )

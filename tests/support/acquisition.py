@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 
 from drivers.factory import Devices
 from pipeline.frames import CameraId, FrameBundle, Trigger
-from service.acquisition.session import Acquisition
+from service.acquisition.acquisition import Acquisition
 from service.bundling.parameters import BundlingParameters
 from service.status import AcquisitionState, AcquisitionTarget
 

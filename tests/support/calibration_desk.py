@@ -11,10 +11,10 @@ from drivers.files.durable import write_json
 from drivers.files.rig_file import write_rig
 from pipeline.calibration import Problem
 from pipeline.rig.cameras import RigCalibration
+from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solution, SolveJob
 from service.calibration.plan import CalibrationPlan
-from service.calibration.sessions import Calibrations
 from service.calibration.startup import find_calibrations
 from service.calibration.states import CalibrationAction, CalibrationState
 from service.calibration.verification_limits import VerificationParameters

@@ -69,14 +69,14 @@ class ScriptedPool:
             "bundle": name,
             "outcome": "measured",
             "background": job.background_path,
-            "calibration_id": job.rig.calibration_id,
+            "calibration_id": job.rig_file.calibration_id,
         }
 
     def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
         job.out_path.touch()  # a process that dies may leave half a file
         if name in self.unseen:
             raise self.unseen[name]
-        return ObservedDrop(bundle=f"{name} {job.rig.calibration_id}")
+        return ObservedDrop(bundle=f"{name} {job.rig_file.calibration_id}")
 
 
 class ListStore:
@@ -95,7 +95,7 @@ class ListStore:
 class Desk:
     """A calibration that a test replaces, and a list in the place of who collects."""
 
-    rig: RigFile = RIG
+    rig_file: RigFile = RIG
     kind: BundleKind | None = None
     collected: list[tuple[ObservedDrop, str, bool]] = field(default_factory=list)
 

@@ -13,7 +13,7 @@ from fastapi import FastAPI
 from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.calibration.sessions import Calibrations
+from service.calibration.calibrations import Calibrations
 from service.recording.recordings import Recordings
 from service.status import (
     AcquisitionState,

@@ -21,11 +21,11 @@ def test_the_configured_rig_is_the_first_version_and_wins_when_it_is_changed(
 ):
     for _ in range(2):
         desk = open_desk(tmp_path)
-        assert (desk.active.id, desk.rig.calibration_id) == ("0001", CONFIGURED.calibration_id)
+        assert (desk.active.id, desk.rig_file.calibration_id) == ("0001", CONFIGURED.calibration_id)
         assert [record.note for record in desk.all()] == ["initial"]
     assert "configured rig file was changed" not in caplog.text
     desk = open_desk(tmp_path, other_rig())
-    assert (desk.active.id, desk.rig.calibration_id) == ("0002", other_rig().calibration_id)
+    assert (desk.active.id, desk.rig_file.calibration_id) == ("0002", other_rig().calibration_id)
     assert "configured rig file was changed" in caplog.text
     desk = open_desk(tmp_path)  # changed back: it is version one again, not a third
     assert (desk.active.id, len(desk.all()), len(desk.activations)) == ("0001", 2, 3)
@@ -60,7 +60,7 @@ async def test_when_the_one_in_use_is_damaged_the_one_before_is_used(
     shutil.rmtree(tmp_path / "calibrations" / name)
     (tmp_path / "calibrations/0001/rig.json").unlink()
     assert (
-        open_desk(tmp_path).rig.calibration_id
+        open_desk(tmp_path).rig_file.calibration_id
         == read_rig(tmp_path / "calibrations/0001/rig.json").calibration_id
     )
     (tmp_path / "calibrations/activations.json").write_text("{")
@@ -74,8 +74,8 @@ async def test_when_none_in_use_can_be_read_the_configured_one_is_used(tmp_path:
     open_desk(tmp_path)
     shutil.rmtree(calibrations / "0002")  # and the one before is of other cameras
     desk = open_desk(tmp_path)
-    assert (desk.active.id, desk.rig.calibration_id) == ("0002", CONFIGURED.calibration_id)
-    assert read_rig(desk.rig.path).calibration_id == CONFIGURED.calibration_id
+    assert (desk.active.id, desk.rig_file.calibration_id) == ("0002", CONFIGURED.calibration_id)
+    assert read_rig(desk.rig_file.path).calibration_id == CONFIGURED.calibration_id
     assert "no calibration that was in use can be read" in str(desk.facts().trouble)
     (calibrations / "0002/session.json").write_text("{")
     assert open_desk(tmp_path).active.id == "0003"

@@ -46,7 +46,7 @@ def observed(folder: Path, kind: BundleKind, diameters_mm: tuple[float, ...] = (
         ObserveJob(
             bundle_path=folder / "bundle.tiff",
             camera_ids=rig.camera_ids,
-            rig=RigFile(folder / "rig.json", rig.calibration_id),
+            rig_file=RigFile(folder / "rig.json", rig.calibration_id),
             background_path=folder / "background",
             kind=kind,
             diameters_mm=diameters_mm,
@@ -76,7 +76,7 @@ def test_another_rig_under_the_name_is_no_measurement(worker: None, tmp_path: Pa
     job = ObserveJob(
         bundle_path=tmp_path / "bundle.tiff",
         camera_ids=rendered.rig().camera_ids,
-        rig=RigFile(tmp_path / "rig.json", "another"),
+        rig_file=RigFile(tmp_path / "rig.json", "another"),
         background_path=None,
         kind=BundleKind.BALL,
         diameters_mm=(15.0,),

@@ -177,7 +177,7 @@ async def test_every_bundle_is_measured_with_the_calibration_of_its_turn(tmp_pat
     def activate_before_c(name: str) -> None:
         if name == "c":
             assert bench.store.records == []
-            desk.rig = RigFile(Path("new.json"), "new")
+            desk.rig_file = RigFile(Path("new.json"), "new")
             for waiting in "abc":
                 pool.gates.setdefault(waiting, asyncio.Event()).set()
 

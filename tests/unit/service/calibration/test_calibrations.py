@@ -22,7 +22,7 @@ from support.calibration_desk import (
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import Problem
 from pipeline.frames import BundleKind
-from service.calibration import sessions as calibrations
+from service.calibration import calibrations
 from service.calibration.plan import CalibrationPlan, Method
 from service.calibration.states import (
     OPEN,
@@ -84,18 +84,18 @@ async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
     assert details.residuals_px == {"c01": 2.0}
     assert details.coverage.cameras[CONFIGURED.camera_ids[0]].n_drops == 1
     await solve(desk, record.id)
-    assert solver.jobs[0].initial_path == desk.rig.path
-    before = desk.rig
+    assert solver.jobs[0].initial_path == desk.rig_file.path
+    before = desk.rig_file
     await desk.act(record.id, CalibrationAction.ACCEPT, "the boss")
-    assert desk.rig == before
+    assert desk.rig_file == before
     assert not desk.wants_balls
     await desk.act(record.id, CalibrationAction.ACTIVATE, "an engineer")
-    assert desk.rig.calibration_id == read_rig(desk.rig.path).calibration_id == other_rig().calibration_id
+    assert desk.rig_file.calibration_id == read_rig(desk.rig_file.path).calibration_id == other_rig().calibration_id
     assert (desk.activated.id, desk.activated.by) == ("0002", "an engineer")
     assert (desk.active.by, desk.active.decided_by) == ("an engineer", "the boss")
-    assert open_desk(tmp_path).rig == desk.rig
+    assert open_desk(tmp_path).rig_file == desk.rig_file
     await desk.act("0001", CalibrationAction.ACTIVATE)
-    assert desk.rig == open_desk(tmp_path).rig == before
+    assert desk.rig_file == open_desk(tmp_path).rig_file == before
     assert told == ["another", "small"]
 
 

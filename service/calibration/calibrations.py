@@ -66,9 +66,9 @@ class Calibrations:
         self._touched_s = time.monotonic()
         self.verifications = verifications
         self.active = found.active
-        self.calibration = found.rig
-        """Of the active one."""
-        self.rig = found.files.rig_file(found.active)
+        self.rig = found.rig
+        """The rig of the calibration in use."""
+        self.rig_file = found.files.rig_file(found.active)
         """What the next bundle is measured with."""
         self._trouble = found.trouble
         self._on_activated = on_activated
@@ -76,14 +76,14 @@ class Calibrations:
     # --- what is ---
 
     @property
-    def session(self) -> CalibrationRecord | None:
+    def open_calibration(self) -> CalibrationRecord | None:
         """The one that collects drops."""
         return next((record for record in self._records.values() if record.state in OPEN), None)
 
     @property
     def collector(self) -> DropCollector | None:
         """Who wants the next drop."""
-        session = self.session
+        session = self.open_calibration
         if session is None:
             return self.verifications.collector
 
@@ -111,16 +111,17 @@ class Calibrations:
     def facts(self) -> CalibrationFacts:
         """What health has to know."""
         at_work = None
-        if self.wants_balls and (session := self.session) is not None:
+        if self.wants_balls and (session := self.open_calibration) is not None:
             at_work = f"calibration {session.id} is {session.state}: what falls is a ball"
         elif (verification := self.verifications.current) is not None:
             at_work = f"verification {verification.id} waits for balls: what falls is a ball"
         return CalibrationFacts(
-            calibration_id=self.rig.calibration_id,
-            method=self.calibration.method,
+            calibration_id=self.rig_file.calibration_id,
+            method=self.rig.method,
             used_since=self.activated.at,
             at_work=at_work,
-            trouble=self._trouble or self.verifications.trouble(self.rig.calibration_id, datetime.now(UTC)),
+            trouble=self._trouble
+            or self.verifications.trouble(self.rig_file.calibration_id, datetime.now(UTC)),
         )
 
     def all(self) -> list[CalibrationRecord]:
@@ -133,7 +134,7 @@ class Calibrations:
         if record is None:
             return None
         try:
-            return await asyncio.to_thread(calibration_details, self._files, record, self.calibration)
+            return await asyncio.to_thread(calibration_details, self._files, record, self.rig)
         except RecordingError as err:
             raise StoreError(str(err)) from err
 
@@ -159,7 +160,7 @@ class Calibrations:
                 changed_at=now,
                 by=plan.by,
                 note=plan.note,
-                initial_calibration_id=self.rig.calibration_id,
+                initial_calibration_id=self.rig_file.calibration_id,
             )
             await asyncio.to_thread(self._files.create, record)
             self._records[record.id] = record
@@ -171,7 +172,7 @@ class Calibrations:
         """Begin to measure balls with the calibration in use."""
         async with self._writing:
             self._require_free(acquisition)
-            return await self.verifications.start(plan, self.rig.calibration_id)
+            return await self.verifications.start(plan, self.rig_file.calibration_id)
 
     async def act(
         self, name: str, action: CalibrationAction, by: str | None = None
@@ -220,7 +221,7 @@ class Calibrations:
         if record.state is not CalibrationState.SOLVING:  # cancelled before its turn came
             return
         calibration_id, detail = await attempt(
-            self._files, record, self.rig, self.calibration.name, self._solver
+            self._files, record, self.rig_file, self.rig.name, self._solver
         )
         state = CalibrationState.COLLECTING if calibration_id is None else CalibrationState.SOLVED
         async with self._writing:
@@ -233,7 +234,7 @@ class Calibrations:
 
     async def _cancel_idle(self) -> None:
         async with self._writing:
-            session = self.session
+            session = self.open_calibration
             if session is not None and time.monotonic() - self._touched_s > IDLE_S:
                 detail = f"nothing fell for {IDLE_S / 60:.0f} minutes"
                 await self._become(session, CalibrationState.CANCELLED, detail=detail)
@@ -245,7 +246,7 @@ class Calibrations:
         """Refuse when no drop would be seen, or somebody waits for drops already."""
         if acquisition in UNABLE:
             raise CalibrationConflictError(f"acquisition is {acquisition}: no drop would be seen")
-        if (session := self.session) is not None:
+        if (session := self.open_calibration) is not None:
             detail = f"calibration {session.id} is {session.state}: end it first"
             raise CalibrationConflictError(detail, state=session.state)
         if (verification := self.verifications.current) is not None:
@@ -254,7 +255,7 @@ class Calibrations:
     async def _activate(self, record: CalibrationRecord, by: str | None) -> None:
         if record.id == self._activations.items[-1].id == self.active.id:
             return
-        if (session := self.session) is not None:
+        if (session := self.open_calibration) is not None:
             detail = (
                 f"calibration {session.id} is {session.state} and rests on {self.active.id}: end it first"
             )
@@ -265,7 +266,7 @@ class Calibrations:
             log.error("calibration %s cannot be activated: %s", record.id, err)
             detail = f"calibration {record.id}: its rig file is damaged"
             raise CalibrationConflictError(detail, state=record.state) from err
-        if differing := image_sizes_px(rig).items() ^ image_sizes_px(self.calibration).items():
+        if differing := image_sizes_px(rig).items() ^ image_sizes_px(self.rig).items():
             cameras = ", ".join(sorted({name for name, _ in differing}))
             detail = f"calibration {record.id} was made with other cameras: {cameras}"
             raise CalibrationConflictError(detail, state=record.state)
@@ -277,7 +278,7 @@ class Calibrations:
         if (verification := self.verifications.current) is not None:
             await self.verifications.cancel(verification.id, f"calibration {record.id} was activated")
         await self._on_activated(rig)
-        self.active, self.calibration, self.rig, self._trouble = record, rig, rig_file, None
+        self.active, self.rig, self.rig_file, self._trouble = record, rig, rig_file, None
         log.info("calibration in use calibration=%s id=%s by=%s", record.id, rig_file.calibration_id, by)
 
     async def _become(
