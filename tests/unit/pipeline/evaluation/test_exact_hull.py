@@ -17,7 +17,7 @@ from pipeline.measuring import sphere_hull_excess
 from pipeline.meshing import mesh_hull
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.irregular_bodies import irregular
+from pipeline.synthesis.irregular_bodies import irregular_body
 
 NOMINAL = nominal_rig()
 BUILT = as_built(NOMINAL, seed=1)
@@ -161,12 +161,12 @@ def test_star_center() -> None:
     moved = CUBE.copy()
     moved.apply_translation([3, 4, 5])
     np.testing.assert_allclose(star_center_mm(moved), [3, 4, 5], atol=1e-6)
-    horseshoe = irregular("horseshoe", 20.0, np.random.default_rng(0))
+    horseshoe = irregular_body("horseshoe", 20.0, np.random.default_rng(0))
     assert star_center_mm(horseshoe.mesh) is None
 
 
 def test_every_point_of_an_l_is_seen_from_its_corner_alone() -> None:
-    tromino = irregular("tromino", 20.0, np.random.default_rng(1)).mesh
+    tromino = irregular_body("tromino", 20.0, np.random.default_rng(1)).mesh
     center_mm = star_center_mm(tromino)
     assert center_mm is not None
     seen_from = np.einsum("ij,ij->i", tromino.triangles_center - center_mm, tromino.face_normals)

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.evaluation.hard_cases import HardCase
 from pipeline.segmentation.network import FORMAT, load_network
-from pipeline.training.scores import Exam, Score, exam, score
+from pipeline.training.scores import Score, ValidationView, score, validation_view
 
 MODEL = files("pipeline.segmentation").joinpath("roi_network.onnx")
 DESCRIPTION = files("pipeline.segmentation").joinpath("roi_network.json")
@@ -24,7 +24,7 @@ def content() -> bytes:
     return MODEL.read_bytes()
 
 
-def scored(one: Exam) -> Score:
+def scored(one: ValidationView) -> Score:
     (found,) = score([one], load_network(content()).probability).values()
     return found
 
@@ -59,10 +59,10 @@ def test_it_is_small() -> None:
     ],
 )
 def test_it_finds_the_body(case: HardCase, least_iou: float) -> None:
-    found = scored(exam(case, SEED))
+    found = scored(validation_view(case, SEED))
     assert found.iou > least_iou
     assert found.surely_wrong < 0.002
 
 
 def test_it_finds_the_body_without_a_background() -> None:
-    assert scored(exam(HardCase.CLEAN, SEED, with_background=False)).iou > 0.96
+    assert scored(validation_view(HardCase.CLEAN, SEED, with_background=False)).iou > 0.96

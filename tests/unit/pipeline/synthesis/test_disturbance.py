@@ -20,7 +20,7 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.renderer import SimulatedRig, View, illuminated, photograph, simulate_rig, view_of
+from pipeline.synthesis.renderer import SimulatedRig, View, illuminate, photograph, simulate_rig, view_of
 
 SIZE_PX = (1280, 1024)
 
@@ -39,7 +39,7 @@ def camera() -> CameraCalibration:
 
 def view(camera: CameraCalibration, disturbance: Disturbance) -> View:
     """A sphere before the camera, always in the same light."""
-    surface = illuminated(rendered.placed(sphere()), np.random.default_rng(0))
+    surface = illuminate(rendered.placed(sphere()), np.random.default_rng(0))
     return view_of([surface], camera, simulated(), disturbance)
 
 
