@@ -38,7 +38,7 @@ class PlacedBody:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedRig:
-    """What stays the same between exposures: cameras, housing, light."""
+    """The parts of a rig that stay the same between exposures: cameras, housing, light."""
 
     rig: RigCalibration
     backgrounds: Mapping[CameraId, Background]

@@ -19,7 +19,7 @@ class FittingParameters:
     n_steps: int
     batch: int = 8
     coarse_share: float = 0.65
-    """Share of the steps, the first ones, at half resolution, whose lessons hold at full, for a quarter of the cost."""
+    """Share of the steps, the first ones, at half resolution: a quarter of the cost, and the weights hold at full."""
     learning_rate: float = 6e-3  # the highest, after the first tenth of the steps
     weight_decay: float = 1e-3
     averaged_share: float = 0.04  # of the steps: how far back the running mean of the weights reaches

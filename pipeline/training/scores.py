@@ -16,7 +16,7 @@ from pipeline.training.image_layers import VIEW_PX
 MARGIN_SHARE = 0.2
 """Margin of the region around the bodies, as a share of their extent."""
 CONFIDENT = 0.95
-"""Probability from which on the network is sure of body, and below one less which of wall."""
+"""Probability beyond which the network is sure of body; below one less this it is sure of wall."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

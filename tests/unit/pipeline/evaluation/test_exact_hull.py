@@ -1,4 +1,4 @@
-"""The floor of all hulls: exact ones against analytic and polyhedral ones."""
+"""Exact hulls against analytic and polyhedral ones."""
 
 from typing import Literal
 
@@ -34,7 +34,7 @@ def posed(mesh: trimesh.Trimesh, seed: int) -> tuple[trimesh.Trimesh, NDArray[np
 
 
 def polyhedral_hull_volume(corners_mm: NDArray[np.float64], rig: RigCalibration) -> float:
-    """Visual hull of a convex body as the intersection of all planes that touch it from a camera."""
+    """Return the volume of a convex body's visual hull, the intersection of all planes that touch it from a camera."""
     planes = []
     for camera in rig.cameras:
         rays = (corners_mm - camera.center_mm) @ camera.R.T

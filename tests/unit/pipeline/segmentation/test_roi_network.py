@@ -1,4 +1,4 @@
-"""The network that is shipped: the file it claims to be, small, and it finds bodies in views it never saw."""
+"""The shipped network: its checksum and size, and that it finds bodies in views it never saw."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ from pipeline.training.scores import Score, ValidationView, score, validation_vi
 MODEL = files("pipeline.segmentation").joinpath("roi_network.onnx")
 DESCRIPTION = files("pipeline.segmentation").joinpath("roi_network.json")
 SEED = 8_000_001
-"""Neither trained nor examined on: those of the examination that came with the training are others."""
+"""Used neither for training nor for the scores that came with the training."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Bodies of other generators than the stones', and that the renderer takes them."""
+"""Irregular bodies have the size and form they are asked for, and their images cover what rays hit."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_forms(form: str) -> None:
 
 @pytest.mark.parametrize("form", ["horseshoe", "rough"])
 def test_the_image_of_a_body_that_is_not_star_shaped(form: str) -> None:
-    """What the outline covers is what rays hit: no body must be star-shaped to be photographed."""
+    """The covered pixels are those that rays hit: bodies need not be star-shaped to be rendered."""
     rng = np.random.default_rng(5)
     body = irregular_body(form, 20.0, rng)
     mesh = tumble(body, rendered.rig(), rng).world_mesh

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from support.synthetic_rigs import rig_of
 
+from pipeline.arrays import FloatImage, PointsUV
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.pixel_coverage import (
     LINES_PER_PIXEL,
@@ -16,11 +16,10 @@ from pipeline.synthesis.pixel_coverage import (
     window_around,
 )
 
-Array = NDArray[np.float64]
 coordinates = st.floats(-5, 45)
 
 
-def covered_by(loop_uv: Array, window: Window) -> NDArray[np.float32]:
+def covered_by(loop_uv: PointsUV, window: Window) -> FloatImage:
     return coverage(loop_uv, np.roll(loop_uv, -1, axis=0), window)
 
 

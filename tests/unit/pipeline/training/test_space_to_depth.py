@@ -1,4 +1,4 @@
-"""What is computed in blocks is what was computed before."""
+"""The network in blocks computes what the original one does."""
 
 import numpy as np
 import onnx
@@ -12,7 +12,7 @@ SIZE_PX = 32
 
 
 def exported(rng: np.random.Generator) -> onnx.ModelProto:
-    """The upper levels of a `BodyNetwork`, as PyTorch exports them, with random weights."""
+    """Return the upper levels of a `BodyNetwork`, as PyTorch exports them, with random weights."""
     weights = {}
 
     def convolution(source: str, target: str, n_in: int, n_out: int, size: int = 3, stride: int = 1):
