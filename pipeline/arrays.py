@@ -29,6 +29,8 @@ Directions = Annotated[Floats, "(N, 3)"]
 Faces = Annotated[NDArray[np.int64], "(N, 3)"]
 """Triangles: indices of their vertices, counter-clockwise seen from outside."""
 Indices = Annotated[NDArray[np.int64], "(N,)"]
+Indices32 = NDArray[np.int32]
+"""Indices of vertices, facets or points in the compiled loops over hulls and meshes, any shape."""
 Flags = Annotated[NDArray[np.bool_], "(N,)"]
 
 GreyImage = Annotated[NDArray[np.uint8], "(H, W)"]
