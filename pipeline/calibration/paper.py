@@ -28,7 +28,7 @@ from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.nearest_point import nearest_point
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
-from pipeline.rig.document import decomposed
+from pipeline.rig.document import decompose_projection
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def refined(camera: CameraCalibration, points_mm: Array, centroids_uv: Array) ->
 
     initial = np.linalg.solve(camera.K, camera.projection) * lengths_mm / lengths_mm[0]
     found = scipy.optimize.minimize(error_px, initial.ravel(), method="BFGS")
-    K, R, t_mm = decomposed(matrix(found.x), f"camera {camera.id}")
+    K, R, t_mm = decompose_projection(matrix(found.x), f"camera {camera.id}")
     return replace(camera, K=K, distortion=np.zeros(5), R=R, t_mm=t_mm)
 
 

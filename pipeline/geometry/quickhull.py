@@ -1,8 +1,8 @@
 """The facets of the convex hull of a mesh, several times as fast as qhull's.
 
-It is grown of every 16th vertex first: nearly all of the others are then inside, which a walk over the facets from
-where that of the vertex before ended tells of each. This saves half of the processing time of a stone of 25 mm, beside
-scipy's hull behind the same prefilter (tests/benchmarks/convex_hulls.py).
+It is grown of every 16th vertex first. Nearly all of the others are then inside: for each, a short walk over the
+facets, from where that of the vertex before ended, finds out. This saves half of the processing time of a stone of
+25 mm, beside scipy's hull behind the same prefilter (tests/benchmarks/convex_hulls.py).
 """
 
 import numpy as np
