@@ -28,7 +28,7 @@ from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
 from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
-from pipeline.rig.document import decomposed
+from pipeline.rig.document import decompose_projection
 
 MIN_DROPS = 6
 """Two observations each for the eleven degrees of freedom of P."""
@@ -65,7 +65,7 @@ def refined(camera: CameraCalibration, points_mm: PointsMM, centroids_uv: Points
 
     initial = np.linalg.solve(camera.K, camera.projection) * lengths_mm / lengths_mm[0]
     found = scipy.optimize.minimize(error_px, initial.ravel(), method="BFGS")
-    K, R, t_mm = decomposed(matrix(found.x), f"camera {camera.id}")
+    K, R, t_mm = decompose_projection(matrix(found.x), f"camera {camera.id}")
     return replace(camera, K=K, distortion=np.zeros(5), R=R, t_mm=t_mm)
 
 
