@@ -21,6 +21,7 @@ from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
+from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.prepared import PreparedViews, prepare_views
 from pipeline.views.quality import Quality, ViewsParameters, judge_views, quality_of
 
@@ -120,7 +121,7 @@ class ParticleResult:
     silhouettes: SilhouetteSet
     optics: Mapping[CameraId, ViewOptics] = field(default_factory=dict)
     views: tuple[CameraId, ...] = ()  # cameras whose silhouettes carved
-    dropped: Mapping[CameraId, str] = field(default_factory=dict)
+    dropped: Mapping[CameraId, DroppedView] = field(default_factory=dict)
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
     consistency: Consistency | None = None  # `None` when it was rejected before the views were compared
     quality: Quality | None = None
@@ -153,7 +154,7 @@ def measure_bundle(
     on_stage("segment")
     optics = observe_all(bundle.frames, background, silhouettes, view_mapper)
     on_stage("optics")
-    dropped = dict(bundle.missing)
+    dropped = {camera: DroppedView(DropCause.NO_FRAME, why) for camera, why in bundle.missing.items()}
     consistency = None
     try:
         judge_views(silhouettes, dropped, rig, parameters.views)

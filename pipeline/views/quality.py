@@ -10,6 +10,7 @@ from pipeline.errors import RejectedError, RejectReason
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import SilhouetteSet, ViewStatus
+from pipeline.views.dropped import DropCause, DroppedView
 
 LAYER_TOLERANCE_DEG = 10.0
 """Difference in elevation below which cameras belong to one layer."""
@@ -41,7 +42,7 @@ class ViewsParameters:
 
 def judge_views(
     silhouettes: SilhouetteSet,
-    dropped: dict[CameraId, str],
+    dropped: dict[CameraId, DroppedView],
     rig: RigCalibration,
     parameters: ViewsParameters,
 ) -> None:
@@ -54,7 +55,7 @@ def judge_views(
     """
     for camera, silhouette in silhouettes.items():
         if not silhouette.is_usable:
-            dropped[camera] = str(silhouette.status)
+            dropped[camera] = DroppedView(DropCause.UNUSABLE, silhouette.status)
     shown = [silhouette.status for silhouette in silhouettes.values()]
     n_of = {status: shown.count(status) for status in ViewStatus}
     if n_of[ViewStatus.EMPTY] > len(shown) / 2:

@@ -33,7 +33,7 @@ def result_record(
         "detail": None if rejection is None else rejection.detail,
         "quality": None if result.quality is None else str(result.quality),
         "views": list(result.views),
-        "dropped_views": dict(result.dropped),
+        "dropped_views": {camera: str(why) for camera, why in result.dropped.items()},
         "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
         "segmentation_flags": {
             camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
