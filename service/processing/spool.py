@@ -17,7 +17,7 @@ from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
-from service.bundling.window import DISARMED
+from service.bundling.window import MissingReason
 from service.processing.bundle_files import BundleFiles
 
 log = logging.getLogger(__name__)
@@ -134,6 +134,6 @@ def _without_frames(bundle: FrameBundle) -> Loss:
     if bundle.unreadable is not None:
         return Loss(reason="unreadable", detail=bundle.unreadable)
     causes = sorted(set(bundle.missing.values()))
-    if causes == [DISARMED]:
+    if causes == [MissingReason.DISARMED]:
         return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
     return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")
