@@ -107,7 +107,7 @@ class Daemon:
 
     def watch(self) -> list[Part]:
         """Look after the parts, often: those with nothing to do are not late, the others are named."""
-        if not self.acquisition.is_at_work:
+        if not self.acquisition.is_active:
             self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
         if self.spool.held == 0:
             self.heartbeats.beat(Part.PROCESSING, time.monotonic())
