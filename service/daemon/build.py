@@ -74,7 +74,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         belt is not None
     ):  # in fast pace a new bundle comes for each that is through; the archive can take all of them
         belt.permit(min(enough + 1, settings.spool.max_bundles))
-    files = BundleFiles(folder, on_through=belt.permit if belt is not None else lambda: None)
+    files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
     archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=enough)
     spool = Spool(
         files,
@@ -122,8 +122,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         pool=pool,
         results=WatchedResults(store, rig_watch, optical_watch, segmentation_watch),
         calibration=calibrations,
-        kept=_kept_background(settings, configured),
-        on_empty=optical_watch.note,
+        kept_background=_kept_background(settings, configured),
+        on_empty_rig=optical_watch.note,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(
