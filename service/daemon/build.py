@@ -33,6 +33,7 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
+from service.results.fields import LossReason
 from service.results.record import ALGORITHM_VERSION
 from service.store import Store
 
@@ -159,7 +160,7 @@ async def _begin_session(
             **settings.rig.describe(),
         }
     )
-    if lost := await store.lose_open("crash", "the daemon ended before this bundle was measured"):
+    if lost := await store.lose_open(LossReason.CRASH, "the daemon ended before this bundle was measured"):
         log.error("triggers lost in a crash of the daemon count=%d", lost)
     return session
 
