@@ -84,7 +84,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
         reserve_bytes=settings.recordings.reserve_bytes,
         made_by={"command": "record", "count": count},
         count=count,
-        on_through=(lambda: None) if devices.belt is None else devices.belt.permit,
+        on_free=(lambda: None) if devices.belt is None else devices.belt.permit,
     )
     if devices.belt is not None:
         devices.belt.permit(INBOX_TRIGGERS // 2)  # in fast pace; the next ones as these are written

@@ -33,6 +33,7 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
+from service.results.fields import LossReason
 from service.results.record import ALGORITHM_VERSION
 from service.store import Store
 
@@ -74,7 +75,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         belt is not None
     ):  # in fast pace a new bundle comes for each that is through; the archive can take all of them
         belt.permit(min(enough + 1, settings.spool.max_bundles))
-    files = BundleFiles(folder, on_through=belt.permit if belt is not None else lambda: None)
+    files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
     archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=enough)
     spool = Spool(
         files,
@@ -122,8 +123,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         pool=pool,
         results=WatchedResults(store, rig_watch, optical_watch, segmentation_watch),
         calibration=calibrations,
-        kept=_kept_background(settings, configured),
-        on_empty=optical_watch.note,
+        kept_background=_kept_background(settings, configured),
+        on_empty_rig=optical_watch.note,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(
@@ -159,7 +160,7 @@ async def _begin_session(
             **settings.rig.describe(),
         }
     )
-    if lost := await store.lose_open("crash", "the daemon ended before this bundle was measured"):
+    if lost := await store.lose_open(LossReason.CRASH, "the daemon ended before this bundle was measured"):
         log.error("triggers lost in a crash of the daemon count=%d", lost)
     return session
 

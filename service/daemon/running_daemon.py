@@ -78,7 +78,7 @@ class Daemon:
                 cameras=self.cameras(),
                 all_lost=self.acquisition.cameras.common_cause,
                 views=self.settings.views,
-                waiting=self.spool.held,
+                waiting=self.spool.n_queued,
                 max_waiting=self.spool.max_bundles,
                 overflows=self.spool.overflows,
                 workers=len(self.pool.pids),
@@ -107,14 +107,12 @@ class Daemon:
 
     def watch(self) -> list[Part]:
         """Look after the parts, often: those with nothing to do are not late, the others are named."""
-        if not self.acquisition.is_at_work:
+        if not self.acquisition.is_active:
             self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
-        if self.spool.held == 0:
+        if self.spool.n_queued == 0:
             self.heartbeats.beat(Part.PROCESSING, time.monotonic())
         return self.late()
 
     def status(self) -> str:
         """One line for `systemctl status`."""
-        return (
-            f"{self.acquisition.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"
-        )
+        return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {self.store.last_seq}"

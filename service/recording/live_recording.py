@@ -96,7 +96,7 @@ class RecordingSource:
 class LiveRecording:
     """`start`, any number of `offer`, `end`, and `closed` is set when the folder is complete; on the loop.
 
-    It ends by itself after `count` stones; `earlier` bundles come first and do not count. `on_through` is
+    It ends by itself after `count` stones; `earlier` bundles come first and do not count. `on_free` is
     called, in any thread, for every bundle that needs no memory any more, `on_closed` on the loop.
     """
 
@@ -110,7 +110,7 @@ class LiveRecording:
         made_by: Mapping[str, Any],
         count: int | None = None,
         earlier: Sequence[FrameBundle] = (),
-        on_through: Callable[[], None] = lambda: None,
+        on_free: Callable[[], None] = lambda: None,
         on_closed: Callable[[RecordingStatus], None] = lambda status: None,
     ) -> None:
         self.path = path
@@ -138,7 +138,7 @@ class LiveRecording:
         self._room_needed_bytes = reserve_bytes + source.bundle_bytes
         self._still_wanted = count
         self._max_waiting = len(earlier) + MAX_WAITING
-        self._on_through = on_through
+        self._on_free = on_free
         self._on_closed = on_closed
         self._bytes = 0
         self._last_sequence = -1
@@ -163,7 +163,7 @@ class LiveRecording:
             return
         if not bundle.frames:
             self.without_frames += 1
-            self._on_through()
+            self._on_free()
             return
         if self._waiting.qsize() >= self._max_waiting:
             self.end(EndedBy.SLOW_DISK)
@@ -245,5 +245,5 @@ class LiveRecording:
             self._bytes += (writer.folder / "bundles" / f"{bundle.name}.tiff").stat().st_size
             self.bundles += 1
             self.stones += bundle.kind is not BundleKind.BACKGROUND
-            self._on_through()
+            self._on_free()
         return bundle

@@ -53,7 +53,7 @@ class KeepJob:
     compression: Compression
 
 
-def step_back(context: None) -> tuple[WarmUp, ...]:
+def lower_priority(context: None) -> tuple[WarmUp, ...]:
     """Yield to workers, which are less nice, and to the daemon."""
     os.nice(14)
     return ()
@@ -148,7 +148,7 @@ class RawArchive:
 
     async def run(self) -> None:
         """Write what is taken, one after the other."""
-        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=step_back, context=None, name=NAME)
+        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=None, name=NAME)
         try:
             while (item := await self._waiting.get()) is not None:
                 path, seq = item

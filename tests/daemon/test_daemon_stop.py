@@ -98,8 +98,8 @@ async def test_only_who_looks_after_the_parts_calls_an_idle_one_alive(settings: 
     for part in ("acquisition", "processing"):
         built.heartbeats.beat(part, time.monotonic() - 1000)
     assert built.late() == built.late() == ["acquisition", "processing"]
-    built.acquisition.is_at_work = True  # whatever its state is
+    built.acquisition.is_active = True  # whatever its state is
     assert built.watch() == ["acquisition"]
-    built.acquisition.is_at_work = False
+    built.acquisition.is_active = False
     assert built.watch() == built.late() == []
     await asyncio.to_thread(store.close)

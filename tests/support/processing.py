@@ -39,7 +39,7 @@ class QueueSpool:
 class ScriptedPool:
     """Answers at once, or when the test says so."""
 
-    size = share = 1
+    size = threads_per_job = 1
 
     def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
         self.failures = failures or {}

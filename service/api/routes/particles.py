@@ -20,7 +20,7 @@ from service.api.routes.cameras import CameraName
 from service.api.routes.particle_files import MeshFormat, NotKeptError
 from service.api.routes.results import MAX_SEQ
 from service.api.schemas import ParticlesPage
-from service.results.fields import Result, completed
+from service.results.fields import Outcome, Result, completed
 from service.store import ParticleFilter, Record
 
 router = APIRouter(prefix="/particles", tags=["particles"])
@@ -151,7 +151,7 @@ async def _record(context: ApiContext, key: str) -> Record:
 
 async def _record_seen_by(context: ApiContext, key: str, camera: str) -> Record:
     record = await _record(context, key)
-    is_told = record["outcome"] != "rejected"  # a rejection names only the views that it is about
+    is_told = record["outcome"] != Outcome.REJECTED  # a rejection names only the views that it is about
     if is_told and camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
         raise Problem(404, "unknown-camera", f"particle {record['id']} has no view of a camera {camera!r}")
     return record
