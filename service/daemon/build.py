@@ -34,7 +34,7 @@ from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
 from service.results.fields import LossReason
-from service.results.record import ALGORITHM_VERSION
+from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 
 log = logging.getLogger(__name__)

@@ -9,9 +9,7 @@ from pipeline.frames import CameraId, Trigger
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation.optics import ViewOptics
 from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome
-
-ALGORITHM_VERSION = "9"
-"""Version of the algorithm, raised by every change that may change a result."""
+from service.results.version import ALGORITHM_VERSION
 
 
 def result_record(
