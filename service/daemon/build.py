@@ -121,10 +121,11 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, rig_watch, optical_watch, segmentation_watch),
+        results=WatchedResults(store, rig_watch, optical_watch),
         calibration=calibrations,
         kept_background=_kept_background(settings, configured),
         on_empty_rig=optical_watch.note,
+        on_network=segmentation_watch.note,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(

@@ -223,7 +223,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
     segmenter = NetworkSegmenter(network, PARAMETERS)
     frame, background = scene((300, 250, 120))
     good, flagged = segmenter(frame, background), segmenter(frame, background)
-    assert (good.status, good.fallback) == (ViewStatus.OK, None)
+    assert (good.status, good.fallback, good.network_trouble) == (ViewStatus.OK, None, None)
     assert flagged.fallback is not None
     assert flagged.fallback.startswith(f"{GPU} failed, the CPU computes: ")
     np.testing.assert_array_equal(flagged.outline_uv, good.outline_uv)
@@ -231,6 +231,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
     choosing = ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter)
     chosen = choosing(frame, {})
     assert (chosen.found_by, chosen.fallback) == ("network", f"no background yet; {flagged.fallback}")
+    assert flagged.network_trouble == chosen.network_trouble == flagged.fallback
     wanted = replace(choosing, wanted="onnx")(frame, background)
     assert (wanted.found_by, wanted.fallback) == ("network", flagged.fallback)
     assert segmenter(*scene()).fallback == flagged.fallback
