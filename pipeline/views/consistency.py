@@ -1,4 +1,4 @@
-"""Whether the views show one rigid body, and which view does not.
+"""Checking that the views show one rigid body, and finding the view that does not.
 
 There are two tests. Epipolar tangency (`pipeline.views.epipolar_tangency`) compares views in pairs: it sees a tenth of
 a pixel, names the one view that is wrong whatever its error does to the hull, and needs no hull. What it cannot
@@ -56,7 +56,7 @@ class ConsistencyParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consistency:
-    """How well the views of one stone agree."""
+    """Residuals of one stone's views against each other, and the views to drop."""
 
     residuals_px: Mapping[CameraId, float]  # rms by which a view's outline leaves the hull of the others
     suspects: Mapping[CameraId, str]  # views to drop, worst first, with what is wrong with them

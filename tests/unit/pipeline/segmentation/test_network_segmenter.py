@@ -1,4 +1,4 @@
-"""Both segmenters on the same views, and what only the network's one can do."""
+"""Both segmenters on the same views, and what only the network segmenter can do."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -59,7 +59,7 @@ def frame_of(image: np.ndarray) -> Frame:
 def scene(
     *discs: tuple[int, int, int], size_px: tuple[int, int] = (640, 512), grey: float = 70.0
 ) -> tuple[Frame, BackgroundModel]:
-    """Blurred dark discs (u, v, radius) before a wall of 200, without noise."""
+    """Return blurred dark discs (u, v, radius) before a wall of 200, without noise."""
     width, height = size_px
     v, u = np.mgrid[:height, :width].astype(np.float32)
     covered = np.zeros((height, width), np.float32)
@@ -132,7 +132,7 @@ def test_without_a_background_the_light_around_the_body_will_do() -> None:
 
 
 def off_outline_px(silhouette: Silhouette, other: Silhouette) -> np.ndarray:
-    """How far the outline points of one silhouette are outside of another's edge."""
+    """Return how far the outline points of one silhouette are outside of another's edge."""
     u, v = ((silhouette.outline_uv - other.offset_uv).T / FINE_PX).astype(np.float32)
     return -cv2.remap(other.fine_px, u[:, None], v[:, None], cv2.INTER_LINEAR).ravel()
 

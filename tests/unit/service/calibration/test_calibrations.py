@@ -90,7 +90,11 @@ async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
     assert desk.rig_file == before
     assert not desk.wants_balls
     await desk.act(record.id, CalibrationAction.ACTIVATE, "an engineer")
-    assert desk.rig_file.calibration_id == read_rig(desk.rig_file.path).calibration_id == other_rig().calibration_id
+    assert (
+        desk.rig_file.calibration_id
+        == read_rig(desk.rig_file.path).calibration_id
+        == other_rig().calibration_id
+    )
     assert (desk.activated.id, desk.activated.by) == ("0002", "an engineer")
     assert (desk.active.by, desk.active.decided_by) == ("an engineer", "the boss")
     assert open_desk(tmp_path).rig_file == desk.rig_file
