@@ -259,6 +259,7 @@ def test_a_network_that_breaks_is_no_reason_to_stop(wanted: SegmenterKind):
     assert (found.status, found.found_by) == (ViewStatus.OK, "background")
     assert found.fallback is not None
     assert found.fallback.endswith("model x: cannot be run: out of memory")
+    assert found.network_trouble == "model x: cannot be run: out of memory"
 
 
 @examples(0.25)
