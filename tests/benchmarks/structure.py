@@ -71,7 +71,7 @@ def main() -> None:
             sum(len(path.read_text().splitlines()) for path in sources),
         )
         table.add_row(package, *map(str, row))
-    Console().print(table)
+    Console(width=None if sys.stdout.isatty() else 100).print(table)
 
 
 if __name__ == "__main__":
