@@ -13,7 +13,7 @@ from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import image_sizes_px
-from service.calibration.startup import CalibrationsFound, find_calibrations
+from service.calibration.startup import CalibrationsAtStart, load_calibrations
 from service.calibration.verifications import open_verifications
 from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
@@ -49,7 +49,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     """Build all parts, none of which runs yet; triggers that a killed daemon left open are recorded as lost."""
     configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
-    found = await asyncio.to_thread(find_calibrations, settings.store.dir / "calibrations", configured)
+    found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
     source = settings.rig.source(devices, found.rig)
     session = await _begin_session(settings, store, source, found)
     folder = await asyncio.to_thread(_empty_folder, settings.spool.dir / store.instance_id)
@@ -149,7 +149,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
 
 
 async def _begin_session(
-    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsFound
+    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsAtStart
 ) -> int:
     """Begin a session in the store, and record triggers that a killed daemon left open as lost."""
     session = await store.begin_session(
@@ -180,7 +180,7 @@ def _open_recordings(settings: Settings, store: Store, source: RecordingSource, 
 async def _open_calibrations(
     settings: Settings,
     store: Store,
-    found: CalibrationsFound,
+    found: CalibrationsAtStart,
     session: int,
     rig_watch: RigWatch,
     recordings: Recordings,
