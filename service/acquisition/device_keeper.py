@@ -1,7 +1,7 @@
-"""One device kept at work: opened and armed, examined, and brought back whenever it is lost.
+"""Keep one device armed: open it, arm it, examine it, and bring it back whenever it is lost.
 
 Device calls block for seconds (a GigE control call takes 2.5 s to fail), so each device has a thread of
-its own: a dead one makes nobody wait but itself.
+its own: a dead device delays no other.
 """
 
 import asyncio
@@ -19,22 +19,26 @@ from service.status import DeviceState
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 5.0)
-"""From one attempt to bring a device back to the next; the last one for ever."""
-EXAMINE_S = 5.0
-"""How often a healthy camera is asked how it is."""
+"""Waits between attempts to bring a device back; the last one is repeated without end.
+
+Not tenacity or stamina: these retry one call, while this wait ends early when the device is disarmed, and a device that
+is lost soon after it came back continues where its waits were.
+"""
+EXAMINE_EVERY_S = 5.0
+"""Interval between examinations of a healthy device."""
 STABLE_S = 10.0
-"""Lost again sooner than this, a device was not really back: it is asked less and less often, and not logged anew."""
+"""A device that is lost again sooner than this has relapsed: it waits longer each time, and is not logged anew."""
 
-CONTROL_THREAD = " control"
-"""How the name of a device's thread goes on after the device's."""
+CONTROL_THREAD_SUFFIX = " control"
+"""End of the name of a device's thread, after the name of the device."""
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
-class Keeper:
-    """From `start` to `end` the device is kept; `settle` waits for the end of the first attempt.
+class DeviceKeeper:
+    """Keeps a device armed from `start` to `close`; the first attempt is over when `tried` returns.
 
-    `on_lost` is told of a loss that the device did not report itself, `on_back` of every return from a loss.
+    `on_lost` is called for a loss that the device did not report itself, `on_back` for every return from a loss.
     """
 
     def __init__(
@@ -50,10 +54,10 @@ class Keeper:
         self.device = device
         self.state = DeviceState.CLOSED
         self.loss: Loss | None = None
-        """Why it was lost last."""
+        """The latest loss, None as long as there was none."""
         self.recoveries = 0
         self.vitals = CameraVitals()
-        self._settled = asyncio.Event()
+        self._tried = asyncio.Event()
         self._disarmed = asyncio.Event()
         self._may_close = asyncio.Event()
         self._examine = examine
@@ -70,28 +74,28 @@ class Keeper:
 
     @property
     def last_error(self) -> str | None:
-        """Return why it was lost last, None as long as it was not."""
+        """Reason of the latest loss, None as long as there was none."""
         return None if self.loss is None else self.loss.reason
 
     def start(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
-        """Keep the device armed until `end`; it may be started again after that."""
+        """Keep the device armed until `close`, after which it may be started again."""
         self._is_ending = False
-        for event in (self._settled, self._disarmed, self._may_close):
+        for event in (self._tried, self._disarmed, self._may_close):
             event.clear()
-        self._task = tasks.create_task(self._keep(sink))
+        self._task = tasks.create_task(self._run(sink))
 
-    async def settle(self) -> None:
-        """Return when the device was tried once, whatever came of it."""
-        await self._settled.wait()
+    async def tried(self) -> None:
+        """Return when the first attempt to arm the device has succeeded or failed."""
+        await self._tried.wait()
 
     async def disarm(self) -> None:
-        """Disarm and stay open until `end`; returns when that is done."""
+        """Disarm the device and keep it open until `close`; return when it is disarmed."""
         self._is_ending = True
         self._wake.set()
         await self._disarmed.wait()
 
-    async def end(self) -> None:
-        """Disarm and close; returns when that is done."""
+    async def close(self) -> None:
+        """Disarm and close the device; return when that is done."""
         self._is_ending = True
         self._may_close.set()
         self._wake.set()
@@ -99,50 +103,16 @@ class Keeper:
             await asyncio.wait([self._task])
 
     def abandon(self) -> None:
-        """Wait for the device no longer; what it was last asked for may still be under way on its thread."""
+        """Stop waiting for the device; its latest call may go on for a while on its thread."""
         if self._task is not None:
             self._task.cancel()
 
-    async def _keep(self, sink: EventSink) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=self.name + CONTROL_THREAD)
-        failures = 0
-        try:
-            while not self._is_ending:
-                n_losses = self._n_losses
-                try:
-                    await self.call(self.device.open)
-                    await self.call(self.device.arm, sink)
-                except DeviceError as err:
-                    failures += 1
-                    self.lose(err.problem if err.device == self.name else str(err), err.cause)
-                else:
-                    if self._n_losses == n_losses:  # not lost again while it was being armed
-                        self._admit()
-                        await self._look_after()
-                    failures = self._n_relapses
-                self._settled.set()
-                if self.state is DeviceState.LOST:
-                    await self.call(self.device.close)
-                    self._wake.clear()  # of the loss itself
-                    if not self._is_ending:
-                        await self._sleep(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
-            if self.state is DeviceState.ARMED:
-                await self.call(self.device.disarm)
-            self._disarmed.set()
-            await self._may_close.wait()
-            await self.call(self.device.close)
-            self.state = DeviceState.CLOSED
-        finally:
-            self._thread.shutdown(wait=False)
-            self._settled.set()  # nobody shall wait any more
-            self._disarmed.set()
-
-    async def call(self, function: Callable[..., Answer], *arguments: object) -> Answer:
-        """Call the device on its thread; only while it is kept."""
+    async def call(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """Call the device on its thread; allowed between `start` and `close`."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *arguments)
 
-    def lose(self, reason: str, cause: LossCause = LossCause.OTHER) -> None:
-        """Note that the device is lost; the loss is logged once, not every failed attempt to undo it."""
+    def mark_lost(self, reason: str, cause: LossCause = LossCause.OTHER) -> None:
+        """Mark the device as lost; the loss is logged, later failed attempts only if their reason differs."""
         self._n_losses += 1
         now_s = time.monotonic()
         if self.state is DeviceState.ARMED:
@@ -158,11 +128,45 @@ class Keeper:
         self.state, self.loss = DeviceState.LOST, Loss(reason, cause)
         self._wake.set()
 
-    def look(self) -> None:
-        """Examine the device now: something about it is odd."""
+    def examine_now(self) -> None:
+        """Examine the device without waiting for its next turn."""
         self._wake.set()
 
-    def _admit(self) -> None:
+    async def _run(self, sink: EventSink) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=self.name + CONTROL_THREAD_SUFFIX)
+        failures = 0
+        try:
+            while not self._is_ending:
+                n_losses = self._n_losses
+                try:
+                    await self.call(self.device.open)
+                    await self.call(self.device.arm, sink)
+                except DeviceError as err:
+                    failures += 1
+                    self.mark_lost(err.problem if err.device == self.name else str(err), err.cause)
+                else:
+                    if self._n_losses == n_losses:  # not lost again while it was being armed
+                        self._mark_armed()
+                        await self._examine_until_lost()
+                    failures = self._n_relapses
+                self._tried.set()
+                if self.state is DeviceState.LOST:
+                    await self.call(self.device.close)
+                    self._wake.clear()  # set by the loss itself
+                    if not self._is_ending:
+                        await self._wait_for_wake(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
+            if self.state is DeviceState.ARMED:
+                await self.call(self.device.disarm)
+            self._disarmed.set()
+            await self._may_close.wait()
+            await self.call(self.device.close)
+            self.state = DeviceState.CLOSED
+        finally:
+            self._thread.shutdown(wait=False)
+            self._tried.set()  # releases all waiting tasks
+            self._disarmed.set()
+
+    def _mark_armed(self) -> None:
         self._armed_at_s = time.monotonic()
         if self.state is DeviceState.LOST:
             self.recoveries += 1
@@ -172,24 +176,24 @@ class Keeper:
             )
             self._on_back()
         self.state = DeviceState.ARMED
-        self._settled.set()
+        self._tried.set()
 
-    async def _look_after(self) -> None:
-        """Return when the device is lost or no longer wanted."""
+    async def _examine_until_lost(self) -> None:
+        """Examine the device again and again; return when it is lost or to be disarmed."""
         while self.state is DeviceState.ARMED and not self._is_ending:
             if self._examine is not None:
                 try:
                     self.vitals = await self.call(self._examine)
                 except DeviceError as err:
                     self._on_lost(err.problem, err.cause)
-                    self.lose(err.problem, err.cause)
+                    self.mark_lost(err.problem, err.cause)
                     return
-            await self._sleep(EXAMINE_S)
+            await self._wait_for_wake(EXAMINE_EVERY_S)
 
-    async def _sleep(self, seconds: float) -> None:
-        """Wait, but not longer than until something happens."""
+    async def _wait_for_wake(self, timeout_s: float) -> None:
+        """Wait for the next wake-up, but not longer than the time-out."""
         try:
-            async with asyncio.timeout(seconds):
+            async with asyncio.timeout(timeout_s):
                 await self._wake.wait()
         except TimeoutError:
             pass

@@ -1,4 +1,4 @@
-"""Exposes the empty rig: what a stone is compared with has to be seen without one, at the start and now and then."""
+"""Expose the empty rig, which stones are compared with: after arming, and again while no stone falls."""
 
 import asyncio
 import logging
@@ -12,13 +12,14 @@ log = logging.getLogger(__name__)
 
 POLL_S = 0.1
 RETRY_S = 10.0
-STARVED_S = 5.0
-"""Without a stone for so long the next one will hardly fall just now: it would be lost with the exposure."""
+"""Wait after the gate refused a test pulse."""
+QUIET_S = 5.0
+"""Time without a stone after which one is unlikely to fall into the exposure, which would lose both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EmptyRigParameters:
-    """When the rig is exposed without a stone."""
+    """How often the rig is exposed without a stone."""
 
     at_start: int = 5  # exposures after arming
     every_s: float = 60.0  # while no stone falls; 0: never
@@ -33,14 +34,14 @@ class EmptyRigParameters:
 async def expose_empty_rig(
     parameters: EmptyRigParameters, fire: Callable[[], Awaitable[None]], is_quiet: Callable[[float], bool]
 ) -> None:
-    """Call `fire` as often as asked for, only while `is_quiet`: nothing in the air, no stone for so many seconds.
+    """Call `fire` as often as the parameters say, whenever `is_quiet`: no stone for that many seconds, none falling.
 
-    Returns when there is nothing to do. A gate that cannot is asked again now and then, and logged once.
+    Returns when there is nothing left to do. A gate that fails is asked again every `RETRY_S`, and logged once.
     """
     n_done, due_s, problem = 0, time.monotonic(), ""
     while n_done < parameters.at_start or parameters.every_s:
         await asyncio.sleep(POLL_S)
-        if time.monotonic() < due_s or not is_quiet(0 if n_done < parameters.at_start else STARVED_S):
+        if time.monotonic() < due_s or not is_quiet(0 if n_done < parameters.at_start else QUIET_S):
             continue
         try:
             await fire()

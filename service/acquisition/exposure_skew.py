@@ -1,8 +1,7 @@
-"""Do all cameras expose at the same moment? Compared by the intervals on their own clocks, which nobody synchronised.
+"""Check that all cameras expose at the same moment, by the intervals on their own, unsynchronised clocks.
 
-From one bundle to the next every clock counts the same interval, but for its drift, which is steady, and
-for what the camera's trigger came too early or too late, which is not. A stone falls 2.4 um in a
-microsecond: 20 us are a pixel.
+From one bundle to the next every clock counts the same interval, except for its drift, which is steady, and
+for the error of the camera's trigger, which is not. A stone falls 2.4 um in a microsecond: 20 us are a pixel.
 """
 
 from collections.abc import Mapping
@@ -12,21 +11,22 @@ from statistics import median
 from pipeline.frames import CameraId
 
 MIN_CAMERAS = 3
-"""The median of fewer says nothing about who is late."""
-MAX_STEP_NS = 10_000_000_000
+"""Fewest cameras whose median tells which of them is late."""
+MAX_INTERVAL_NS = 10_000_000_000
+"""Longest interval between two bundles over which clocks are compared."""
 MAX_DRIFT = 5e-4
 MAX_SKEW_NS = 2_000_000
-"""A clock that differs by more than both was set."""
+"""A clock that differs by more than `MAX_DRIFT` of the interval and this together was set anew."""
 SMOOTHING = 0.1
-"""Of a new interval in the estimate of a drift."""
+"""Weight of a new interval in the estimates of drift and skew."""
 SETTLING = 8
-"""Intervals until the drifts are known."""
+"""Intervals until a drift is known."""
 
 
 @dataclass(slots=True)
 class _Clock:
     device_ns: int
-    moment_ns: float  # the same on the common time
+    common_ns: float  # the same moment in the common time
     drift: float = 0.0
     n_intervals: int = 0
     skew_us: float | None = None  # recent typical deviation
@@ -34,42 +34,44 @@ class _Clock:
 
 @dataclass(slots=True)
 class ExposureSkew:
-    """`feed` it the camera times of every bundle, in order."""
+    """Estimates the skew of every camera's exposures; `feed` it the camera times of every bundle, in order."""
 
     _clocks: dict[CameraId, _Clock] = field(default_factory=dict)
-    _moment_ns: float = 0.0  # of the last bundle, on the median of all clocks
+    _common_ns: float = 0.0  # time of the last bundle: the median of all clocks
 
     def feed(self, device_ns: Mapping[CameraId, int]) -> None:
-        """Learn from one bundle; 0 is a camera without a clock."""
+        """Update the estimates from one bundle; 0 is a camera without a clock."""
         known = {camera: self._clocks[camera] for camera in device_ns if camera in self._clocks}
-        steps_ns = [
-            clock.moment_ns + (device_ns[camera] - clock.device_ns) / (1 + clock.drift) - self._moment_ns
+        intervals_ns = [
+            clock.common_ns + (device_ns[camera] - clock.device_ns) / (1 + clock.drift) - self._common_ns
             for camera, clock in known.items()
         ]
-        step_ns = median(steps_ns) if len(steps_ns) >= MIN_CAMERAS else 0
-        self._moment_ns += step_ns
+        interval_ns = median(intervals_ns) if len(intervals_ns) >= MIN_CAMERAS else 0
+        self._common_ns += interval_ns
         for camera, now_ns in device_ns.items():
             clock = self._clocks.get(camera)
-            if clock is not None and 0 < step_ns <= MAX_STEP_NS and _fits(clock, now_ns, self._moment_ns):
-                _learn(clock, now_ns, self._moment_ns)
+            is_comparable = 0 < interval_ns <= MAX_INTERVAL_NS
+            if clock is not None and is_comparable and _is_continuous(clock, now_ns, self._common_ns):
+                _update(clock, now_ns, self._common_ns)
             elif now_ns:
-                self._clocks[camera] = _Clock(now_ns, self._moment_ns)
+                self._clocks[camera] = _Clock(now_ns, self._common_ns)
 
     def skew_us(self, camera: CameraId) -> float | None:
-        """By how much the camera's exposures lately differed from the others', None while nobody can know."""
+        """Return how far the camera's latest exposures typically differed from the others', None while unknown."""
         clock = self._clocks.get(camera)
         return None if clock is None else clock.skew_us
 
 
-def _fits(clock: _Clock, now_ns: int, moment_ns: float) -> bool:
-    passed_ns = moment_ns - clock.moment_ns
+def _is_continuous(clock: _Clock, now_ns: int, common_ns: float) -> bool:
+    """Return whether the clock has run on since its last reading, without being set."""
+    passed_ns = common_ns - clock.common_ns
     return abs(now_ns - clock.device_ns - passed_ns) <= MAX_DRIFT * passed_ns + MAX_SKEW_NS
 
 
-def _learn(clock: _Clock, now_ns: int, moment_ns: float) -> None:
-    passed_ns = moment_ns - clock.moment_ns
+def _update(clock: _Clock, now_ns: int, common_ns: float) -> None:
+    passed_ns = common_ns - clock.common_ns
     deviation_ns = now_ns - clock.device_ns - passed_ns * (1 + clock.drift)
-    clock.device_ns, clock.moment_ns = now_ns, moment_ns
+    clock.device_ns, clock.common_ns = now_ns, common_ns
     clock.n_intervals += 1
     clock.drift += max(SMOOTHING, 1 / clock.n_intervals) * deviation_ns / passed_ns
     if clock.n_intervals > SETTLING:

@@ -1,4 +1,4 @@
-"""All cameras of the rig: kept at work one by one, watched together, remembered for operators."""
+"""All cameras of the rig: each is kept armed, watched in every bundle, and reported to operators."""
 
 import asyncio
 import logging
@@ -15,50 +15,58 @@ from drivers.errors import LossCause
 from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.acquisition.common_cause import common_cause
-from service.acquisition.device_keeper import Keeper
+from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.exposure_skew import ExposureSkew
 from service.bundling.counters import BundlingCounters, CameraCounters
-from service.bundling.window import CAMERA_LOST, DEAD_TIME, DISARMED, NO_FRAME, STONE_PASSED, UNSEEN
+from service.bundling.window import MissingReason
 from service.status import CameraStatus, DeviceState
 
 log = logging.getLogger(__name__)
 
-FROZEN = "frozen"
-"""The image is the camera's previous one, bit for bit: no sensor does that twice."""
-NOT_ITS_FAULT = frozenset({CAMERA_LOST, DEAD_TIME, DISARMED, STONE_PASSED, UNSEEN})
-"""Why a bundle has no frame of a camera that is well."""
-REOPENED_FOR = {
-    NO_FRAME: "answers, but sends no images: look at its trigger line and its settings",
-    FROZEN: "sends the same image again and again: switch it off and on",
+NOT_CAUSED_BY_CAMERA: frozenset[str] = frozenset(
+    {
+        MissingReason.CAMERA_LOST,
+        MissingReason.DEAD_TIME,
+        MissingReason.DISARMED,
+        MissingReason.STONE_PASSED,
+        MissingReason.UNSEEN,
+    }
+)
+"""Reasons of missing frames that say nothing against an armed camera."""
+REOPENED_FOR: Mapping[str, str] = {
+    MissingReason.NO_FRAME: "answers, but sends no images: look at its trigger line and its settings",
+    MissingReason.FROZEN: "sends the same image again and again: switch it off and on",
 }
-"""What a new session may cure."""
+"""Reasons of repeatedly missing frames for which the camera is opened anew, with what the operator is told."""
 MAX_MISSES = 3
-"""So many triggers in a row without an image, and the camera is opened anew although it answers."""
+"""Triggers in a row without an image after which a camera is opened anew although it answers."""
 MAX_SKEW_US = 20.0
-"""A pixel of fall: the views of a stone would contradict each other."""
+"""A pixel of fall: with more the views of a stone contradict each other."""
 FPS_OVER_S = 10.0
 RECENT = 64
 
 
 @dataclass(slots=True)
-class _Place:
-    """One camera's place in the rig."""
+class _RigCamera:
+    """One camera of the rig, with what is known of its latest frames."""
 
-    keeper: Keeper
+    keeper: DeviceKeeper
     frames: int = 0
     image: Image | None = None
     received_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     misses: int = 0  # triggers in a row
-    why: str = ""  # of the latest miss
-    counters: CameraCounters = field(default_factory=CameraCounters)  # of the latest session
-    earlier: Counter[str] = field(default_factory=Counter)  # the same, of all sessions before
+    last_miss_reason: str = ""
+    counters: CameraCounters = field(default_factory=CameraCounters)  # since the rig was last armed
+    earlier: Counter[str] = field(default_factory=Counter)  # the same, summed over the armed periods before
 
 
 class RigCameras:
-    """Life of a session: `count`, `arm`; `vet` and `note` for every event, `look_into` every bundle; `close`.
+    """Keeps all cameras armed from `arm` to `close`, and watches them by their events and bundles.
 
-    `is_live`: two images that are equal bit for bit come from a camera that is stuck, not from a recording.
+    An armed period: `use_counters` and `arm`; `refuse_repeated` and `track` for every event, `check_bundle` for
+    every bundle; `close`. `is_live`: two images that are equal bit for bit come from a camera that is stuck, not
+    from a recording.
     """
 
     def __init__(
@@ -68,20 +76,20 @@ class RigCameras:
         clock: Callable[[], int] = time.monotonic_ns,
         is_live: bool = False,
     ) -> None:
-        self._clock = clock  # what the devices' `received_ns` is read from
+        self._clock = clock  # that `received_ns` of the devices' events is read from
         self._is_live = is_live
         self._sink: EventSink | None = None
-        self._places = {
-            camera: _Place(
-                Keeper(
-                    camera,
+        self._cameras = {
+            name: _RigCamera(
+                DeviceKeeper(
+                    name,
                     device,
                     examine=device.examine,
-                    on_lost=partial(self._tell_lost, camera),
-                    on_back=partial(self._tell_back, camera),
+                    on_lost=partial(self._report_lost, name),
+                    on_back=partial(self._report_back, name),
                 )
             )
-            for camera, device in cameras.items()
+            for name, device in cameras.items()
         }
         self._skew = ExposureSkew()
         self.blind_triggers = 0
@@ -89,146 +97,150 @@ class RigCameras:
 
     @property
     def ids(self) -> tuple[CameraId, ...]:
-        return tuple(self._places)
+        return tuple(self._cameras)
 
     @property
     def armed(self) -> int:
-        return sum(place.keeper.state is DeviceState.ARMED for place in self._places.values())
+        """Number of cameras that are armed."""
+        return sum(camera.keeper.state is DeviceState.ARMED for camera in self._cameras.values())
 
     @property
     def lost(self) -> list[CameraId]:
-        return [camera for camera, place in self._places.items() if place.keeper.state is DeviceState.LOST]
+        return [name for name, camera in self._cameras.items() if camera.keeper.state is DeviceState.LOST]
 
-    def count(self, counters: BundlingCounters) -> None:
-        """Look on while a new session's assembler counts; what those before it came to is kept."""
-        for camera, place in self._places.items():
-            place.earlier.update(asdict(place.counters))
-            place.counters = counters.cameras[camera]
+    def use_counters(self, counters: BundlingCounters) -> None:
+        """Report the counters of a new armed period, added to those of the periods before."""
+        for name, camera in self._cameras.items():
+            camera.earlier.update(asdict(camera.counters))
+            camera.counters = counters.cameras[name]
 
     async def arm(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
-        """Keep all cameras armed from now on; returns when each has been tried."""
+        """Keep all cameras armed from now on; return when each has been tried once."""
         self._sink = sink
-        for place in self._places.values():
-            place.keeper.start(sink, tasks)
-        await asyncio.gather(*(place.keeper.settle() for place in self._places.values()))
+        for camera in self._cameras.values():
+            camera.keeper.start(sink, tasks)
+        await asyncio.gather(*(camera.keeper.tried() for camera in self._cameras.values()))
 
     async def close(self) -> None:
         """Disarm and close all cameras."""
-        await asyncio.gather(*(place.keeper.end() for place in self._places.values()))
+        await asyncio.gather(*(camera.keeper.close() for camera in self._cameras.values()))
 
     def abandon(self) -> None:
-        """Wait for no camera any longer."""
-        for place in self._places.values():
-            place.keeper.abandon()
+        """Stop waiting for any camera."""
+        for camera in self._cameras.values():
+            camera.keeper.abandon()
 
     @property
     def common_cause(self) -> str | None:
-        """Return why all cameras are lost, None as long as one is not."""
-        lost = [
-            place.keeper.loss
-            for place in self._places.values()
-            if place.keeper.state is DeviceState.LOST and place.keeper.loss is not None
+        """Why all cameras are lost, None as long as one is not."""
+        losses = [
+            camera.keeper.loss
+            for camera in self._cameras.values()
+            if camera.keeper.state is DeviceState.LOST and camera.keeper.loss is not None
         ]
-        return common_cause(lost) if len(lost) == len(self._places) > 1 else None
+        return common_cause(losses) if len(losses) == len(self._cameras) > 1 else None
 
     def trouble(self, min_cameras: int) -> str | None:
-        """Why there are too few cameras, None when there are enough."""
+        """Return why there are too few cameras, None when there are enough."""
         if self.armed >= min_cameras:
             return None
         if (cause := self.common_cause) is not None:
             return cause
-        lost = [place.keeper for place in self._places.values() if place.keeper.state is DeviceState.LOST]
+        lost = [camera.keeper for camera in self._cameras.values() if camera.keeper.state is DeviceState.LOST]
         names = ", ".join(keeper.name for keeper in lost)
-        why = lost[0].last_error if lost else None
-        return f"{names}: {why}; {self.armed} cameras are left of {min_cameras} needed"
+        reason = lost[0].last_error if lost else None
+        return f"{names}: {reason}; cameras armed: {self.armed}, needed: {min_cameras}"
 
-    def vet(self, event: DeviceEvent) -> DeviceEvent:
-        """Refuse an image that the camera has sent before."""
+    def refuse_repeated(self, event: DeviceEvent) -> DeviceEvent:
+        """Return the event, or a `FrameLost` in the place of an image that repeats the camera's previous one."""
         if isinstance(event, Frame) and self._is_live:
-            before = self._places[event.camera].image
-            if before is not None and np.array_equal(before, event.image):
-                return FrameLost(camera=event.camera, received_ns=event.received_ns, reason=FROZEN)
+            previous = self._cameras[event.camera].image
+            if previous is not None and np.array_equal(previous, event.image):
+                return FrameLost(
+                    camera=event.camera, received_ns=event.received_ns, reason=MissingReason.FROZEN
+                )
         return event
 
-    def note(self, event: DeviceEvent) -> None:
-        """Keep the books: the newest frame of each camera, and who is lost."""
+    def track(self, event: DeviceEvent) -> None:
+        """Keep the newest frame of each camera, and mark cameras as lost."""
         match event:
             case Frame():
-                place = self._places[event.camera]
-                place.frames += 1
-                place.image = event.image
-                place.received_s.append(time.monotonic())
+                camera = self._cameras[event.camera]
+                camera.frames += 1
+                camera.image = event.image
+                camera.received_s.append(time.monotonic())
             case CameraLost():
-                self._places[event.camera].keeper.lose(event.reason, event.cause)
+                self._cameras[event.camera].keeper.mark_lost(event.reason, event.cause)
                 self.blind_triggers = 0  # it was not there to have an image
             case CameraBack():
-                self._places[event.camera].image = None  # of before; nothing to compare with
+                self._cameras[event.camera].image = None  # an image of before proves nothing
 
-    def look_into(self, bundle: FrameBundle) -> None:
-        """Learn from a bundle who is in time and who misses; the latter are examined at once."""
-        self._skew.feed({camera: frame.device_ns for camera, frame in bundle.frames.items()})
+    def check_bundle(self, bundle: FrameBundle) -> None:
+        """Update skew and latency of the cameras in a bundle; examine those whose frame is missing."""
+        self._skew.feed({name: frame.device_ns for name, frame in bundle.frames.items()})
         silent = []
-        for camera, place in self._places.items():
-            frame = bundle.frames.get(camera)
+        for name, camera in self._cameras.items():
+            frame = bundle.frames.get(name)
             if frame is not None:
-                place.misses = 0
-                place.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
-            elif place.keeper.state is DeviceState.ARMED and bundle.missing[camera] not in NOT_ITS_FAULT:
-                place.why = bundle.missing[camera]
-                silent.append((camera, place))
+                camera.misses = 0
+                camera.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
+            elif (
+                camera.keeper.state is DeviceState.ARMED and bundle.missing[name] not in NOT_CAUSED_BY_CAMERA
+            ):
+                camera.last_miss_reason = bundle.missing[name]
+                silent.append((name, camera))
         if bundle.frames:
             self.blind_triggers = 0
-        elif silent:  # what all cameras miss is not for each of them to explain
+        elif silent:  # without any frame the cause is common to all cameras
             self.blind_triggers += 1
-        for camera, place in silent:
-            place.keeper.look()
+        for name, camera in silent:
+            camera.keeper.examine_now()
             if not bundle.frames:
                 continue
-            place.misses += 1
-            if place.misses == MAX_MISSES:
-                log.warning("%s camera=%s", _miss_warnings(place)[0], camera)
-            if place.misses % MAX_MISSES == 0 and place.why in REOPENED_FOR:
-                self._tell_lost(camera, REOPENED_FOR[place.why])
+            camera.misses += 1
+            if camera.misses == MAX_MISSES:
+                log.warning("%s camera=%s", _miss_warnings(camera)[0], name)
+            if camera.misses % MAX_MISSES == 0 and camera.last_miss_reason in REOPENED_FOR:
+                self._report_lost(name, REOPENED_FOR[camera.last_miss_reason])
 
     def statuses(self) -> list[CameraStatus]:
-        """State, and counters since the start, of all cameras in page order."""
+        """Return state, and counters since the start, of all cameras, in the order of the rig."""
         now_s = time.monotonic()
         return [
-            _status(camera, place, now_s, self._skew.skew_us(camera))
-            for camera, place in self._places.items()
+            _status(name, camera, now_s, self._skew.skew_us(name)) for name, camera in self._cameras.items()
         ]
 
-    async def snapshot(self, camera: CameraId) -> bytes | None:
-        """Return the latest frame as PNG, None while there is none."""
-        image = self._places[camera].image
+    async def snapshot(self, name: CameraId) -> bytes | None:
+        """Return a camera's latest frame as PNG, None while there is none."""
+        image = self._cameras[name].image
         return None if image is None else await asyncio.to_thread(_png, image)
 
-    def _tell_lost(self, camera: CameraId, reason: str, cause: LossCause = LossCause.OTHER) -> None:
+    def _report_lost(self, name: CameraId, reason: str, cause: LossCause = LossCause.OTHER) -> None:
         if self._sink is not None:
-            lost = CameraLost(camera=camera, received_ns=self._clock(), reason=reason, cause=cause)
+            lost = CameraLost(camera=name, received_ns=self._clock(), reason=reason, cause=cause)
             self._sink.deliver(lost)
 
-    def _tell_back(self, camera: CameraId) -> None:
+    def _report_back(self, name: CameraId) -> None:
         if self._sink is not None:
-            self._sink.deliver(CameraBack(camera=camera, received_ns=self._clock()))
+            self._sink.deliver(CameraBack(camera=name, received_ns=self._clock()))
 
 
-def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None) -> CameraStatus:
-    keeper, vitals, latencies_ms = place.keeper, place.keeper.vitals, place.latencies_ms
-    n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in place.received_s)
+def _status(name: CameraId, camera: _RigCamera, now_s: float, skew_us: float | None) -> CameraStatus:
+    keeper, vitals, latencies_ms = camera.keeper, camera.keeper.vitals, camera.latencies_ms
+    n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in camera.received_s)
 
     def total(counter: str) -> int:
-        return int(place.earlier[counter] + getattr(place.counters, counter))
+        return int(camera.earlier[counter] + getattr(camera.counters, counter))
 
     return CameraStatus(
-        id=camera,
+        id=name,
         state=keeper.state,
         last_error=keeper.last_error,
         recoveries=keeper.recoveries,
         serial=vitals.serial,
         model=vitals.model,
         address=vitals.address,
-        frames=place.frames,
+        frames=camera.frames,
         fps=round(n_recent / FPS_OVER_S, 2),
         lost=total("lost"),
         late=total("late"),
@@ -246,22 +258,22 @@ def _status(camera: CameraId, place: _Place, now_s: float, skew_us: float | None
         latency_ms=None if not latencies_ms else round(sum(latencies_ms) / len(latencies_ms), 3),
         latency_min_ms=None if not latencies_ms else round(min(latencies_ms), 3),
         latency_max_ms=None if not latencies_ms else round(max(latencies_ms), 3),
-        last_frame_age_s=None if not place.received_s else round(now_s - place.received_s[-1], 3),
+        last_frame_age_s=None if not camera.received_s else round(now_s - camera.received_s[-1], 3),
         skew_us=None if skew_us is None else round(skew_us, 1),
-        warnings=(*vitals.warnings, *_skew_warnings(skew_us), *_miss_warnings(place)),
+        warnings=(*vitals.warnings, *_skew_warnings(skew_us), *_miss_warnings(camera)),
     )
 
 
 def _skew_warnings(skew_us: float | None) -> tuple[str, ...]:
     if skew_us is None or skew_us <= MAX_SKEW_US:
         return ()
-    return (f"exposes {skew_us:.0f} us beside the other cameras: look at its trigger line and its settings",)
+    return (f"exposes {skew_us:.0f} us off the other cameras: look at its trigger line and its settings",)
 
 
-def _miss_warnings(place: _Place) -> tuple[str, ...]:
-    if place.misses < MAX_MISSES:
+def _miss_warnings(camera: _RigCamera) -> tuple[str, ...]:
+    if camera.misses < MAX_MISSES:
         return ()
-    return (f"answers, but {place.misses} images in a row could not be used ({place.why})",)
+    return (f"answers, but {camera.misses} images in a row could not be used ({camera.last_miss_reason})",)
 
 
 def _png(image: Image) -> bytes:

@@ -1,75 +1,75 @@
-"""What a camera's own clock and counter tell about frames that were matched by time.
+"""Check frames that were matched by time of arrival against their camera's own clock and counter.
 
-The clock can refuse a frame that arrived a whole period late, exactly when the next was due. Only both together,
-compared with an earlier frame, tell which trigger one was exposed for: a clock may be set by a whole period, and a
-counter skips what the camera missed. Alone, the counter reveals what was lost and where.
+The clock can refuse a frame that arrived a whole period late, exactly when the next was due. Only clock and counter
+together, compared with an earlier frame, prove which trigger a frame was exposed for: a clock may be set by a whole
+period, and a counter skips what the camera missed. Alone, the counter reveals what was lost and where.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 CLOCK_DRIFT = 2e-4
-"""Relative drift allowed between two unsynchronised crystals: four times what their makers allow."""
+"""Relative drift allowed between two unsynchronised crystals: four times what their makers specify."""
 LATEST_FRAME_NS = 10_000_000_000
-"""No frame is later than this; a larger disagreement means that the camera's clock was set anew."""
+"""Largest delay of a frame; a larger disagreement means that the camera's clock was set anew."""
 LARGEST_ID_STEP = 0x7FFF
-"""A larger step of the counter is a restart, not a loss."""
+"""Largest step of the frame counter that counts as loss; a larger one is a restart of the counter."""
 
 
 class Exposure(NamedTuple):
-    """A frame, and a trigger it may have been exposed for."""
+    """A frame paired with a trigger that it may have been exposed for."""
 
     device_ns: int
     frame_id: int
-    trigger_ns: int  # when the host heard of the trigger
-    ordinal: int  # of the trigger, among those that expose
+    trigger_ns: int  # when the trigger's announcement arrived
+    ordinal: int  # number of the trigger, among those that expose
 
 
 @dataclass(slots=True)
 class ExposureCheck:
-    """Compares the time between two exposures on a camera's own clock with that between their triggers."""
+    """Compares the time between two exposures on one camera's own clock with the time between their triggers."""
 
     tolerance_ns: int
     _reference: Exposure | None = None
     _candidate: Exposure | None = None
 
-    def belongs(self, here: Exposure) -> bool:
-        """Whether a frame can have been exposed for this trigger.
+    def belongs(self, exposure: Exposure) -> bool:
+        """Return whether the frame can have been exposed for its trigger; if so it is the next reference.
 
-        Without a trusted frame to compare with, only one of the very first trigger is believed: any
-        other may be a predecessor's that came late. It is trusted as soon as a second one agrees.
+        Without a reference to compare with, only a frame of the very first trigger is accepted: any other may
+        be a predecessor's that came late. It becomes the reference as soon as a second frame agrees with it.
         After the clock was set anew it takes two agreeing frames as well.
         """
-        if here.device_ns == 0:  # a camera without a clock
+        if exposure.device_ns == 0:  # a camera without a clock
             return True
-        misfit_ns = None if self._reference is None else self._misfit_ns(self._reference, here)
-        fits = here.ordinal == 0 if misfit_ns is None else misfit_ns == 0
+        misfit_ns = None if self._reference is None else self._misfit_ns(self._reference, exposure)
+        fits = exposure.ordinal == 0 if misfit_ns is None else misfit_ns == 0
         if not fits and self._candidate is not None:
-            fits = self._misfit_ns(self._candidate, here) == 0
+            fits = self._misfit_ns(self._candidate, exposure) == 0
         if fits:
-            self._reference, self._candidate = here, None
+            self._reference, self._candidate = exposure, None
         elif misfit_ns is None or misfit_ns > LATEST_FRAME_NS:
-            self._candidate = here
+            self._candidate = exposure
         return fits
 
-    def proves(self, here: Exposure) -> bool:
-        """Whether clock and counter both say, by a trusted frame, that this one was exposed for this trigger."""
+    def proves(self, exposure: Exposure) -> bool:
+        """Return whether clock and counter, compared with the reference, both match the frame to its trigger."""
         reference = self._reference
         return (
             reference is not None
-            and self._misfit_ns(reference, here) == 0
-            and _is_counted(*sorted((reference, here), key=_ordinal))
+            and self._misfit_ns(reference, exposure) == 0
+            and _is_counted(*sorted((reference, exposure), key=_ordinal))
         )
 
     def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
-        """Whether a trusted frame proves that this one was not exposed for a trigger at that time."""
+        """Return whether the reference proves that a frame was not exposed for a trigger at that time."""
         if device_ns == 0 or self._reference is None:
             return False
-        here = self._reference._replace(device_ns=device_ns, trigger_ns=trigger_ns)
-        return 0 < self._misfit_ns(self._reference, here) <= LATEST_FRAME_NS
+        exposure = self._reference._replace(device_ns=device_ns, trigger_ns=trigger_ns)
+        return 0 < self._misfit_ns(self._reference, exposure) <= LATEST_FRAME_NS
 
     def _misfit_ns(self, earlier: Exposure, later: Exposure) -> float:
-        """How far the two durations differ beyond what jitter and drift explain; 0 when they agree."""
+        """Return how far the two durations differ beyond what jitter and drift explain; 0 when they agree."""
         by_camera_ns, by_triggers_ns = (
             later.device_ns - earlier.device_ns,
             later.trigger_ns - earlier.trigger_ns,
@@ -79,7 +79,7 @@ class ExposureCheck:
 
 
 def _is_counted(earlier: Exposure, later: Exposure) -> bool:
-    """Whether the camera counted as many exposures from one to the other as there were triggers."""
+    """Return whether the camera counted as many exposures from one to the other as there were triggers."""
     n_triggers = later.ordinal - earlier.ordinal
     if n_triggers == 0:
         return earlier.frame_id == later.frame_id
@@ -91,7 +91,7 @@ def _ordinal(exposure: Exposure) -> int:
 
 
 def id_step(earlier: int, later: int) -> int | None:
-    """Exposures from one frame id to a later one, or nothing when the counter was restarted.
+    """Return the number of exposures from one frame id to a later one, None when the counter was restarted.
 
     GigE Vision block ids have 16 or 64 bits and wrap to 1: 0 is never used.
     """

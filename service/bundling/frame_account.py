@@ -1,4 +1,4 @@
-"""The account of every camera's frames: used, missing, late, stray, and what their counters tell of."""
+"""Account of every camera's frames: used, missing, late or stray, and the losses that their counters reveal."""
 
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -10,6 +10,7 @@ from service.bundling.exposure_check import id_step
 from service.bundling.window import Window
 
 REMEMBERED_TRIGGERS = 16
+"""Closed triggers that late frames are compared with."""
 
 
 class _Closed(NamedTuple):
@@ -18,7 +19,7 @@ class _Closed(NamedTuple):
 
 
 class FrameAccount:
-    """Keeps `counters`; remembers the last triggers whose bundles have left, for what comes after them."""
+    """Updates `counters`, and remembers the last closed triggers in order to recognise their late frames."""
 
     def __init__(self, counters: Mapping[CameraId, CameraCounters], window_ns: int) -> None:
         self._counters = counters
@@ -28,11 +29,11 @@ class FrameAccount:
 
     @property
     def closed_ns(self) -> list[int]:
-        """When the frames of those triggers were expected."""
+        """Times at which the frames of the remembered triggers were expected."""
         return [closed.expected_ns for closed in self._closed]
 
-    def close(self, window: Window, bundle: FrameBundle) -> None:
-        """Enter what a bundle leaves with."""
+    def count_closed(self, window: Window, bundle: FrameBundle) -> None:
+        """Count the used and the missing frames of a bundle that leaves."""
         for camera, frame in bundle.frames.items():
             self._verify_id(camera, frame.frame_id, window.ordinal)
             self._counters[camera].used += 1
@@ -42,8 +43,8 @@ class FrameAccount:
         if not window.in_dead_time:
             self._closed.append(_Closed(window.expected_ns, _frame_ids(window)))
 
-    def comes_after_close(self, camera: CameraId, received_ns: int, frame: Frame | None) -> bool:
-        """Enter what came for a trigger whose bundle has left, if it did; `frame` is None for a loss."""
+    def count_after_close(self, camera: CameraId, received_ns: int, frame: Frame | None) -> bool:
+        """Count a frame that came for a closed trigger; return whether it did. `frame` is None for a loss."""
         for expected_ns, frame_ids in self._closed:
             if abs(received_ns - expected_ns) > self._window_ns:
                 continue
@@ -58,18 +59,21 @@ class FrameAccount:
             return True
         return False
 
-    def unplaced(self, frames: Iterable[Frame], waiting: Iterable[Window]) -> None:
-        """Enter frames outside of every window: late when the last trigger before lacks it, else strays."""
-        before = [*self._closed, *(_Closed(window.expected_ns, _frame_ids(window)) for window in waiting)]
+    def count_unmatched(self, frames: Iterable[Frame], open_windows: Iterable[Window]) -> None:
+        """Count frames outside of every window: late when the last trigger before lacks it, else strays."""
+        triggers = [
+            *self._closed,
+            *(_Closed(window.expected_ns, _frame_ids(window)) for window in open_windows),
+        ]
         for frame in frames:
-            earlier = [closed for closed in before if closed.expected_ns < frame.received_ns]
+            earlier = [closed for closed in triggers if closed.expected_ns < frame.received_ns]
             if earlier and frame.camera not in earlier[-1].frame_ids:
                 self._counters[frame.camera].late += 1
             else:
                 self._counters[frame.camera].strays += 1
 
     def _verify_id(self, camera: CameraId, frame_id: int, ordinal: int) -> None:
-        """Compare how far the camera's counter went with how many triggers there were."""
+        """Compare the step of the camera's counter with the number of triggers since its last used frame."""
         last = self._last_used.get(camera)
         self._last_used[camera] = (frame_id, ordinal)
         if last is None:

@@ -1,7 +1,7 @@
-"""Stones that the gate did not announce, or late: which of them the cameras showed, and which nobody saw.
+"""Stones that the gate announced late or not at all: which of them the cameras showed, and which nothing showed.
 
-Frames without an announcement come some 0.3 s after the edge, the gap in the gate's counter is told with its
-next line: before the two are compared all frames must have had time to come.
+Frames without an announcement arrive some 0.3 s after the beam closes; a gap in the gate's counter is reported with
+the gate's next line. The two are compared only when all frames have had time to arrive.
 """
 
 from collections import deque
@@ -17,23 +17,23 @@ class _Gap(NamedTuple):
 
 
 class MissedTriggers:
-    """Offsets orphans against what the gate announces late and the gaps of its counter, one by one."""
+    """Offsets orphans against late announcements and gaps of the gate's counter, one by one."""
 
     def __init__(self, tolerance_ns: int) -> None:
-        """`tolerance_ns`: by how much the time of an orphan, which is that of its frames, may be off."""
+        """`tolerance_ns`: largest error of an orphan's time, which is derived from its frames."""
         self._tolerance_ns = tolerance_ns
         self._gaps: deque[_Gap] = deque()
-        self._orphans_ns: list[int] = []  # that neither gap nor announcement has explained yet
+        self._orphans_ns: list[int] = []  # not yet explained by a gap or an announcement
         self._last_announced = 0
 
-    def has_adopted(self, trigger: Trigger) -> bool:
-        """Whether the line of an announcement comes so late that its frames have been adopted."""
+    def has_orphan_of(self, trigger: Trigger) -> bool:
+        """Return whether an announcement comes so late that its frames have become an orphan's."""
         return any(
             abs(orphan_ns - trigger.received_ns) <= self._tolerance_ns for orphan_ns in self._orphans_ns
         )
 
-    def announced(self, trigger: Trigger) -> None:
-        """Note an announcement: if the gate missed nothing before it, earlier orphans were no stones of its."""
+    def note_announced(self, trigger: Trigger) -> None:
+        """Register an announcement: if the gate missed nothing before it, earlier orphans were not its stones."""
         is_next = trigger.sequence == self._last_announced + 1 and not self._gaps
         self._last_announced = trigger.sequence
         orphans_ns, at_ns = self._orphans_ns, trigger.received_ns
@@ -41,20 +41,23 @@ class MissedTriggers:
         later_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns > at_ns + self._tolerance_ns]
         self._orphans_ns = later_ns if is_next else earlier_ns + later_ns
 
-    def adopted(self, received_ns: int) -> None:
-        """Note frames that got a trigger of their own, of this time."""
+    def note_orphan(self, received_ns: int) -> None:
+        """Register frames that got a trigger of their own, at this time."""
         self._orphans_ns.append(received_ns)
 
-    def missed(self, n_triggers: int, received_ns: int, due_ns: int) -> None:
-        """Note a gap, to be looked at when its frames are due."""
+    def note_gap(self, n_triggers: int, received_ns: int, due_ns: int) -> None:
+        """Register a gap in the gate's counter, to be compared with the orphans when its frames are due."""
         self._gaps.append(_Gap(due_ns, received_ns, n_triggers))
 
-    def unseen(self, now_ns: int | None = None) -> list[int]:
-        """When the gaps that are due (all without `now_ns`) were told, once for each stone that nobody saw."""
-        told_ns: list[int] = []
+    def take_unseen(self, now_ns: int | None = None) -> list[int]:
+        """Settle the gaps that are due (all without `now_ns`).
+
+        Returns, for each trigger that no orphan explains, the time at which its gap was reported.
+        """
+        reported_ns: list[int] = []
         while self._gaps and (now_ns is None or now_ns >= self._gaps[0].due_ns):
             gap = self._gaps.popleft()
             n_explained = min(len(self._orphans_ns), gap.n_triggers)
             del self._orphans_ns[:n_explained]
-            told_ns += [gap.received_ns] * (gap.n_triggers - n_explained)
-        return told_ns
+            reported_ns += [gap.received_ns] * (gap.n_triggers - n_explained)
+        return reported_ns

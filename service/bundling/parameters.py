@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 IN_VIEW_NS = 50_000_000
-"""A stone that passes the gate so soon after a test pulse is in the picture, or its edge: it crosses it in 20 ms."""
+"""A stone within this time after a test pulse is in the picture or at its edge: it crosses the picture in 20 ms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,5 +26,5 @@ class BundlingParameters:
 
     @property
     def quiet_s(self) -> float:
-        """So long after a trigger its stone is through and the cameras are ready for the next."""
+        """Time after a trigger until its stone has left the field of view and the cameras can expose again."""
         return max(self.dead_time_ms, self.expected_delay_ms) / 1e3 + IN_VIEW_NS / 1e9

@@ -8,8 +8,8 @@ from service.calibration.drop_files import outline_paths
 from service.calibration.drop_jobs import Solution, SolveJob, solve
 from service.calibration.files import CalibrationFiles, CalibrationRecord
 from service.calibration.plan import Method
-from service.processing.measure_job import RigFile, step_back
-from service.processing.worker_pool import JobLostError, WorkerStartError, run_apart
+from service.processing.measure_job import RigFile, lower_priority
+from service.processing.worker_pool import JobLostError, WorkerStartError, run_in_new_process
 
 SOLVE_DEADLINE_S = 300.0
 """The paper's method takes half a minute of one core."""
@@ -19,7 +19,7 @@ Solver = Callable[[SolveJob], Awaitable[Solution]]
 
 async def solve_apart(job: SolveJob) -> Solution:
     """Run the job in a process of its own; raise `JobLostError` or `WorkerStartError` when that fails."""
-    return await run_apart(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=step_back)
+    return await run_in_new_process(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority)
 
 
 async def solve_calibration(

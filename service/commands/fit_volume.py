@@ -12,6 +12,7 @@ import typer
 from pipeline.measuring.volume_correction import fit_volume_model
 from service.configuration.volume_models import write_volume_model
 from service.errors import VolumeModelError
+from service.results.fields import Outcome
 
 MAX_VOLUME_MM3 = 1e6
 """Volume of a cube of 100 mm, which is larger than the field of view."""
@@ -72,7 +73,7 @@ def _measured(path: Path) -> dict[str, tuple[float, float]]:
         where = f"{path}: line {number}"
         try:
             record = json.loads(line)
-            bundle, is_measured = str(record["bundle"]), record["outcome"] == "measured"
+            bundle, is_measured = str(record["bundle"]), record["outcome"] == Outcome.MEASURED
         except (ValueError, LookupError, TypeError) as err:
             raise VolumeModelError(f"{where}: is not a result of stonefall measure") from err
         if is_measured:

@@ -43,6 +43,7 @@ from service.processing.processing import FixedCalibration, Processing, Processi
 from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import WorkerPool
+from service.results.fields import LossReason, Outcome
 
 DEADLINE_S = 600.0
 """Only a worker that hangs is ended: no stone waits here."""
@@ -152,7 +153,7 @@ def command(
     with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as name:
         unfinished = Path(name)
         records = _measure_all(source, context, rig_file, unfinished, workers, save_silhouettes)
-        stones = [r for r in records if r["outcome"] == "measured" and r["kind"] == BundleKind.PARTICLE]
+        stones = [r for r in records if r["outcome"] == Outcome.MEASURED and r["kind"] == BundleKind.PARTICLE]
         curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
         (unfinished / GRADATION).write_text(json.dumps(asdict(curve), indent=2) + "\n")
         _replace_results(unfinished, out)
@@ -194,7 +195,9 @@ class _PlaybackSpool:
             for header in playback_order(source)
         ] + [
             SpooledBundle(
-                trigger=trigger, name=error.path.stem, content=Loss(reason="unreadable", detail=error.problem)
+                trigger=trigger,
+                name=error.path.stem,
+                content=Loss(reason=LossReason.UNREADABLE, detail=error.problem),
             )
             for trigger, error in unreadable_triggers(source)
         ]
@@ -291,13 +294,13 @@ async def _run(
 
 def _print_summary(records: list[dict[str, Any]], as_json: bool) -> None:
     outcomes = [record["outcome"] for record in records]
-    summary = {outcome: outcomes.count(outcome) for outcome in ("measured", "rejected", "lost")}
+    summary = {outcome: outcomes.count(outcome) for outcome in Outcome}
     if as_json:
         typer.echo(json.dumps({"bundles": len(records), **summary}))
         return
     table = Table("bundle", "outcome", "quality", "volume mm³", "sieve mm", "views", "remarks")
     for record in records:
-        measured = record["outcome"] == "measured"
+        measured = record["outcome"] == Outcome.MEASURED
         dropped = ", ".join(f"{camera} {why}" for camera, why in record["dropped_views"].items())
         table.add_row(
             record["bundle"],

@@ -24,7 +24,7 @@ from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
-from service.status import AcquisitionState, AcquisitionTarget
+from service.status import AcquisitionState, AcquisitionTarget, DeviceState
 
 POLL_S = 0.1
 """Interval at which progress is shown and the end is looked for."""
@@ -87,7 +87,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
         reserve_bytes=settings.recordings.reserve_bytes,
         made_by={"command": "record", "count": count},
         count=count,
-        on_through=(lambda: None) if devices.belt is None else devices.belt.permit,
+        on_free=(lambda: None) if devices.belt is None else devices.belt.permit,
     )
     if devices.belt is not None:
         devices.belt.permit(INBOX_TRIGGERS // 2)  # at fast pace; more as these are written
@@ -146,9 +146,9 @@ async def _follow(
 def _trouble_in_full(acquisition: Acquisition) -> str | None:
     """Return why the rig is held, with the error of one of the lost cameras; None when it is not held."""
     trouble = acquisition.trouble
-    if trouble is None or acquisition.gate.state == "lost":
+    if trouble is None or acquisition.gate.state is DeviceState.LOST:
         return trouble
-    lost = [camera for camera in acquisition.cameras.statuses() if camera.state == "lost"]
+    lost = [camera for camera in acquisition.cameras.statuses() if camera.state is DeviceState.LOST]
     causes = [
         f"; {camera.id}: {camera.last_error}" for camera in lost[:1] if str(camera.last_error) not in trouble
     ]

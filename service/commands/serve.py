@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from service.acquisition.device_keeper import CONTROL_THREAD
+from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.daemon.systemd import configure_logging, service_manager
 from service.errors import SettingsError
 from service.processing.worker_pool import import_for_workers
@@ -42,7 +42,7 @@ def command(
 def _exit(code: int) -> NoReturn:
     """Exit, even if a device driver still blocks a thread; everything else is closed by now."""
     others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
-    if any(CONTROL_THREAD in thread.name for thread in others):
+    if any(CONTROL_THREAD_SUFFIX in thread.name for thread in others):
         logging.shutdown()
         os._exit(code)
     sys.exit(code)

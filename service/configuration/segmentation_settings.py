@@ -50,7 +50,7 @@ def plan_segmenter(settings: SegmentationSettings) -> SegmenterPlan:
         wanted=settings.segmenter,
         model=model,
         providers=settings.providers,
-        elsewhere=f"this onnxruntime has no {', '.join(lacking)}, but {', '.join(built_in)}"
+        provider_trouble=f"this onnxruntime has no {', '.join(lacking)}, but {', '.join(built_in)}"
         if lacking
         else None,
     )

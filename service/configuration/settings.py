@@ -155,8 +155,8 @@ def shortcomings(settings: Settings) -> Iterator[str]:
     plan = plan_segmenter(settings.segmentation)
     if plan.trouble is not None:
         yield f"segmentation.model: {plan.trouble}"
-    if plan.elsewhere is not None:
-        yield f"segmentation.providers: {plan.elsewhere}"
+    if plan.provider_trouble is not None:
+        yield f"segmentation.providers: {plan.provider_trouble}"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -33,19 +33,20 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
+from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 
 log = logging.getLogger(__name__)
 
-ACQUISITION_LIMIT_S = 20.0
-"""An armed rig makes progress twenty times a second; opening and closing dead cameras takes longer."""
-COMMIT_LIMIT_S = 30.0
-"""A bundle has its outcome so long after its second attempt at the latest."""
+ACQUISITION_SILENCE_S = 20.0
+"""Longest time without progress of an active acquisition: that of opening and closing dead cameras."""
+COMMIT_SILENCE_S = 30.0
+"""Longest time from the end of a bundle's second attempt to its outcome."""
 
 
 async def build(settings: Settings, store: Store) -> Daemon:
-    """Build all parts; nothing runs yet, but what a killed predecessor left behind is settled."""
+    """Build all parts, none of which runs yet; triggers that a killed daemon left open are recorded as lost."""
     configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
     found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
@@ -58,8 +59,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         log.error("%s", segmentation.warning)
     heartbeats = Heartbeats(
         {
-            Part.ACQUISITION: ACQUISITION_LIMIT_S,
-            Part.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_LIMIT_S,
+            Part.ACQUISITION: ACQUISITION_SILENCE_S,
+            Part.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_SILENCE_S,
         }
     )
     rig_watch = RigWatch(found.rig, source.fall)
@@ -68,14 +69,13 @@ async def build(settings: Settings, store: Store) -> Daemon:
     recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
     calibrations = await _open_calibrations(settings, store, found, session, rig_watch, recordings)
 
-    enough = 2 * settings.workers.slots  # bundles to keep the workers busy
+    n_ahead = 2 * settings.workers.slots  # bundles that keep the workers busy
     belt = devices.belt
-    if (
-        belt is not None
-    ):  # in fast pace a new bundle comes for each that is through; the archive can take all of them
-        belt.permit(min(enough + 1, settings.spool.max_bundles))
-    files = BundleFiles(folder, on_through=belt.permit if belt is not None else lambda: None)
-    archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=enough)
+    if belt is not None:
+        # in fast pace a replay delivers a bundle for each one that is free again; the archive can take all of them
+        belt.permit(min(n_ahead + 1, settings.spool.max_bundles))
+    files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
+    archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=n_ahead)
     spool = Spool(
         files,
         max_bundles=settings.spool.max_bundles,
@@ -94,7 +94,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
-        is_ball=lambda: belt is None and calibrations.wants_balls,  # a recording says itself what fell
+        is_ball=lambda: belt is None and calibrations.wants_balls,  # a recording has the kind of each bundle
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
     )
@@ -116,14 +116,15 @@ async def build(settings: Settings, store: Store) -> Daemon:
             is_simulated=source.is_simulated,
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
-            checked=False,  # this very process has written them into its memory
+            checked=False,  # this process has just written the pixels
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, rig_watch, optical_watch, segmentation_watch),
+        results=WatchedResults(store, rig_watch, optical_watch),
         calibration=calibrations,
-        kept=_kept_background(settings, configured),
-        on_empty=optical_watch.note,
+        kept_background=_kept_background(settings, configured),
+        on_empty_rig=optical_watch.note,
+        on_network=segmentation_watch.note,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(
@@ -150,7 +151,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
 async def _begin_session(
     settings: Settings, store: Store, source: RecordingSource, found: CalibrationsAtStart
 ) -> int:
-    """Begin a run of the daemon in the store; triggers that a killed one left open are lost."""
+    """Begin a session in the store, and record triggers that a killed daemon left open as lost."""
     session = await store.begin_session(
         {
             "calibration_id": found.rig.calibration_id,
@@ -159,13 +160,13 @@ async def _begin_session(
             **settings.rig.describe(),
         }
     )
-    if lost := await store.lose_open("crash", "the daemon ended before this bundle was measured"):
+    if lost := await store.lose_open(LossReason.CRASH, "the daemon ended before this bundle was measured"):
         log.error("triggers lost in a crash of the daemon count=%d", lost)
     return session
 
 
 def _empty_folder(folder: Path) -> Path:
-    """Make the folder of this store's bundles on tmpfs, empty: daemons with other stores are not disturbed."""
+    """Create the folder empty; it belongs to one store, so that daemons with other stores keep theirs."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     return folder
@@ -196,7 +197,7 @@ async def _open_calibrations(
 
 
 def _kept_background(settings: Settings, configured: RigCalibration) -> KeptBackground | None:
-    """Return where the background outlives the daemon; in replay the recording alone decides."""
+    """Return the background that outlives the daemon, None in replay, where only the recording counts."""
     optical_settings = settings.rig.optical_settings
     if optical_settings is None:
         return None

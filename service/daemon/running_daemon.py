@@ -1,4 +1,4 @@
-"""The parts of the daemon at work: what the REST interface, the watchdog and `systemctl status` ask."""
+"""The parts of the running daemon, and what the REST interface, the watchdog and `systemctl status` ask of them."""
 
 import logging
 import shutil
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Daemon:
-    """The parts at work; to the REST interface they are its `Control`."""
+    """The parts of the running daemon; implements `service.api.control.Control`."""
 
     settings: Settings
     segmentation: SegmenterPlan
@@ -78,7 +78,7 @@ class Daemon:
                 cameras=self.cameras(),
                 all_lost=self.acquisition.cameras.common_cause,
                 views=self.settings.views,
-                waiting=self.spool.held,
+                waiting=self.spool.n_queued,
                 max_waiting=self.spool.max_bundles,
                 overflows=self.spool.overflows,
                 workers=len(self.pool.pids),
@@ -102,19 +102,17 @@ class Daemon:
         )
 
     def late(self) -> list[Part]:
-        """Parts that have something to do and make no progress."""
+        """Return the parts that have something to do and make no progress."""
         return self.heartbeats.late(time.monotonic())
 
     def watch(self) -> list[Part]:
-        """Look after the parts, often: those with nothing to do are not late, the others are named."""
-        if not self.acquisition.is_at_work:
+        """Record that idle parts are not late, and return those that are; to be called often."""
+        if not self.acquisition.is_active:
             self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
-        if self.spool.held == 0:
+        if self.spool.n_queued == 0:
             self.heartbeats.beat(Part.PROCESSING, time.monotonic())
         return self.late()
 
     def status(self) -> str:
-        """One line for `systemctl status`."""
-        return (
-            f"{self.acquisition.state}, {self.spool.held} bundles waiting, last result {self.store.last_seq}"
-        )
+        """Return one line for `systemctl status`."""
+        return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {self.store.last_seq}"

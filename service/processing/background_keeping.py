@@ -1,8 +1,8 @@
-"""The background outlives the daemon: under a running crusher no moment may come to see the rig empty.
+"""Keep the background for the next start of the daemon: a running crusher may never show the rig empty.
 
-Kept for live rigs only, with what the cameras are and are set to; after a change of that nothing is restored. A
-new calibration changes nothing of what they see. In replay the recording alone decides, or results would
-depend on what ran before.
+Kept for live rigs only, under a hash of the cameras and their settings; after a change of these nothing is restored.
+A new calibration changes nothing about the images. In replay nothing is kept, or results would depend on what
+ran before.
 """
 
 import hashlib
@@ -22,11 +22,11 @@ from service.processing.background_files import read_background
 log = logging.getLogger(__name__)
 
 KEEP_EVERY_S = 600.0
-"""It is 110 MB; dust does not settle faster."""
+"""Shortest time between two writes of the 110 MB; dust settles more slowly than that."""
 
 
 class KeptBackground:
-    """Called from threads, one call at a time."""
+    """The background file that outlives the daemon; called from threads, one call at a time."""
 
     def __init__(
         self,
@@ -39,30 +39,32 @@ class KeptBackground:
         self._kept_at_s: float | None = None
 
     def restore(self, folder: Path) -> Path | None:
-        """Put the kept background where the workers read it; nothing when there is none or it is damaged."""
+        """Extract the kept background into `folder` and return that; None when there is none or it is damaged."""
         if not self._path.exists():
             return None
         try:
-            with zipfile.ZipFile(self._path) as archive:  # which checks what it extracts
+            with zipfile.ZipFile(self._path) as archive:  # extracting verifies checksums
                 archive.extractall(folder)
             read_background(folder)
         except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as err:
-            log.error("the kept background is not used: %s file=%s", err, self._path)
+            log.error("the kept background is damaged and not used: %s file=%s", err, self._path)
             shutil.rmtree(folder, ignore_errors=True)
             return None
-        log.info("background of before restored file=%s", self._path)
+        log.info("kept background restored file=%s", self._path)
         return folder
 
     def keep(self, folder: Path) -> None:
-        """Keep a background for the next start, unless that was done lately; a full disk costs only this."""
+        """Keep a background for the next start, at most every `KEEP_EVERY_S`; a full disk is logged, not raised."""
         now_s = time.monotonic()
         if self._kept_at_s is not None and now_s - self._kept_at_s < KEEP_EVERY_S:
             return
         self._kept_at_s = now_s
         try:
             with replacing(self._path) as unfinished, zipfile.ZipFile(unfinished, "w") as archive:
-                for path in sorted(folder.iterdir()):  # as numpy.savez would, and earlier releases did
-                    # at once: in zipfile's own pieces of 8 kB the interpreter's lock changes hands all the time
+                for path in sorted(
+                    folder.iterdir()
+                ):  # the format of numpy.savez, which earlier releases used
+                    # whole files: with zipfile's pieces of 8 kB the interpreter's lock changes hands all the time
                     archive.writestr(path.name, path.read_bytes())
             for other in self._path.parent.glob("background-*.npz"):
                 if other != self._path:

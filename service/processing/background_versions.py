@@ -1,8 +1,8 @@
-"""Which version of the background a stone is measured with: that depends on the order of the bundles alone.
+"""Choose the version of the background that each stone is measured with, by the order of the bundles alone.
 
-The first exposures of the empty rig are learnt before any later bundle is started. Once there are some, one more makes
-little difference, and no stone waits for it: it is learnt beside the next ones, and used from a certain stone after it
-on, or when another exposure follows.
+The first exposures of the empty rig are learnt before any later bundle is started. After these, one more makes
+little difference, and stones do not wait for it: it is learnt while the next ones are measured, and used from a fixed
+number of stones later on, or when another exposure follows.
 """
 
 import asyncio
@@ -10,22 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-WAITED_FOR = 3
-"""Exposures from which the mean has hardly more noise than from any number."""
-BESIDE = 8
-"""Stones that are started while an exposure is learnt: that takes as long as three of them."""
+N_AWAITED = 3
+"""Exposures that stones wait for: the mean of three has hardly more noise than that of more."""
+N_BESIDE = 8
+"""Stones that are started while an exposure is learnt, which takes as long as three of them."""
 
 
 @dataclass(frozen=True, slots=True)
-class Learnt:
-    """A new version, in a folder, and what its exposure says of each camera, see `record.optics_record`."""
+class LearntBackground:
+    """A new version, in a folder, and the optics of each camera in its exposure, see `record.optics_record`."""
 
     path: Path
     optics: dict[str, Any]
 
 
 class BackgroundVersions:
-    """The version `in_use`, and the exposure that is being learnt, which becomes the next one."""
+    """The version `in_use`, and the exposure that is being learnt, which becomes the next version."""
 
     def __init__(self, in_use: Path | None = None) -> None:
         self.in_use = in_use
@@ -34,18 +34,21 @@ class BackgroundVersions:
         self._n_beside = 0
         self._retired: list[Path] = []
 
-    async def turn_of(self, is_background: bool) -> tuple[Path, ...]:
-        """Wait until what is `in_use` is what the next bundle asks for; versions that no bundle from it on does."""
+    async def advance(self, is_background: bool) -> tuple[Path, ...]:
+        """Wait until `in_use` is the version that the next bundle needs; return those no longer needed from it on."""
         self._n_beside += not is_background
-        if is_background or self._n_beside > BESIDE:
+        if is_background or self._n_beside > N_BESIDE:
             await self._use_next()
         retired, self._retired = tuple(self._retired), []
         return retired
 
     async def learn(self, job: asyncio.Task[Any]) -> None:
-        """Take a job whose result, if it has none of another kind, is `Learnt`; wait for it if later ones have to."""
+        """Take the job that learns an exposure, and wait for it if later bundles have to.
+
+        A result that is not a `LearntBackground` changes nothing.
+        """
         self._next, self._n_beside = job, 0
-        if self._n_learnt < WAITED_FOR:
+        if self._n_learnt < N_AWAITED:
             await self._use_next()
 
     async def _use_next(self) -> None:
@@ -53,7 +56,9 @@ class BackgroundVersions:
         if job is None:
             return
         await asyncio.wait([job])
-        if job.cancelled() or job.exception() is not None or not isinstance(learnt := job.result(), Learnt):
+        if job.cancelled() or job.exception() is not None:
+            return
+        if not isinstance(learnt := job.result(), LearntBackground):
             return
         if self.in_use is not None:
             self._retired.append(self.in_use)

@@ -1,36 +1,36 @@
-"""The files on tmpfs that bundles travel in: one that is through is written over by the next bundle."""
+"""The files on tmpfs that bundles pass to the workers in; a file that is free is written over by a later bundle."""
 
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
 SPARE_FILES = 4
-"""So many files are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
+"""Free files that are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
 
 
 class BundleFiles:
-    """Hands out files of one folder, which exists and belongs to these files alone; all on the loop.
+    """Hands out files of one existing folder, which holds nothing else; called on the event loop.
 
-    `on_through` is called for every bundle that needs its place no longer, those without a file included.
+    `on_free` is called for every bundle that needs its place no longer, those without a file included.
     """
 
-    def __init__(self, folder: Path, *, on_through: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, folder: Path, *, on_free: Callable[[], None] = lambda: None) -> None:
         self._folder = folder
-        self.on_through = on_through
+        self.on_free = on_free
         self._n_files = 0
         self._spare: list[Path] = []
 
     def take(self) -> Path:
-        """Return a file that nobody reads any more, else the name of a new one."""
+        """Return a free file, or the name of a new one if there is none."""
         if self._spare:
             return self._spare.pop()
         self._n_files += 1
         return self._folder / f"{self._n_files:08d}.tiff"
 
     async def give_back(self, path: Path) -> None:
-        """Take back a file that is read no longer."""
+        """Take back a file that is no longer read."""
         if len(self._spare) < SPARE_FILES:
             self._spare.append(path)
         else:
             await asyncio.to_thread(path.unlink)
-        self.on_through()
+        self.on_free()

@@ -1,6 +1,6 @@
-"""What a worker process does: one bundle file in, one result record and its files out.
+"""The jobs of a worker process: from one bundle file to one result record and its files.
 
-The offline command and the daemon run these very functions, so their results are equal bit for bit,
+The offline command and the daemon call the same functions, so their results are equal bit for bit,
 whatever the number of workers.
 """
 
@@ -31,6 +31,7 @@ from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
 from pipeline.segmentation.optics import observe_all
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
+from pipeline.segmentation.silhouette import FoundBy
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.errors import WorkerFailure
@@ -42,13 +43,13 @@ from service.results.record import optics_record, result_record
 
 MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
 """Files of a result."""
-COMPILER_THRESHOLD = 20_000
-"""New objects between two collections: a compiler makes many that stay, and to look through them is 9 % of its time."""
+GC_THRESHOLD = 20_000
+"""New objects between two garbage collections: with Python's default, they take 9 % of the compiler's time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerContext:
-    """What all jobs of a worker share."""
+    """Parameters that all jobs of a worker share."""
 
     parameters: PipelineParameters
     is_simulated: bool
@@ -58,7 +59,7 @@ class WorkerContext:
 
 @dataclass(frozen=True, slots=True)
 class RigFile:
-    """A calibration: its file, never rewritten under its name, and the id its content has."""
+    """A calibration's file, never rewritten under its name, and the id of its content."""
 
     path: Path
     calibration_id: str
@@ -66,7 +67,7 @@ class RigFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureJob:
-    """One bundle to measure; its files go into `out_dir`, which is made."""
+    """One bundle to measure; its files are written into `out_dir`, which is created."""
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
@@ -75,23 +76,41 @@ class MeasureJob:
     out_dir: Path
     save_silhouettes: bool = False
     checked: bool = True  # whether pixels are compared with their checksums
-    threads: int = 1  # views that are worked on at a time
+    threads: int = 1  # views that are processed at a time
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkUse:
+    """How the segmentation network did in one bundle."""
+
+    is_source: bool
+    """Whether a silhouette of the bundle is the network's."""
+    trouble: str | None
+    """Why it does not run as it should, None if it does or was not asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredBundle:
+    """The result record of one bundle, and what else is learnt of it."""
+
+    record: dict[str, Any]
+    network: NetworkUse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearnJob:
-    """One exposure of the empty rig to fold into the background, which becomes a new folder."""
+    """One exposure of the empty rig to add to the background, which is written into a new folder."""
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
     previous_path: Path | None
     out_path: Path
-    threads: int = 1  # views that are worked on at a time
+    threads: int = 1  # views that are processed at a time
 
 
 @dataclass(slots=True)
 class Worker:
-    """A worker process: what its jobs share, and what it keeps from one to the next."""
+    """State of a worker process: what its jobs share, and what it caches from one to the next."""
 
     context: WorkerContext
     segmenter: ChoosingSegmenter
@@ -101,7 +120,7 @@ class Worker:
     rig: RigCalibration | None = None
 
     def background_at(self, path: Path | None) -> BackgroundModel:
-        """The model in a folder; the last one is kept, folders are never rewritten under their name."""
+        """Return the model in a folder, cached: folders are never rewritten under their name."""
         if path is None:
             return {}
         if self.background is None or path != self.background_path:
@@ -109,7 +128,7 @@ class Worker:
         return self.background
 
     def rig_in(self, file: RigFile) -> RigCalibration:
-        """The calibration in a file; the last one is kept. `ValueError` when it is not the one that is meant."""
+        """Return the calibration in a file, cached; raise `ValueError` when it has another id."""
         if self.rig is None or file != self.rig_file:
             rig = read_rig(file.path)
             if rig.calibration_id != file.calibration_id:
@@ -124,11 +143,11 @@ _worker: Worker | None = None
 
 
 def prepare(context: WorkerContext) -> list[WarmUp]:
-    """Prepare this process; returns what has everything compiled that a stone needs, the longest first."""
+    """Prepare this process for jobs; return the steps that compile what a stone needs, the longest first."""
     global _worker
-    step_back()
+    lower_priority()
     keep_freed_memory()
-    gc.set_threshold(COMPILER_THRESHOLD)
+    gc.set_threshold(GC_THRESHOLD)
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
     _worker = Worker(context=context, segmenter=segmenter)
     steps: list[Callable[[], object]] = [
@@ -139,24 +158,24 @@ def prepare(context: WorkerContext) -> list[WarmUp]:
         partial(carving.warm_up, context.parameters.carving),
         meshing.warm_up,
     ]
-    return [partial(takes_compiler, step) for step in steps]
+    return [partial(compiles, step) for step in steps]
 
 
-def takes_compiler(step: Callable[[], object]) -> bool:
-    """Run the step; whether something was compiled."""
+def compiles(step: Callable[[], object]) -> bool:
+    """Run the step; return whether numba compiled something."""
     with event.install_recorder("numba:compile") as compilations:
         step()
     return bool(compilations.buffer)
 
 
 def initialize(context: WorkerContext) -> None:
-    """Prepare this process, and have everything compiled."""
+    """Prepare this process for jobs, everything compiled."""
     for step in prepare(context):
         step()
 
 
-def step_back(context: None = None) -> tuple[WarmUp, ...]:
-    """Frames come first: this process yields the processor to the daemon, and uses one core."""
+def lower_priority(context: None = None) -> tuple[WarmUp, ...]:
+    """Give this process a lower priority than the daemon, which receives the frames, and one thread a library."""
     os.nice(10)
     # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
@@ -165,21 +184,21 @@ def step_back(context: None = None) -> tuple[WarmUp, ...]:
 
 
 def this_worker() -> Worker:
-    """Return what this process keeps; raise `WorkerFailure` before `initialize`."""
+    """Return the state of this process; raise `WorkerFailure` before `initialize`."""
     if _worker is None:
         raise WorkerFailure("the worker was not initialized")
     return _worker
 
 
-def measure(job: MeasureJob) -> dict[str, Any]:
-    """The result record of one bundle; writes `mesh.ply` and `silhouettes.tiff`.
+def measure(job: MeasureJob) -> MeasuredBundle:
+    """Measure one bundle, and write `mesh.ply` and `silhouettes.tiff`.
 
     Raises
     ------
     RecordingError
         Nothing of the bundle can be read.
     WorkerFailure
-        Anything that is not the stone's fault; carries the traceback as text.
+        An exception that says nothing about the stone; carries the traceback as text.
     """
     worker = this_worker()
     timings_ms: dict[str, float] = {}
@@ -196,9 +215,9 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         background = worker.background_at(job.background_path)
         rig = worker.rig_in(job.rig_file)
         on_stage("load")
-        with several(job.threads) as each:
+        with view_mapper(job.threads) as mapper:
             result = measure_bundle(
-                bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage, each
+                bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage, mapper
             )
         _write_files(job, result)
         on_stage("write")
@@ -213,16 +232,24 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         timings_ms=timings_ms,
     )
     record["mesh"] = None if result.mesh is None else MESH
-    return record
+    return MeasuredBundle(record, _network_use(result))
+
+
+def _network_use(result: ParticleResult) -> NetworkUse:
+    seen = result.silhouettes.values()
+    return NetworkUse(
+        is_source=any(silhouette.found_by is not FoundBy.BACKGROUND for silhouette in seen),
+        trouble=next((silhouette.network_trouble for silhouette in seen if silhouette.network_trouble), None),
+    )
 
 
 @contextmanager
-def several(n: int) -> Iterator[ViewMapper]:
-    """How to work on `n` views at a time."""
-    if n == 1:
+def view_mapper(n_threads: int) -> Iterator[ViewMapper]:
+    """Provide the `map` over views: the serial one, or that of a pool of threads."""
+    if n_threads == 1:
         yield map
         return
-    with ThreadPoolExecutor(n, thread_name_prefix="views") as threads:
+    with ThreadPoolExecutor(n_threads, thread_name_prefix="views") as threads:
         yield threads.map
 
 
@@ -238,9 +265,9 @@ def _write_files(job: MeasureJob, result: ParticleResult) -> None:
 
 
 def learn_background(job: LearnJob) -> dict[str, Any]:
-    """Fold one exposure of the empty rig into the background and write it into a new folder.
+    """Add one exposure of the empty rig to the background and write that into a new folder.
 
-    Returns the optical figures of each camera, see `record.optics_record`.
+    Returns the optics of each camera, see `record.optics_record`.
 
     Raises
     ------
@@ -253,12 +280,14 @@ def learn_background(job: LearnJob) -> dict[str, Any]:
     with worker_boundary():
         previous = this_worker().background_at(job.previous_path)
 
-        def fold(camera: CameraId) -> dict[str, Any]:
+        def add(camera: CameraId) -> dict[str, Any]:
             known = {camera: previous[camera]} if camera in previous else {}
             seen = {camera: bundle.frames[camera]} if camera in bundle.frames else {}
             write_background(job.out_path, learn(known, seen))
             return optics_record(observe_all(seen, known))
 
-        with several(job.threads) as each:  # whole cameras: all means at once would be 84 MB of fresh memory
-            observed = each(fold, sorted({*previous, *bundle.frames}))
+        with view_mapper(
+            job.threads
+        ) as mapper:  # camera by camera: all means at once are 84 MB of fresh memory
+            observed = mapper(add, sorted({*previous, *bundle.frames}))
             return {camera: figures for seen in observed for camera, figures in seen.items()}

@@ -1,4 +1,4 @@
-"""What is learnt from results as they become durable: the watches of health read along."""
+"""Pass durable results on to the watches of health."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,13 +8,13 @@ from service.processing.processing import ResultSink
 
 
 class Watch(Protocol):
-    """Whoever learns from results."""
+    """An observer of all results, in their order."""
 
     def feed(self, record: Mapping[str, Any]) -> None: ...
 
 
 class WatchedResults:
-    """The sink of all results, and the watches that read along."""
+    """A sink of results that feeds them to watches as well."""
 
     def __init__(self, results: ResultSink, *watches: Watch) -> None:
         self._results = results
@@ -23,7 +23,7 @@ class WatchedResults:
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
     ) -> int:
-        """Pass a result on, then learn from it: what is said about the rig is durable."""
+        """Make a result durable, then feed it to the watches: what they report of the rig rests on durable results."""
         seq = await self._results.finish(session, bundle, record, files)
         for watch in self._watches:
             watch.feed(record)

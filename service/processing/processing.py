@@ -1,8 +1,8 @@
-"""From the spool to the store: measured on any worker, committed strictly in the order of the triggers.
+"""Process bundles from the spool to the store: on any worker, committed strictly in the order of the triggers.
 
 Every job names the version of the background that it needs (`background_versions`), and the calibration in use when
 its bundle's turn began, so a result does not depend on the number of workers.
-Every trigger that comes out of the spool ends here in exactly one outcome.
+Every trigger that leaves the spool gets exactly one outcome here.
 """
 
 import asyncio
@@ -16,27 +16,30 @@ from typing import Any, Protocol
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
 from service.processing.background_keeping import KeptBackground
-from service.processing.background_versions import BackgroundVersions, Learnt
+from service.processing.background_versions import BackgroundVersions, LearntBackground
 from service.processing.measure_job import (
     MESH,
     SILHOUETTES,
     LearnJob,
+    MeasuredBundle,
     MeasureJob,
+    NetworkUse,
     RigFile,
     learn_background,
     measure,
 )
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, WorkerPool
+from service.results.fields import LossReason
 from service.results.record import lost_record
 
 log = logging.getLogger(__name__)
 
-SHUTDOWN = Loss(reason="shutdown", detail="the daemon was stopped before this bundle was measured")
+SHUTDOWN = Loss(reason=LossReason.SHUTDOWN, detail="the daemon was stopped before this bundle was measured")
 
 
 class BundleSource(Protocol):
-    """The far side of the spool."""
+    """The output side of the spool."""
 
     async def take(self) -> SpooledBundle | None: ...
 
@@ -45,22 +48,22 @@ class BundleSource(Protocol):
 
 Record = Mapping[str, Any]
 KeepDrop = Callable[[Record], Awaitable[None]]
-"""Keeps what was observed of a drop, once its result is durable; `OSError` when that cannot be written."""
+"""Stores the observation of a drop once its result is durable; raises `OSError` when it cannot be written."""
 
 
 class DropCollector(Protocol):
-    """A calibration or verification that waits for balls or stones."""
+    """An open calibration or verification that collects drops of balls or stones."""
 
     @property
     def kind(self) -> BundleKind: ...
 
     async def observe(self, pool: WorkerPool, job: MeasureJob) -> KeepDrop:
-        """Have a worker observe the drop that the job has measured; files may be left in the job's folder."""
+        """Have a worker observe the drop that the job has measured; its files are in the job's folder."""
         ...
 
 
 class CalibrationInUse(Protocol):
-    """Says what the next bundle is measured with, and who wants its outlines."""
+    """The calibration that the next bundle is measured with, and the collector of its outlines, if any."""
 
     @property
     def rig_file(self) -> RigFile: ...
@@ -71,14 +74,14 @@ class CalibrationInUse(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FixedCalibration:
-    """One calibration for all bundles."""
+    """The same calibration for all bundles, without a collector unless one is given."""
 
     rig_file: RigFile
     collector: DropCollector | None = None
 
 
 class ResultSink(Protocol):
-    """The part of the store that takes outcomes."""
+    """Where outcomes are made durable; the store is one."""
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
@@ -87,32 +90,30 @@ class ResultSink(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessingContext:
-    """What all bundles of a session have in common."""
+    """Parameters that all bundles of a session share."""
 
     session: int
     camera_ids: tuple[CameraId, ...]
     is_simulated: bool
     save_silhouettes: bool
     folder: Path  # exists; for the workers' files until the store has them
-    checked: bool = (
-        True  # whether pixels are compared with their checksums, which takes a pass over all of them
-    )
+    checked: bool = True  # whether pixels are compared with their checksums, a pass over all of them
 
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    record: dict[str, Any]
+    bundle: MeasuredBundle
     folder: Path
     keep_drop: KeepDrop | None
 
 
-KEPT = (MESH, SILHOUETTES)
-"""What the store wants of a worker's folder; a worker that crashed may have left more."""
+RESULT_FILES = (MESH, SILHOUETTES)
+"""Files that the store takes from a worker's folder; a worker that crashed may have left others."""
 
 
 @dataclass(frozen=True, slots=True)
 class JobInputs:
-    """What was in use when a bundle's turn began."""
+    """Calibration, collector and background in use when a bundle's turn began."""
 
     rig_file: RigFile
     collector: DropCollector | None
@@ -124,21 +125,21 @@ class _Turn:
     bundle: SpooledBundle
     inputs: JobInputs
     retired: tuple[Path, ...]  # versions of the background that neither this job nor a later one uses
-    job: asyncio.Task[_Measured | Learnt | Loss]
+    job: asyncio.Task[_Measured | LearntBackground | Loss]
 
     @property
-    def outcome(self) -> _Measured | Learnt | Loss:
-        """Of the job, which is done."""
+    def outcome(self) -> _Measured | LearntBackground | Loss:
+        """Outcome of the job, which must be done."""
         if not self.job.cancelled():
             return self.job.result()
         return self.bundle.content if isinstance(self.bundle.content, Loss) else SHUTDOWN
 
 
 class Processing:
-    """The consumer of a spool: `run` is its task, `abandon` ends it early.
+    """Processes the bundles of a spool: `run` is its task, `abandon` ends it early.
 
-    `on_empty` is told what each exposure of the empty rig says about the cameras; `on_progress` is called
-    after every commit and by nothing else.
+    `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_network` with how the network did
+    in each measured bundle, `on_progress` after every commit and at no other time.
     """
 
     def __init__(
@@ -149,8 +150,9 @@ class Processing:
         pool: WorkerPool,
         results: ResultSink,
         calibration: CalibrationInUse,
-        kept: KeptBackground | None = None,
-        on_empty: Callable[[Mapping[str, Any]], None] = lambda optics: None,
+        kept_background: KeptBackground | None = None,
+        on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None,
+        on_network: Callable[[NetworkUse], None] = lambda use: None,
         on_progress: Callable[[], None],
     ) -> None:
         self._context = context
@@ -158,30 +160,32 @@ class Processing:
         self._pool = pool
         self._results = results
         self._calibration = calibration
-        self._on_empty = on_empty
+        self._on_empty_rig = on_empty_rig
+        self._on_network = on_network
         self._on_progress = on_progress
-        self._jobs: set[asyncio.Task[_Measured | Learnt | Loss]] = set()
+        self._jobs: set[asyncio.Task[_Measured | LearntBackground | Loss]] = set()
         self._is_abandoned = False
-        self._kept = kept
+        self._kept_background = kept_background
         self._keeping: asyncio.Task[None] | None = None
         self._backgrounds = BackgroundVersions()
-        self._started = 0
-        self._last_loss = ("", "")
+        self._n_started = 0
+        self._last_loss: Loss | None = None
 
     @property
     def has_background(self) -> bool:
         return self._backgrounds.in_use is not None
 
     async def run(self) -> None:
-        """Return when the spool is finished and everything from it is committed."""
-        if self._kept is not None:
-            restored = self._context.folder / "00000000"
-            self._backgrounds = BackgroundVersions(await asyncio.to_thread(self._kept.restore, restored))
+        """Process and commit every bundle of the spool; return when it is finished."""
+        if self._kept_background is not None:
+            folder = self._context.folder / "00000000"
+            restored = await asyncio.to_thread(self._kept_background.restore, folder)
+            self._backgrounds = BackgroundVersions(restored)
         turns: asyncio.Queue[_Turn | None] = asyncio.Queue()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
-                retired = await self._backgrounds.turn_of(bundle.is_background)
+                retired = await self._backgrounds.advance(bundle.is_background)
                 collector = self._calibration.collector
                 if collector is not None and collector.kind is not bundle.trigger.kind:
                     collector = None
@@ -197,7 +201,7 @@ class Processing:
             turns.put_nowait(None)
 
     def abandon(self) -> None:
-        """Measure nothing more: what has no result yet becomes lost `shutdown`, and `run` returns soon."""
+        """Stop measuring: bundles without a result are lost, reason `shutdown`, and `run` returns soon."""
         self._is_abandoned = True
         for job in self._jobs:
             job.cancel()
@@ -205,63 +209,64 @@ class Processing:
     async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]", tasks: asyncio.TaskGroup) -> None:
         while (turn := await turns.get()) is not None:
             await asyncio.wait([turn.job])
-            for path in turn.retired:  # all jobs that were given it are through
+            for path in turn.retired:  # no unfinished job was given it
                 tasks.create_task(self._remove(path, self._keeping))
             seq = await self._commit(turn, tasks)
             await self._spool.release(turn.bundle, seq)
             self._on_progress()
 
     async def _commit(self, turn: _Turn, tasks: asyncio.TaskGroup) -> int | None:
-        """Make the outcome durable; returns the number of a result that was measured or rejected."""
+        """Make the outcome durable; return the number of a result that was measured or rejected, else None."""
         bundle = turn.bundle
         match outcome := turn.outcome:
-            case Learnt(path, optics):
-                self._on_empty(optics)
+            case LearntBackground(path, optics):
+                self._on_empty_rig(optics)
                 if self._keeping is not None:
                     await self._keeping
-                if self._kept is not None:  # no stone waits for the disk
-                    self._keeping = tasks.create_task(asyncio.to_thread(self._kept.keep, path))
+                if self._kept_background is not None:  # as a task: stones do not wait for the disk
+                    self._keeping = tasks.create_task(asyncio.to_thread(self._kept_background.keep, path))
             case Loss() if bundle.is_background:
                 log.warning("background lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
-            case Loss(reason=reason, detail=detail):
-                # a cause that lasts is logged once; every trigger has its record
-                level = logging.DEBUG if (reason, detail) == self._last_loss else logging.WARNING
-                log.log(level, "trigger lost: %s (%s) bundle=%s", reason, detail, bundle.name)
-                self._last_loss = (reason, detail)
+            case Loss():
+                # a repeated cause is logged once; every trigger has its record
+                level = logging.DEBUG if outcome == self._last_loss else logging.WARNING
+                log.log(level, "trigger lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
+                self._last_loss = outcome
                 record = lost_record(
                     bundle.trigger,
                     bundle=bundle.name,
-                    reason=reason,
-                    detail=detail,
+                    reason=outcome.reason,
+                    detail=outcome.detail,
                     calibration_id=turn.inputs.rig_file.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
                 await self._results.finish(self._context.session, bundle.name, record)
-            case _Measured(record, folder, keep_drop):
-                files = {path.name: path for name in KEPT if (path := folder / name).exists()}
-                self._last_loss = ("", "")
+            case _Measured(MeasuredBundle(record, network), folder, keep_drop):
+                files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
+                self._last_loss = None
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
+                self._on_network(network)
                 if keep_drop is not None:
                     try:
                         await keep_drop(record)
-                    except OSError as err:  # the ball has its outcome; a calibration lacks it
-                        log.error("ball not kept for the calibration: %s bundle=%s", err, bundle.name)
+                    except OSError as err:  # the drop has its outcome; only the calibration lacks it
+                        log.error("drop not kept for the calibration: %s bundle=%s", err, bundle.name)
                 await asyncio.to_thread(shutil.rmtree, folder)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
                 return seq
         return None
 
     async def _remove(self, path: Path, keeping: "asyncio.Task[None] | None") -> None:
-        """Remove a version of the background, which may just be read to be kept."""
+        """Remove a version of the background when it is not being copied for the next start."""
         if keeping is not None:
             await asyncio.wait([keeping])
         await asyncio.to_thread(shutil.rmtree, path)
 
-    async def _process(self, bundle: SpooledBundle, inputs: JobInputs) -> _Measured | Learnt | Loss:
+    async def _process(self, bundle: SpooledBundle, inputs: JobInputs) -> _Measured | LearntBackground | Loss:
         if isinstance(bundle.content, Loss):
             return bundle.content
-        self._started += 1
-        folder = self._context.folder / f"{self._started:08d}"
+        self._n_started += 1
+        folder = self._context.folder / f"{self._n_started:08d}"
         try:
             if bundle.is_background:
                 return await self._learn(bundle.content, inputs.background, folder)
@@ -269,20 +274,20 @@ class Processing:
         except JobLostError as err:
             loss = Loss(reason=err.reason, detail=err.detail)
         except RecordingError as err:
-            loss = Loss(reason="unreadable", detail=err.problem)
-        # what a job had written by then would fill the tmpfs
+            loss = Loss(reason=LossReason.UNREADABLE, detail=err.problem)
+        # files of failed jobs would fill the tmpfs
         await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
         return loss
 
-    async def _learn(self, path: Path, background: Path | None, out_path: Path) -> Learnt:
+    async def _learn(self, path: Path, background: Path | None, out_path: Path) -> LearntBackground:
         job = LearnJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
             previous_path=background,
             out_path=out_path,
-            threads=self._pool.share,
+            threads=self._pool.threads_per_job,
         )
-        return Learnt(out_path, await self._pool.run(learn_background, job))
+        return LearntBackground(out_path, await self._pool.run(learn_background, job))
 
     async def _measure(self, path: Path, inputs: JobInputs, folder: Path) -> _Measured:
         job = MeasureJob(
@@ -293,9 +298,9 @@ class Processing:
             out_dir=folder,
             save_silhouettes=self._context.save_silhouettes,
             checked=self._context.checked,
-            threads=self._pool.share,
+            threads=self._pool.threads_per_job,
         )
-        record = await self._pool.run(measure, job)
+        measured = await self._pool.run(measure, job)
         collector = inputs.collector
         keep_drop = None if collector is None else await collector.observe(self._pool, job)
-        return _Measured(record, folder, keep_drop)
+        return _Measured(measured, folder, keep_drop)

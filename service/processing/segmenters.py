@@ -1,7 +1,7 @@
-"""The segmenter of a worker, built from what the service has read.
+"""Build the segmenter of a worker from the model that the service has read.
 
-Stones are measured without the model as well, and every result says so: a file that is missing or
-damaged is no reason to stop.
+A model file that is missing or damaged does not stop the daemon: stones are measured without the network, and every
+result says so.
 """
 
 import logging
@@ -23,26 +23,26 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmenterPlan:
-    """What a worker builds its segmenter from; the default is the background's alone."""
+    """What a worker builds its segmenter from; by default only the comparison with the background."""
 
     wanted: SegmenterKind = "background"
     model: bytes | None = None  # content of an ONNX file
     providers: tuple[str, ...] = ()
     trouble: str | None = None  # why there is no model
-    elsewhere: str | None = None  # why it does not run where it was asked to
+    provider_trouble: str | None = None  # why the model does not run on the configured provider
 
     @property
     def warning(self) -> str | None:
-        """What is worse than was asked for."""
-        return self.elsewhere if self.trouble is None else f"classical mode: {self.trouble}"
+        """Why the configured segmenter is not used, or not as configured; None when it is."""
+        return self.provider_trouble if self.trouble is None else f"classical mode: {self.trouble}"
 
 
 CLASSICAL = SegmenterPlan()
-"""The background's segmenter alone."""
+"""The plan without a network: only the comparison with the background."""
 
 
 def build_segmenter(plan: SegmenterPlan, parameters: SegmentationParameters) -> ChoosingSegmenter:
-    """The segmenter of a plan; without the network if this process cannot load it, although another could."""
+    """Return the segmenter of a plan; without the network if this process cannot load it."""
     return ChoosingSegmenter(
         classical=BackgroundSegmenter(parameters), network=_network(plan, parameters), wanted=plan.wanted
     )
@@ -62,7 +62,7 @@ def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> Network
 
 
 def warm_up(segmenter: ChoosingSegmenter) -> None:
-    """Have everything compiled and allocated that the first stone would wait for: segment squares."""
+    """Compile and allocate what segmentation needs, by segmenting squares, so that the first stone need not wait."""
     segmenter_choice.warm_up()
     if segmenter.network is None:
         return

@@ -1,9 +1,9 @@
 """The bounded queue of bundles between the cameras and the workers: one TIFF file each, on tmpfs.
 
-A worker maps the file, so that a frame is copied once on its way; the next bundles are written over it.
+A worker maps the file, so a frame is copied once on its way; later bundles are written over the same file.
 
-Bundles leave it strictly in the order they came. When it is full the whole new bundle is lost: the one
-place where stones are dropped for lack of speed, never half a bundle and never by blocking a camera.
+Bundles leave strictly in the order in which they came. When the spool is full the whole new bundle is lost: this is
+the one place where stones are dropped for lack of speed, never half a bundle and never by blocking a camera.
 A lost bundle keeps its place in the order, without a file.
 """
 
@@ -17,23 +17,24 @@ from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
-from service.bundling.window import DISARMED
+from service.bundling.window import MissingReason
 from service.processing.bundle_files import BundleFiles
+from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
-    """Why a trigger ends as `lost` (a word of the REST contract), and the same for people."""
+    """Why a trigger ends as `lost`: a word of the REST contract, and the details for people."""
 
-    reason: str
+    reason: LossReason
     detail: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpooledBundle:
-    """One trigger's turn: a file to measure, or what it was lost to."""
+    """One trigger in the order of processing: a file to measure, or why the trigger is lost."""
 
     trigger: Trigger
     name: str
@@ -45,15 +46,15 @@ class SpooledBundle:
 
 
 class Archive(Protocol):
-    """Keeps the frames of stones that have their result."""
+    """Keeps the frames of bundles that have their result."""
 
     def take(self, path: Path, seq: int) -> bool:
-        """Say whether it takes over the file of the result `seq`; it gives the file back itself then."""
+        """Take over the file of the result `seq`, to give it back later; return False if it is not taken."""
         ...
 
 
 class Spool:
-    """`offer` on one side, `take` and `release` on the other, `write` as a task in between."""
+    """Bounded queue of bundles: `offer` to it, `take` from it and `release`; `write` is the task in between."""
 
     def __init__(
         self,
@@ -69,29 +70,30 @@ class Spool:
         self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
         self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
         self.max_bundles = max_bundles
-        self.held = 0
+        self.n_queued = 0
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
-        """Stones and balls lost because there were so many."""
+        """Stones and balls lost because the spool was full."""
 
     def offer(self, bundle: FrameBundle) -> None:
-        """Take a bundle over; never blocks."""
+        """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""
         if not bundle.frames:
-            self._lose(bundle, _without_frames(bundle))
-        elif self.held >= self.max_bundles:
+            self._lose(bundle, _loss_without_frames(bundle))
+        elif self.n_queued >= self.max_bundles:
             self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
-            self._lose(bundle, Loss(reason="queue_full", detail=f"{self.held} bundles were waiting"))
+            detail = f"{self.n_queued} bundles were waiting"
+            self._lose(bundle, Loss(reason=LossReason.QUEUE_FULL, detail=detail))
         else:
-            self.held += 1
+            self.n_queued += 1
             self._offered.put_nowait(bundle)
 
     def finish(self) -> None:
-        """No more offers: `take` returns None after the last bundle."""
+        """Declare the end of all offers: `take` returns None after the last bundle."""
         self._offered.put_nowait(None)
 
     async def write(self) -> None:
-        """Write what is offered, one after the other, off the loop; returns after `finish`."""
-        # a thread of its own: no stone waits for what clients ask for
+        """Write the offered bundles one after the other, on a thread; return after `finish`."""
+        # a thread of its own: stones do not wait for the requests of clients
         with ThreadPoolExecutor(1, thread_name_prefix="spool") as thread:
             while (item := await self._offered.get()) is not None:
                 self._ready.put_nowait(
@@ -100,15 +102,15 @@ class Spool:
         self._ready.put_nowait(None)
 
     async def take(self) -> SpooledBundle | None:
-        """Return the next bundle in order, None when there will be none."""
+        """Return the next bundle in order, None when there are no more."""
         return await self._ready.get()
 
     async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
-        """Forget a taken bundle that has its outcome; `seq` is the number of its result, if it was looked at."""
+        """Free the place of a bundle that has its outcome; `seq` is the number of its result if it was processed."""
         if isinstance(bundle.content, Loss):
-            self._files.on_through()
+            self._files.on_free()
             return
-        self.held -= 1
+        self.n_queued -= 1
         if seq is None or self._archive is None or not self._archive.take(bundle.content, seq):
             await self._files.give_back(bundle.content)
 
@@ -124,16 +126,16 @@ class Spool:
         except OSError as err:  # a full tmpfs is a full queue
             await asyncio.to_thread(path.unlink, missing_ok=True)
             log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)
-            self.held -= 1
-            loss = Loss(reason="queue_full", detail=f"spool: {err.strerror}")
+            self.n_queued -= 1
+            loss = Loss(reason=LossReason.QUEUE_FULL, detail=f"spool: {err.strerror}")
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)
 
 
-def _without_frames(bundle: FrameBundle) -> Loss:
+def _loss_without_frames(bundle: FrameBundle) -> Loss:
     if bundle.unreadable is not None:
-        return Loss(reason="unreadable", detail=bundle.unreadable)
+        return Loss(reason=LossReason.UNREADABLE, detail=bundle.unreadable)
     causes = sorted(set(bundle.missing.values()))
-    if causes == [DISARMED]:
-        return Loss(reason="shutdown", detail="the rig was disarmed before the frames came")
-    return Loss(reason="no_frames", detail=", ".join(causes) or "no camera delivered")
+    if causes == [MissingReason.DISARMED]:
+        return Loss(reason=LossReason.SHUTDOWN, detail="the rig was disarmed before the frames came")
+    return Loss(reason=LossReason.NO_FRAMES, detail=", ".join(causes) or "no camera delivered")

@@ -1,10 +1,10 @@
-"""What worker processes are forked from: it has imported all that a measurement needs.
+"""Imports of the server that worker processes are forked from: what a measurement needs.
 
-It has numba's tables, which the first compiled function takes 0.4 s to fill, but not the job with its onnxruntime,
-which has a thread.
+Calling a compiled function fills numba's tables, which takes 0.4 s. The job itself is not imported, because its
+onnxruntime has a thread, which must not exist when processes are forked.
 """
 
-import service.results.fields  # noqa: F401 - to have both imported
+import service.results.fields  # noqa: F401 - for its side effect: pydantic's models are built
 from pipeline.rig.design import nominal_rig
 
 nominal_rig().cameras[0].rays([[0, 0]])

@@ -1,8 +1,8 @@
-"""Worker processes: N slots of one process each; a crash or a deadline costs one job one retry.
+"""Pool of worker processes: N slots of one process each; a job that crashes or exceeds its deadline is retried once.
 
 A `ProcessPoolExecutor` of several workers breaks as a whole when one dies, so every slot has its own.
-Processes are never forked from this one (drivers have threads of their own) but from a server that does nothing else,
-end with the daemon however it ends, and leave Ctrl-C to it.
+Processes are forked from a server that does nothing else, never from the daemon, whose drivers have threads. They end
+when the daemon ends, however that happens, and leave Ctrl-C to it.
 """
 
 import asyncio
@@ -22,7 +22,8 @@ from typing import TypeVar
 
 from service.errors import ServiceError, WorkerFailure
 from service.processing.process_memory import freeze_gc
-from service.processing.worker_process import Prepare, begin, prepare_process, warm_up
+from service.processing.worker_process import Prepare, begin_process, prepare_process, warm_up
+from service.results.fields import LossReason
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -30,36 +31,36 @@ Result = TypeVar("Result")
 log = logging.getLogger(__name__)
 
 START_DEADLINE_S = 300.0
-"""Compiling takes 20 s, on a machine that does nothing else."""
+"""Longest start of a process; compiling alone takes 20 s on an idle machine."""
 START_ATTEMPTS = 3
 CLOSE_DEADLINE_S = 2.0
-CALM_S = 3.0
-"""Without a job for so long, the next stone is hardly the one that a new process makes late."""
+IDLE_S = 3.0
+"""Time without a job after which the start of a new process is unlikely to delay a stone."""
 WORKER_NAME = "stonefall-work"
-"""What `ps` and `top` call a process that measures."""
+"""Name of a measuring process in `ps` and `top`."""
 
 
 class WorkerStartError(ServiceError):
-    """A worker process does not get through its initialization; fatal for the daemon."""
+    """A worker process fails or hangs in its initialization; fatal for the daemon."""
 
 
 class JobLostError(ServiceError):
-    """A job failed twice, each time in a fresh process; `reason` is `worker_crash` or `deadline`."""
+    """A job failed twice, each time in a fresh process; `reason` is `WORKER_CRASH` or `DEADLINE`."""
 
-    def __init__(self, reason: str, detail: str) -> None:
+    def __init__(self, reason: LossReason, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")
         self.reason = reason
         self.detail = detail
 
 
 def import_for_workers(module: str) -> None:
-    """Start the server that workers are forked from: it imports the module while this process does something else."""
+    """Start the server that workers are forked from; it imports the module in parallel with this process."""
     multiprocessing.set_forkserver_preload([module])
     before = dict(os.environ)
     os.environ |= {
-        "PYTHONSAFEPATH": "1",  # it would look into the working directory first
+        "PYTHONSAFEPATH": "1",  # otherwise it would import from the working directory first
         "PYTHONPATH": os.pathsep.join(sys.path),
-        "OPENBLAS_NUM_THREADS": "1",  # or it has a thread, and who has threads is not forked well
+        "OPENBLAS_NUM_THREADS": "1",  # otherwise it has a thread, with which it must not be forked
     }
     try:
         forkserver.ensure_running()
@@ -69,11 +70,12 @@ def import_for_workers(module: str) -> None:
 
 
 class WorkerPool:
-    """Life cycle: `start`, any number of concurrent `run`, `close`; all on the event loop.
+    """Runs jobs in worker processes: `start`, any number of concurrent `run`, `close`; all on the event loop.
 
-    `prepare` and the context must be picklable, like jobs and results. Processes that start together share what there
-    is to compile: none begins a warm-up that another is at. `renew` replaces those that had to compile, when there is
-    nothing to measure: the compiler's memory stays. The processes are called `name` (15 bytes).
+    `prepare` and the context must be picklable, like jobs and results. Processes that start together share the
+    compiling: none begins a warm-up that another one is running. `renew` replaces processes that had to compile, when
+    there is nothing to measure, because they never free the compiler's memory. The processes are called `name`
+    (15 bytes).
     """
 
     def __init__(
@@ -85,8 +87,8 @@ class WorkerPool:
         context: object,
         name: str = WORKER_NAME,
     ) -> None:
-        warming: Mapping[int, asyncio.Lock] = defaultdict(asyncio.Lock)
-        self._slots = [_Slot(name, prepare, context, warming) for _ in range(slots)]
+        warm_up_locks: Mapping[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._slots = [_Slot(name, prepare, context, warm_up_locks) for _ in range(slots)]
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
         self._n_jobs = 0
@@ -97,8 +99,8 @@ class WorkerPool:
         return len(self._slots)
 
     @property
-    def share(self) -> int:
-        """How many processors there are for the next job, beside those that are busy."""
+    def threads_per_job(self) -> int:
+        """Number of processors that the next job may use: all, divided by the busy workers and its own."""
         n_busy = self.size - self._idle.qsize()
         return max(1, len(os.sched_getaffinity(0)) // (n_busy + 1))
 
@@ -130,27 +132,27 @@ class WorkerPool:
         self._n_jobs += 1
         slot = await self._idle.get()
         try:
-            async with slot.at_work:
+            async with slot.busy:
                 return await self._run_in(slot, function, job)
         finally:
             self._idle.put_nowait(slot)
 
-    async def renew(self, calm_s: float = CALM_S) -> None:
-        """Replace the processes that had to compile, each after so long without a job; one that cannot be stays."""
+    async def renew(self, idle_s: float = IDLE_S) -> None:
+        """Replace the processes that had to compile, each after `idle_s` without a job; if that fails it stays."""
         for slot in self._slots:
-            if slot.is_spent:
-                await self._calm(calm_s)
+            if slot.has_compiled:
+                await self._wait_until_idle(idle_s)
                 try:
                     await slot.renew()
                 except WorkerStartError as err:
                     log.warning("a worker keeps its compiler's memory: %s", err)
 
-    async def _calm(self, calm_s: float) -> None:
-        """Return when there was no job for so long."""
+    async def _wait_until_idle(self, idle_s: float) -> None:
+        """Return when there was no job for `idle_s`."""
         n_before = -1
         while n_before != self._n_jobs or self._idle.qsize() < self.size:
             n_before = self._n_jobs
-            await asyncio.sleep(calm_s)
+            await asyncio.sleep(idle_s)
 
     async def _run_in(self, slot: "_Slot", function: Callable[[Job], Result], job: Job) -> Result:
         try:
@@ -170,7 +172,7 @@ class WorkerPool:
         await slot.start()
 
     def close(self) -> None:
-        """End all processes now; whatever still runs in them is lost."""
+        """Kill all processes; jobs that still run in them are lost."""
         processes = [process for slot in self._slots if (process := slot.process) is not None]
         for slot in self._slots:
             slot.kill()
@@ -178,10 +180,10 @@ class WorkerPool:
             wait([process.sentinel], timeout=CLOSE_DEADLINE_S)
 
 
-async def run_apart(
+async def run_in_new_process(
     function: Callable[[Job], Result], job: Job, *, deadline_s: float, prepare: Prepare
 ) -> Result:
-    """Return `function(job)`, computed in a process made for it: bundles do not wait for what takes long.
+    """Return `function(job)`, computed in a new process, so that bundles do not wait for a long job.
 
     Raises
     ------
@@ -199,30 +201,32 @@ async def run_apart(
 
 
 class _Slot:
+    """A place for one worker process, which is replaced when it dies."""
+
     def __init__(
-        self, name: str, prepare: Prepare, context: object, warming: Mapping[int, asyncio.Lock]
+        self, name: str, prepare: Prepare, context: object, warm_up_locks: Mapping[int, asyncio.Lock]
     ) -> None:
-        """`warming`: held by the slot that is at the warm-up of this number."""
+        """`warm_up_locks`: by the number of a warm-up, the lock of the slot that runs it."""
         self._name = name
         self._prepare = prepare
         self._context = context
-        self._warming = warming
+        self._warm_up_locks = warm_up_locks
         self._executor: ProcessPoolExecutor | None = None
         self.process: BaseProcess | None = None
-        self.is_spent = False
-        self.at_work = asyncio.Lock()
+        self.has_compiled = False
+        self.busy = asyncio.Lock()
 
     @property
     def pid(self) -> int | None:
         return None if self.process is None else self.process.pid
 
     async def start(self) -> None:
-        """Spawn a process and have it ready for jobs."""
+        """Start a process and warm it up for jobs."""
         for attempt in range(1, START_ATTEMPTS + 1):
             executor = self._executor = ProcessPoolExecutor(
                 max_workers=1,
                 mp_context=multiprocessing.get_context("forkserver"),
-                initializer=begin,
+                initializer=begin_process,
                 initargs=(self._name, self._prepare),
             )
             others = set(multiprocessing.active_children())
@@ -231,7 +235,7 @@ class _Slot:
             try:
                 async with asyncio.timeout(START_DEADLINE_S):
                     await asyncio.wrap_future(begun)
-                    self.is_spent = await self._warm_up(executor)
+                    self.has_compiled = await self._warm_up(executor)
                 return
             except (BrokenProcessPool, TimeoutError, WorkerFailure) as err:
                 self.kill()
@@ -239,29 +243,28 @@ class _Slot:
         raise WorkerStartError(f"a worker process failed to start {START_ATTEMPTS} times in a row")
 
     async def _warm_up(self, executor: ProcessPoolExecutor) -> bool:
-        """Whether it took a compiler."""
-        left = list(
-            range(await asyncio.wrap_future(executor.submit(prepare_process, self._prepare, self._context)))
-        )
+        """Run all warm-ups, first those that no other slot is running; return whether something was compiled."""
+        n_warm_ups = await asyncio.wrap_future(executor.submit(prepare_process, self._prepare, self._context))
+        left = list(range(n_warm_ups))
         has_compiled = False
         while left:
-            number = next((number for number in left if not self._warming[number].locked()), left[0])
+            number = next((number for number in left if not self._warm_up_locks[number].locked()), left[0])
             left.remove(number)
-            async with self._warming[number]:
+            async with self._warm_up_locks[number]:
                 has_compiled |= await asyncio.wrap_future(executor.submit(warm_up, number))
         await asyncio.wrap_future(executor.submit(freeze_gc))
         return has_compiled
 
     async def renew(self) -> None:
-        """Replace the process by another, ready for jobs, between two jobs."""
-        successor = _Slot(self._name, self._prepare, self._context, self._warming)
+        """Start another process and replace this one by it between two jobs."""
+        successor = _Slot(self._name, self._prepare, self._context, self._warm_up_locks)
         try:
             await successor.start()
-            async with self.at_work:
+            async with self.busy:
                 self.kill()
                 self.process, successor.process = successor.process, None
                 self._executor, successor._executor = successor._executor, None
-                self.is_spent = False
+                self.has_compiled = False
         finally:
             successor.kill()
 
@@ -272,12 +275,12 @@ class _Slot:
             async with asyncio.timeout(deadline_s):
                 return await asyncio.wrap_future(self._executor.submit(function, job))
         except TimeoutError:
-            raise JobLostError("deadline", f"not finished within {deadline_s:g} s") from None
+            raise JobLostError(LossReason.DEADLINE, f"not finished within {deadline_s:g} s") from None
         except BrokenProcessPool as err:
-            raise JobLostError("worker_crash", f"worker process {self.pid} died") from err
+            raise JobLostError(LossReason.WORKER_CRASH, f"worker process {self.pid} died") from err
         except WorkerFailure as err:
             log.error("a job failed in worker process %s:\n%s", self.pid, err)
-            raise JobLostError("worker_crash", _last_line(str(err))) from err
+            raise JobLostError(LossReason.WORKER_CRASH, _last_line(str(err))) from err
 
     def kill(self) -> None:
         if self.process is not None:
@@ -288,5 +291,5 @@ class _Slot:
 
 
 def _last_line(traceback: str) -> str:
-    """Type and message of the exception, without the folders of paths: clients get to read it."""
+    """Return type and message of the exception, without the folders of paths because clients can read it."""
     return re.sub(r"(?<![\w.])/\S*/", "", traceback.strip().rpartition("\n")[2])

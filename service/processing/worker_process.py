@@ -1,4 +1,4 @@
-"""What goes on in a worker process but for its jobs: how it begins, is made ready, and ends with its parent."""
+"""The life of a worker process around its jobs: it begins, is warmed up, and ends with its parent."""
 
 import multiprocessing
 import os
@@ -14,14 +14,14 @@ from typing import Any
 from service.errors import WorkerFailure
 
 WarmUp = Callable[[], bool]
-"""Has something loaded or compiled; whether that took a compiler."""
+"""Loads or compiles something; returns whether something was compiled."""
 Prepare = Callable[[Any], Sequence[WarmUp]]
-"""First thing in a new process, given the context; returns what is left to do before jobs come, the longest first."""
+"""Called first in a new process, with the context; returns the warm-ups that must run before jobs, longest first."""
 
 
 @contextmanager
 def worker_boundary() -> Iterator[None]:
-    """Turn whatever goes wrong within into a `WorkerFailure` with the traceback as text: it travels home as it is."""
+    """Turn any exception within into a `WorkerFailure` with the traceback as text, which can always be pickled."""
     try:
         yield
     except Exception as err:  # noqa: BLE001 - the one place where everything is caught
@@ -29,11 +29,14 @@ def worker_boundary() -> Iterator[None]:
 
 
 _warm_ups: Sequence[WarmUp] = ()
-"""Of this process."""
+"""Warm-ups of this process."""
 
 
-def begin(name: str, prepare: Prepare) -> None:
-    """First thing in a new worker process, which has by now imported what `prepare` needs."""
+def begin_process(name: str, prepare: Prepare) -> None:
+    """Name a new worker process, have it ignore signals, and end it with its parent.
+
+    `prepare` is not called: to unpickle it has imported what it needs.
+    """
     Path("/proc/self/comm").write_text(name)
     for number in (signal.SIGINT, signal.SIGTERM):  # a terminal sends them to the whole process group
         signal.signal(number, signal.SIG_IGN)
@@ -41,7 +44,7 @@ def begin(name: str, prepare: Prepare) -> None:
 
 
 def prepare_process(prepare: Prepare, context: object) -> int:
-    """How many warm-ups there are."""
+    """Call `prepare` and return the number of warm-ups that are left to run."""
     global _warm_ups
     with worker_boundary():
         _warm_ups = prepare(context)
@@ -49,6 +52,7 @@ def prepare_process(prepare: Prepare, context: object) -> int:
 
 
 def warm_up(number: int) -> bool:
+    """Run one warm-up of this process; return whether something was compiled."""
     with worker_boundary():
         return _warm_ups[number]()
 

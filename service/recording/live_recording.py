@@ -1,8 +1,8 @@
-"""One live recording: bundles are offered on the loop and written in a thread of their own.
+"""One live recording: bundles are offered on the loop and written on a thread of their own.
 
-The disk may be slow, full or gone: the loop never waits for it, and what waits for it is bounded. When that
-bound or the reserve of free space is reached, the recording ends early, says so and keeps what it has; when
-it cannot be written it fails and leaves nothing. The cameras and the measuring never notice.
+The disk may be slow, full or gone: the loop never waits for it, and the number of waiting bundles is bounded. When
+that bound or the reserve of free space is reached, the recording ends early, reports it and keeps what it has; when
+it cannot be written it fails and leaves nothing. Cameras and measuring are not affected.
 """
 
 import asyncio
@@ -25,40 +25,41 @@ from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 
 MAX_WAITING = 16
-"""So many bundles may wait for the disk: four seconds at four stones a second, 340 MB with 16 cameras."""
+"""Most bundles that wait for the disk: four seconds at four stones a second, 340 MB with 16 cameras."""
 
 
 class EndedBy(StrEnum):
     """Why a recording has ended."""
 
     COUNT = "count"
-    """As many stones as were asked for."""
+    """It has as many stones as were requested."""
     DURATION = "duration"
+    """The requested time is over."""
     STOP = "stop"
-    """Somebody asked for it, or there is nothing more to come."""
+    """It was stopped on request, or no more bundles will come."""
     LOW_DISK = "low_disk"
     """The reserve of free space was reached."""
     SLOW_DISK = "slow_disk"
-    """More bundles were waiting to be written than memory is meant for."""
+    """`MAX_WAITING` bundles were waiting to be written."""
 
 
 CUT_SHORT = (EndedBy.LOW_DISK, EndedBy.SLOW_DISK)
-"""Nobody asked for these."""
+"""Ends that were not requested."""
 
 
 class RecordingState(StrEnum):
-    """Of a live recording."""
+    """State of a live recording."""
 
     RECORDING = "recording"
     COMPLETE = "complete"
-    """The folder is there, under its name."""
+    """The folder exists under its final name."""
     FAILED = "failed"
-    """There is nothing."""
+    """Nothing was kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingStatus:
-    """What can be said of a recording at one moment."""
+    """State and extent of a recording at one moment."""
 
     name: str
     state: RecordingState
@@ -71,15 +72,15 @@ class RecordingStatus:
 
     @property
     def is_cut_short(self) -> bool:
-        """Whether it is less than was asked for."""
+        """Whether it failed, or ended before it had what was requested."""
         return self.reason is not None or self.ended_by in CUT_SHORT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSource:
-    """The rig that is recorded."""
+    """Description of the rig that is recorded."""
 
-    camera_ids: tuple[CameraId, ...]  # in page order
+    camera_ids: tuple[CameraId, ...]  # in the order of the pages of bundle files
     rig: RigCalibration
     is_simulated: bool
     camera_settings: Mapping[str, Any] = field(default_factory=dict)  # JSON, as recording.json has them
@@ -88,16 +89,16 @@ class RecordingSource:
 
     @property
     def bundle_bytes(self) -> int:
-        """Most that a bundle takes on disk."""
+        """Largest size of a bundle on disk."""
         width_px, height_px = self.rig.cameras[0].image_size_px
         return len(self.camera_ids) * (width_px * height_px + 4096)
 
 
 class LiveRecording:
-    """`start`, any number of `offer`, `end`, and `closed` is set when the folder is complete; on the loop.
+    """A recording under way: `start`, any number of `offer`, `end`; `closed` is set when the folder is complete.
 
-    It ends by itself after `count` stones; `earlier` bundles come first and do not count. `on_through` is
-    called, in any thread, for every bundle that needs no memory any more, `on_closed` on the loop.
+    It ends by itself after `count` stones; `earlier` bundles are written first and do not count. Methods are called on
+    the loop; `on_free` is called on any thread, for every bundle that is written or dropped, `on_closed` on the loop.
     """
 
     def __init__(
@@ -110,15 +111,16 @@ class LiveRecording:
         made_by: Mapping[str, Any],
         count: int | None = None,
         earlier: Sequence[FrameBundle] = (),
-        on_through: Callable[[], None] = lambda: None,
+        on_free: Callable[[], None] = lambda: None,
         on_closed: Callable[[RecordingStatus], None] = lambda status: None,
     ) -> None:
         self.path = path
         self.stones = 0
-        """Written so far, as are `bundles`."""
+        """Stones and balls written so far."""
         self.bundles = 0
+        """Bundles written so far, exposures of the empty rig included."""
         self.without_frames = 0
-        """Bundles of which no camera delivered anything: a file cannot hold them."""
+        """Bundles without any frame, which a bundle file cannot represent."""
         self.ended_by: EndedBy | None = None
         self.failure: str | None = None
         self.closed = asyncio.Event()
@@ -138,7 +140,7 @@ class LiveRecording:
         self._room_needed_bytes = reserve_bytes + source.bundle_bytes
         self._still_wanted = count
         self._max_waiting = len(earlier) + MAX_WAITING
-        self._on_through = on_through
+        self._on_free = on_free
         self._on_closed = on_closed
         self._bytes = 0
         self._last_sequence = -1
@@ -148,22 +150,22 @@ class LiveRecording:
             self._waiting.put(self._in_order(bundle))
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
-        # not niced: a starved thread that holds the interpreter's lock blocks the loop, 240 ms were measured
+        # of normal priority: a starved thread that holds the interpreter's lock blocks the loop, 240 ms measured
         self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=True)
 
     def start(self, duration_s: float | None = None) -> None:
-        """Begin to write, and end after `duration_s`."""
+        """Start writing, and end after `duration_s` if given."""
         self._thread.start()
         if duration_s is not None:
             self._timer = self._loop.call_later(duration_s, self.end, EndedBy.DURATION)
 
     def offer(self, bundle: FrameBundle) -> None:
-        """Take a bundle over unless the recording has ended; never blocks."""
+        """Add a bundle unless the recording has ended; never blocks."""
         if self.ended_by is not None or self.closed.is_set():
             return
         if not bundle.frames:
             self.without_frames += 1
-            self._on_through()
+            self._on_free()
             return
         if self._waiting.qsize() >= self._max_waiting:
             self.end(EndedBy.SLOW_DISK)
@@ -175,7 +177,7 @@ class LiveRecording:
                 self.end(EndedBy.COUNT)
 
     def end(self, by: EndedBy) -> None:
-        """Take nothing more; what was taken is still written. Only the first reason counts."""
+        """End the recording after the bundles that it has; only the first reason counts."""
         if self.ended_by is None:
             self.ended_by = by
             self._waiting.put(by)
@@ -196,7 +198,7 @@ class LiveRecording:
         )
 
     def _in_order(self, bundle: FrameBundle) -> FrameBundle:
-        """Number on where the gate begins to count anew: in a recording the sequence is the order."""
+        """Return the bundle with a sequence number above all before: a gate may count anew during a recording."""
         sequence = bundle.trigger.sequence + self._sequence_shift
         if sequence <= self._last_sequence:
             self._sequence_shift += self._last_sequence + 1 - sequence
@@ -205,7 +207,7 @@ class LiveRecording:
         return replace(bundle, trigger=replace(bundle.trigger, sequence=sequence, name=bundle.name))
 
     def _close(self, ended_by: EndedBy | None, failure: str | None) -> None:
-        self._thread.join()  # it has nothing left to do
+        self._thread.join()  # which has nothing left to do
         if self._timer is not None:
             self._timer.cancel()
         self.ended_by, self.failure = ended_by, failure
@@ -216,7 +218,7 @@ class LiveRecording:
 
     def _run(self) -> None:
         ended_by: EndedBy | None = None
-        failure: str | None = "the recorder broke off, the journal says why"
+        failure: str | None = "the recorder crashed: see the journal"
         try:
             ended_by, failure = self._write(), None
         except RecordingError as err:
@@ -245,5 +247,5 @@ class LiveRecording:
             self._bytes += (writer.folder / "bundles" / f"{bundle.name}.tiff").stat().st_size
             self.bundles += 1
             self.stones += bundle.kind is not BundleKind.BACKGROUND
-            self._on_through()
+            self._on_free()
         return bundle

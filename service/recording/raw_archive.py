@@ -1,8 +1,8 @@
-"""Frames of the newest stones, compressed beside their results: afterwards, and with what time is left over.
+"""Keep the raw frames of the newest stones beside their results, after measuring and with spare processor time.
 
-A process of its own does it, nicer than workers, so that neither latency nor measuring pays. It compresses on cores
-that nobody else wants; while others wait, or come in a rush, it only copies, which takes a fraction of the time. What
-waits is bounded: while stones come faster than even that, the frames of some are not kept, and it says so.
+A process of its own with a lower priority than the workers does it, so that it costs no latency. It compresses on idle
+cores; while other bundles wait, or stones come in a rush, it only copies, in a fraction of the time. The number
+of waiting bundles is bounded: while stones come even faster, the frames of some are not kept, and health reports it.
 """
 
 import asyncio
@@ -26,17 +26,17 @@ from service.processing.worker_process import WarmUp, worker_boundary
 log = logging.getLogger(__name__)
 
 DEADLINE_S = 300.0
-"""0.2 s of an idle core, but there may be none for long."""
+"""Longest time for one bundle: it takes 0.2 s of an idle core, but none may be idle for long."""
 RUSH, RUSH_S = 6, 1.0
-"""So many stones in so short a time are a rush: no core is idle for long enough to compress one before the next."""
+"""This many stones within this time are a rush, in which a core is never idle for long enough to compress a bundle."""
 RECENT_S = 60.0
-"""So long health warns of frames that were not kept."""
-NAME = "stonefall-keep"
-"""What `ps` and `top` call the process."""
+"""Time for which health warns of frames that were not kept."""
+PROCESS_NAME = "stonefall-keep"
+"""Name of the process in `ps` and `top`."""
 
 
 class RawFolder(Protocol):
-    """The part of the store that says where frames belong."""
+    """The place of raw frames in the store."""
 
     def raw_path(self, seq: int) -> Path: ...
 
@@ -45,7 +45,7 @@ class RawFolder(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class KeepJob:
-    """A bundle's file, and where it goes."""
+    """A bundle's file to keep, and the file to write."""
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
@@ -53,29 +53,29 @@ class KeepJob:
     compression: Compression
 
 
-def step_back(context: None) -> tuple[WarmUp, ...]:
-    """Yield to workers, which are less nice, and to the daemon."""
+def lower_priority(context: None) -> tuple[WarmUp, ...]:
+    """Give this process a lower priority than the workers and the daemon."""
     os.nice(14)
     return ()
 
 
 def _run_when_idle() -> None:
-    """Give this thread a core when nobody else wants it."""
+    """Run this thread only while a core is idle."""
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def keep(job: KeepJob) -> str | None:
-    """Write the bundle, durably; why not, if the disk does not take it.
+def keep_frames(job: KeepJob) -> str | None:
+    """Write the bundle durably; return the problem of the disk if it cannot be written.
 
     Raises
     ------
     RecordingError
         Nothing of the bundle can be read.
     WorkerFailure
-        Anything else.
+        Any other exception.
     """
     bundle = None
-    if job.compression == "none":  # kept as it is: to look at pixels and checksums would take as long
+    if job.compression == "none":  # copied as it is: verifying pixels by their checksums would take as long
         read_header(job.bundle_path)
     else:
         bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
@@ -88,8 +88,8 @@ def keep(job: KeepJob) -> str | None:
 
 
 def _write(job: KeepJob, bundle: FrameBundle | None) -> None:
-    """Compressed, or, without the bundle, as it is."""
-    if not job.out_path.parent.exists():  # of a result without files of its own
+    """Write the bundle compressed, or copy its file if no bundle is given."""
+    if not job.out_path.parent.exists():  # the result has no other files
         job.out_path.parent.mkdir()
         sync(job.out_path.parent.parent)
     if bundle is not None:
@@ -104,7 +104,7 @@ def _write(job: KeepJob, bundle: FrameBundle | None) -> None:
 
 
 class RawArchive:
-    """`run` is its task; `take` says whether it takes a file, `on_done` is called with each one taken."""
+    """Keeps raw frames in the store: `take` hands it a file, `run` is its task, `on_done` is called for each file."""
 
     def __init__(
         self,
@@ -114,41 +114,43 @@ class RawArchive:
         *,
         max_waiting: int,
     ) -> None:
-        """`max_waiting`: bundles on tmpfs, 21 MB each, beside those of the spool."""
+        """`max_waiting`: most bundles waiting on tmpfs, 21 MB each, in addition to those of the spool."""
         self._folder = folder
         self._camera_ids = camera_ids
         self._on_done = on_done
         self._max_waiting = max_waiting
         self._waiting: asyncio.Queue[tuple[Path, int] | None] = asyncio.Queue()
         self.left_out = 0
-        """Results whose frames were not kept."""
+        """Number of results whose frames were not kept."""
         self._last_reason = ""
         self._last_left_out_s = -RECENT_S
         self._taken_s: deque[float] = deque(maxlen=RUSH)
 
     @property
     def trouble(self) -> str | None:
-        """That frames were not kept within the last minute."""
+        """Why frames were not kept within the last `RECENT_S`, None if all were."""
         if time.monotonic() - self._last_left_out_s > RECENT_S:
             return None
-        return f"frames of {self.left_out} stones were not kept so far: {self._last_reason}"
+        return f"frames of {self.left_out} stones were not kept since the start: {self._last_reason}"
 
     def take(self, path: Path, seq: int) -> bool:
-        """Take over the file of the bundle of a result, unless too many are waiting."""
+        """Take over the file of a result's bundle; return False if too many are waiting."""
         if self._waiting.qsize() < self._max_waiting:
             self._waiting.put_nowait((path, seq))
             self._taken_s.append(time.monotonic())
             return True
-        self._leave_out(seq, "they come faster than frames are written")
+        self._leave_out(seq, "stones come faster than frames are written")
         return False
 
     def finish(self) -> None:
-        """Take no more: `run` returns after the last one."""
+        """Declare the end of all files: `run` returns after the last one."""
         self._waiting.put_nowait(None)
 
     async def run(self) -> None:
-        """Write what is taken, one after the other."""
-        pool = WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=step_back, context=None, name=NAME)
+        """Write the files that were taken, one after the other."""
+        pool = WorkerPool(
+            slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=None, name=PROCESS_NAME
+        )
         try:
             while (item := await self._waiting.get()) is not None:
                 path, seq = item
@@ -156,10 +158,10 @@ class RawArchive:
                     await pool.start()
                 try:
                     job = KeepJob(path, self._camera_ids, self._folder.raw_path(seq), self._compression())
-                    if (refusal := await pool.run(keep, job)) is None:
+                    if (problem := await pool.run(keep_frames, job)) is None:
                         await self._folder.drop_old_raw(seq)
                     else:
-                        self._leave_out(seq, refusal)
+                        self._leave_out(seq, problem)
                 except (JobLostError, RecordingError) as err:
                     self._leave_out(seq, str(err))
                 await self._on_done(path)

@@ -1,7 +1,7 @@
-"""The daemon's recordings: a short memory of the newest bundles, and at most one recording under way.
+"""The daemon's recordings: at most one under way, and the newest bundles in memory for the next one.
 
-What the cameras saw is kept in memory for a while, so that a recording can begin in the past; the newest
-exposures of the empty rig are kept longer, because without them nothing could be measured.
+The newest stones are kept in memory so that a recording can begin in the past; the newest exposures of the empty rig
+are kept for longer, because a recording without them cannot be measured.
 """
 
 import asyncio
@@ -33,16 +33,16 @@ from service.recording.live_recording import (
 log = logging.getLogger(__name__)
 
 RECORDING_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-"""What a recording may be called: the name is that of a folder and part of a URL."""
+"""Pattern of the name of a recording, which is the name of a folder and part of a URL."""
 KEPT_BACKGROUNDS = 5
 """Newest exposures of the empty rig that are kept in memory for the next recording."""
 CLOSE_S = 10.0
-"""How long the disk may take for what a recording still has to write."""
+"""Longest wait for the bundles that an ending recording still has to write."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingsSettings:
-    """How recordings are made while measuring."""
+    """Parameters of recordings that are made while measuring."""
 
     pre_trigger: int = 8  # newest stones that are kept in memory for the next recording; 21 MB each
     reserve_gb: float = 2.0  # a recording ends before less than this is free; results need room too
@@ -62,12 +62,12 @@ class RecordingsSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingPlan:
-    """What to record; without `count` and `duration_s` until somebody stops it."""
+    """What to record; without `count` and `duration_s`, until the recording is stopped."""
 
     name: str
     count: int | None = None  # stones from now on
     duration_s: float | None = None
-    pre_trigger: int = 0  # stones before now, as far as they are kept
+    pre_trigger: int = 0  # stones before now, as far as they are in memory
 
     def __post_init__(self) -> None:
         if not RECORDING_NAME.fullmatch(self.name):
@@ -81,7 +81,7 @@ class RecordingPlan:
 
 
 class Refusal(StrEnum):
-    """Why no recording is started."""
+    """Why a recording is not started."""
 
     EXISTS = "recording-exists"
     RUNNING = "recording-running"
@@ -110,7 +110,7 @@ def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_
     if free_bytes < needed_bytes + reserve_bytes:
         raise RecordingRefusedError(
             Refusal.NO_ROOM,
-            f"{n_bundles} bundles may take {needed_bytes / 1e9:.1f} GB beside the reserve of"
+            f"{n_bundles} bundles may take {needed_bytes / 1e9:.1f} GB in addition to the reserve of"
             f" {reserve_bytes / 1e9:.1f} GB, and {free_bytes / 1e9:.1f} GB are free: make room or record less",
         )
 
@@ -118,16 +118,19 @@ def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_
 def open_recordings(
     folder: Path, source: RecordingSource, settings: RecordingsSettings, made_by: Mapping[str, Any]
 ) -> "Recordings":
-    """Open the folder of recordings, which is made; what a killed predecessor left half done is removed."""
+    """Open the folder of recordings, creating it, and remove what a killed daemon left unfinished."""
     folder.mkdir(parents=True, exist_ok=True)
     for unfinished in folder.glob(".*.unfinished"):
-        log.warning("recording lost in a crash of the daemon: %s", unfinished.name)
+        log.warning("removed a recording that the daemon's crash left unfinished: %s", unfinished.name)
         shutil.rmtree(unfinished, ignore_errors=True)
     return Recordings(folder, source, settings, made_by)
 
 
 class Recordings:
-    """`offer` every bundle; everything is called on the loop. Made by `open_recordings`."""
+    """Keeps the newest bundles and records them: `offer` it every bundle; created by `open_recordings`.
+
+    All methods are called on the event loop.
+    """
 
     def __init__(
         self,
@@ -149,17 +152,17 @@ class Recordings:
 
     @property
     def trouble(self) -> str | None:
-        """What went wrong with the latest recording, until the next one."""
+        """Why the latest recording ended early or failed, None if it did not."""
         if self._last is None or not self._last.is_cut_short:
             return None
         return f"recording {self._last.name}: {self._last.reason or self._last.ended_by}"
 
     def use_rig(self, rig: RigCalibration) -> None:
-        """What the rig file of later recordings says."""
+        """Write this calibration into the rig files of later recordings."""
         self._source = replace(self._source, rig=rig)
 
     def offer(self, bundle: FrameBundle) -> None:
-        """Remember a bundle, and hand it to the recording under way; never blocks."""
+        """Keep a bundle in memory, and pass it to the recording under way; never blocks."""
         self._n_offered += 1
         kept = self._backgrounds if bundle.kind is BundleKind.BACKGROUND else self._stones
         if bundle.frames:
@@ -176,8 +179,8 @@ class Recordings:
             The name is taken, another recording is under way, or the disk has no room for it.
         """
         path = self._folder / plan.name
-        await asyncio.to_thread(self._require_place, path, plan)
-        # nothing is waited for from here on: two requests at a time do not both get through
+        await asyncio.to_thread(self._require_name_and_room, path, plan)
+        # no await from here on: of two simultaneous requests only one starts a recording
         if self._live is not None:
             raise RecordingRefusedError(
                 Refusal.RUNNING, f"recording {self._live.path.name} is under way: stop it first"
@@ -197,7 +200,7 @@ class Recordings:
             },
             count=plan.count,
             earlier=earlier,
-            on_closed=self._let_go,
+            on_closed=self._on_closed,
         )
         live.start(plan.duration_s)
         self._live, self._last = live, None
@@ -206,7 +209,7 @@ class Recordings:
         return live.status()
 
     async def stop(self, name: str) -> RecordingStatus | None:
-        """End a recording early and return it when it is complete; None when there is none of that name."""
+        """End a recording and return its status when it is complete; None when there is none of that name."""
         live = self._live
         if live is not None and live.path.name == name:
             await _end(live)
@@ -214,13 +217,13 @@ class Recordings:
         return await self.find(name)
 
     async def find(self, name: str) -> RecordingStatus | None:
-        """None when there is none of that name."""
+        """Return the status of a recording, None when there is none of that name."""
         if self._live is not None and self._live.path.name == name:
             return self._live.status()
         return await asyncio.to_thread(_recording_in, self._folder, name) or self._failed.get(name)
 
     async def all(self) -> list[RecordingStatus]:
-        """All recordings, by name: on the disk, under way, and those that failed since the start."""
+        """Return all recordings, sorted by name: on the disk, under way, and those that failed since the start."""
         kept = await asyncio.to_thread(_recordings_in, self._folder)
         known = {status.name: status for status in [*self._failed.values(), *kept]}
         if self._live is not None:
@@ -228,17 +231,19 @@ class Recordings:
         return [known[name] for name in sorted(known)]
 
     async def close(self) -> None:
-        """End the recording under way; it stays as far as it came."""
+        """End the recording under way; what it has is kept."""
         if self._live is not None:
             await _end(self._live)
 
-    def _require_place(self, path: Path, plan: RecordingPlan) -> None:
+    def _require_name_and_room(self, path: Path, plan: RecordingPlan) -> None:
         if path.exists():
-            raise RecordingRefusedError(Refusal.EXISTS, f"there is a recording {path.name} already")
+            raise RecordingRefusedError(
+                Refusal.EXISTS, f"there is a recording {path.name} already: choose another name"
+            )
         n_bundles = (plan.count or 1) + plan.pre_trigger + KEPT_BACKGROUNDS
         require_room(self._folder, n_bundles, self._source, self._settings.reserve_bytes)
 
-    def _let_go(self, status: RecordingStatus) -> None:
+    def _on_closed(self, status: RecordingStatus) -> None:
         self._live, self._last = None, status
         if status.state is RecordingState.FAILED:
             self._failed[status.name] = status
@@ -262,7 +267,7 @@ async def _end(live: LiveRecording) -> None:
         async with asyncio.timeout(CLOSE_S):
             await live.closed.wait()
     except TimeoutError:
-        log.error("the disk takes too long, it is not waited for recording=%s", live.path.name)
+        log.error("the disk is too slow: a recording may stay incomplete recording=%s", live.path.name)
 
 
 def _recordings_in(folder: Path) -> list[RecordingStatus]:

@@ -1,1 +1,1 @@
-"""What is said of each trigger: one list of fields, and the records that are made of it."""
+"""The result of a trigger: the one list of its fields, and the records made of them."""

@@ -1,25 +1,62 @@
-"""The fields of a result, each in one place: name, type, unit, definition, and its value where nothing is known.
+"""The fields of a result, each defined once: name, type, unit, definition, and value when unknown.
 
 The records in `results.jsonl` and in the store, the schema of the REST interface, the tables of the commands and the
-list in the guide follow from `Result`. A value that was measured has the name of the attribute of
-`pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement` that it is.
+list in the guide follow from `Result`. A measured field has the name of the attribute of
+`pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement` that it is read from.
 """
 
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.config import JsonDict
 
-from service.status import always_present
-
 TIME: JsonDict = {"format": "date-time"}
-MEASURED = "measured"
+"""Addition to the schema of a text that is a time, RFC 3339."""
+ONLY_IF_MEASURED = "null unless measured"
 """Marks a field that is null unless the outcome is `measured`."""
 
 
+def always_present(schema: dict[str, Any]) -> None:
+    """Describe a model whose fields are all in every answer, whether or not they have a default here."""
+    schema["required"] = list(schema["properties"])
+    for property_ in schema["properties"].values():
+        property_.pop("default", None)
+
+
+class Outcome(StrEnum):
+    """What became of a trigger; a word of the REST contract."""
+
+    MEASURED = "measured"
+    """The stone has a body and its measures."""
+    REJECTED = "rejected"
+    """The views were looked at and found unfit, for a `pipeline.errors.RejectReason`."""
+    LOST = "lost"
+    """The views were never looked at, for a `LossReason`."""
+
+
+class LossReason(StrEnum):
+    """Why a trigger ends as `lost`; a word of the REST contract."""
+
+    QUEUE_FULL = "queue_full"
+    """As many bundles were waiting as the spool takes, or its file system was full."""
+    NO_FRAMES = "no_frames"
+    """No camera delivered a frame; `detail` has the reasons why each is missing."""
+    WORKER_CRASH = "worker_crash"
+    """Two worker processes, one after the other, died or failed over the bundle."""
+    DEADLINE = "deadline"
+    """Two worker processes, one after the other, were not finished with the bundle within `workers.deadline_s`."""
+    UNREADABLE = "unreadable"
+    """The bundle's file is damaged."""
+    CRASH = "crash"
+    """The daemon ended before the bundle was measured; recorded by its next start."""
+    SHUTDOWN = "shutdown"
+    """The daemon was stopped before the bundle was measured, or the rig disarmed before its frames came."""
+
+
 class Hull(BaseModel):
-    """The largest body behind the silhouettes."""
+    """The visual hull: the largest body consistent with the silhouettes."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -29,11 +66,11 @@ class Hull(BaseModel):
 
 
 class ViewOptics(BaseModel):
-    """How well a camera saw one exposure, against the rig when it was clean."""
+    """How well a camera saw one exposure, compared with the clean rig."""
 
     brightness: float = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
     gradient_uv: list[float] = Field(
-        description="The same, from the left border to the right one and from the upper to the lower one"
+        description="Change of the brightness from the left border to the right and from the upper to the lower one"
     )
     dust: float = Field(description="Share of the light lost in patches, 0..1")
     spots_share: float = Field(description="Share of the view darker than its surroundings, 0..1")
@@ -51,8 +88,9 @@ def _measured(description: str) -> Any:
     return Field(default=None, description=description)
 
 
-Number = Annotated[float | None, MEASURED]
-Numbers = Annotated[list[float] | None, MEASURED]
+Number = Annotated[float | None, ONLY_IF_MEASURED]
+Numbers = Annotated[list[float] | None, ONLY_IF_MEASURED]
+Text = Annotated[str | None, ONLY_IF_MEASURED]
 
 
 class Result(BaseModel):
@@ -68,32 +106,34 @@ class Result(BaseModel):
     kind: Literal["particle", "ball"] = Field(description="What was exposed")
     captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
-    outcome: Literal["measured", "rejected", "lost"]
+    outcome: Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST]
     reason: str | None = Field(default=None, description="Why rejected or lost, one word; null when measured")
     detail: str | None = Field(default=None, description="The reason for people")
     quality: Literal["good", "reduced", "degraded"] | None = Field(
         default=None, description="How well the stone was seen"
     )
-    views: list[str] = Field(default=[], description="Cameras the measurement rests on")
-    dropped_views: dict[str, str] = Field(default={}, description="Cameras left out, each with the reason")
+    views: list[str] = Field(default=[], description="Cameras whose views were measured")
+    dropped_views: dict[str, str] = Field(
+        default={}, description="Cameras whose views were not used, each with the reason"
+    )
     segmenters: dict[str, str] = Field(
-        default={}, description="What found the outline in each view: background, network or u2net"
+        default={}, description="Segmenter that found the outline in each view: background, network or u2net"
     )
     segmentation_flags: dict[str, str] = Field(
         default={},
-        description="Cameras whose view was not left to the segmenter asked first, each with the reason",
+        description="Cameras whose view another segmenter than the first decided, each with the reason",
     )
-    body: Annotated[Literal["estimate", "hull"] | None, MEASURED] = _measured("What mesh and shape describe")
+    body: Annotated[Literal["estimate", "hull"] | None, ONLY_IF_MEASURED] = _measured(
+        "Body that mesh and shape describe: the estimate, or the visual hull"
+    )
     volume_mm3: Number = _measured(
         "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"
     )
     volume_raw_mm3: Number = _measured("Volume of the visual hull, mm³")
     volume_estimate_mm3: Number = _measured(
-        "Volume of the estimated body's mesh, mm³; null: none was asked for"
+        "Volume of the estimated body's mesh, mm³; null when nothing is estimated"
     )
-    volume_model: Annotated[str | None, MEASURED] = _measured(
-        "Id of the coefficients that `volume_mm3` rests on"
-    )
+    volume_model: Text = _measured("Id of the coefficients that `volume_mm3` is corrected with")
     surface_area_mm2: Number = _measured("Surface area of the mesh, mm²")
     length_mm: Number = _measured("Greatest dimension (ASTM D4791 length), mm")
     width_mm: Number = _measured("Greatest dimension at right angles to the length (ASTM D4791 width), mm")
@@ -110,9 +150,7 @@ class Result(BaseModel):
     convexity: Number = _measured("Volume by volume of the convex hull, 0..1")
     elongation_ratio: Number = _measured("b / a of the least box, 0..1")
     flatness_ratio: Number = _measured("c / b of the least box, 0..1")
-    zingg_class: Annotated[str | None, MEASURED] = _measured(
-        "Zingg's form of the least box: equant, disc, rod or blade"
-    )
+    zingg_class: Text = _measured("Zingg's form of the least box: equant, disc, rod or blade")
     krumbein: Number = _measured("Krumbein's intercept sphericity (b c / a²)^(1/3) of the least box, 0..1")
     corey: Number = _measured("Corey's shape factor c / sqrt(a b) of the least box, 0..1")
     angularity: Number = _measured(
@@ -120,21 +158,21 @@ class Result(BaseModel):
     )
     mass_g: Number = _measured("Mass at the configured density, g; null without a density")
     center_mm: Numbers = _measured("Centroid in the rig's frame (x, y, z up), mm")
-    hull: Annotated[Hull | None, MEASURED] = _measured("The visual hull, uncorrected")
+    hull: Annotated[Hull | None, ONLY_IF_MEASURED] = _measured("The visual hull, uncorrected")
     gate_extent_mm: float | None = Field(
         default=None,
         description="Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown",
     )
     gate_extent_is_plausible: bool | None = Field(
         default=None,
-        description="Whether the measured body can be what closed the beam; null when there is nothing to compare."
-        " False: two stones in a row, a dirty beam, or a wrong measurement",
+        description="Whether the measured body fits the time the beam was closed; null when there is nothing to"
+        " compare. False: two stones in a row, a dirty beam, or a wrong measurement",
     )
     mesh: str | None = Field(
         default=None, description="Address of the mesh, relative to the base path; null without one"
     )
     view_residuals_px: dict[str, float] = Field(
-        default={}, description="Silhouette against the hull, per camera, px"
+        default={}, description="By how much each outline leaves the hull of the other views, rms, px"
     )
     tangency_px: dict[str, float] = Field(
         default={},
@@ -143,27 +181,29 @@ class Result(BaseModel):
     )
     image_shifts_px: dict[str, list[float]] = Field(
         default={},
-        description="By how much (u, v) each camera sees the stone beside where the others expect it, px",
+        description="Shift (u, v) of the stone in each camera's image from where the other views expect it, px",
     )
     optics: dict[str, ViewOptics] = Field(default={}, description="How well each camera saw this stone")
     timings_ms: dict[str, float] = Field(default={}, description="Computing time of each stage, ms")
-    calibration_id: str | None = Field(default=None, description="Calibration the measurement rests on")
+    calibration_id: str | None = Field(default=None, description="Calibration that was measured with")
     algorithm_version: str | None = Field(default=None, description="Changes whenever results may")
     is_simulated: bool | None = Field(default=None, description="True when the images are synthetic")
 
 
-MEASURED_FIELDS = tuple(name for name, field in Result.model_fields.items() if MEASURED in field.metadata)
+MEASURED_FIELDS = tuple(
+    name for name, field in Result.model_fields.items() if ONLY_IF_MEASURED in field.metadata
+)
 """Fields that are null unless the outcome is `measured`."""
 
 STORED_FIELDS = ("seq", "id", "session", "recorded_at")
-"""Fields that a result gets when it becomes durable; `results.jsonl` has no such."""
+"""Fields that a result gets when it becomes durable; `results.jsonl` lacks them."""
 
 EMPTY: Mapping[str, Any] = {
     name: None if field.is_required() else field.default for name, field in Result.model_fields.items()
 }
-"""Every field as it is where nothing is known."""
+"""A record in which nothing is known: every field with its default."""
 
 
 def completed(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Complete a record that was stored by an earlier version: what it does not know is null."""
+    """Return a record with the fields added that the version which stored it did not have."""
     return {**EMPTY, **record}

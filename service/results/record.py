@@ -1,4 +1,4 @@
-"""The result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
+"""Make the result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
 
 from collections.abc import Mapping
 from enum import StrEnum
@@ -8,7 +8,7 @@ from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import CameraId, Trigger
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation.optics import ViewOptics
-from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull
+from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome
 from service.results.version import ALGORITHM_VERSION
 
 
@@ -22,16 +22,16 @@ def result_record(
     speed_at_gate_mm_s: float,
     timings_ms: dict[str, float],
 ) -> dict[str, Any]:
-    """The record of a bundle that was looked at: `measured`, or `rejected` with the reason."""
+    """Return the record of a bundle that was processed: `measured`, or `rejected` with the reason."""
     measurement, rejection = result.measurement, result.rejection
     record = _base(trigger, bundle, calibration_id, is_simulated)
     record |= {
-        "outcome": "rejected" if measurement is None else "measured",
+        "outcome": str(Outcome.REJECTED if measurement is None else Outcome.MEASURED),
         "reason": None if rejection is None else str(rejection.reason),
         "detail": None if rejection is None else rejection.detail,
         "quality": None if result.quality is None else str(result.quality),
         "views": list(result.views),
-        "dropped_views": dict(result.dropped),
+        "dropped_views": {camera: str(why) for camera, why in result.dropped.items()},
         "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
         "segmentation_flags": {
             camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
@@ -43,11 +43,11 @@ def result_record(
     }
     if measurement is not None:
         record |= _measured(measurement)
-    return record | _at_the_gate(trigger, measurement, speed_at_gate_mm_s)
+    return record | _gate_extent(trigger, measurement, speed_at_gate_mm_s)
 
 
 def _tangency(result: ParticleResult) -> dict[str, Any]:
-    """What the stone says about the cameras, those it was rejected for included."""
+    """Return the epipolar residuals and image shifts of all cameras, dropped ones included."""
     if result.consistency is None:
         return {}
     found = result.consistency
@@ -60,7 +60,7 @@ def _tangency(result: ParticleResult) -> dict[str, Any]:
 
 
 def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
-    """How well each camera sees, rounded to what can be told from one exposure."""
+    """Return the field `optics` of a record, rounded to what one exposure can tell."""
     return {
         camera: {
             "brightness": round(seen.brightness, 4),
@@ -79,13 +79,16 @@ def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
 def lost_record(
     trigger: Trigger | None, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
 ) -> dict[str, Any]:
-    """The record of a trigger whose bundle was never looked at; `None` when even its header cannot be read."""
+    """Return the record of a trigger whose bundle was never processed.
+
+    `trigger` is None when the bundle's header cannot be read; `reason` is a `LossReason`.
+    """
     record = _base(trigger, bundle, calibration_id, is_simulated)
-    return record | {"outcome": "lost", "reason": reason, "detail": detail}
+    return record | {"outcome": str(Outcome.LOST), "reason": str(reason), "detail": detail}
 
 
 def _base(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
-    """Every field but those of the store, with everything measured still null, in the order of the contract."""
+    """Return all fields but those of the store, in the order of the contract, nothing measured yet."""
     empty = {name: value for name, value in EMPTY.items() if name not in STORED_FIELDS}
     return empty | {
         "bundle": bundle,
@@ -99,7 +102,7 @@ def _base(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulate
 
 
 def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
-    """The measured fields: attributes of the particle, else of its shape."""
+    """Return the measured fields: attributes of the particle, else of its shape."""
     return {
         name: _plain(getattr(measurement if hasattr(measurement, name) else measurement.shape, name))
         for name in MEASURED_FIELDS
@@ -107,7 +110,7 @@ def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The value as JSON has it."""
+    """Return the value in types that JSON has."""
     match value:
         case HullMeasurement():
             return {name: getattr(value, name) for name in Hull.model_fields}
@@ -118,10 +121,13 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _at_the_gate(
+def _gate_extent(
     trigger: Trigger, measurement: ParticleMeasurement | None, speed_at_gate_mm_s: float
 ) -> dict[str, Any]:
-    """What closed the beam, against what was measured: it turns as it falls, so its diameters bound the extent."""
+    """Return the extent seen by the light gate, and whether it fits the body.
+
+    A stone turns as it falls, so its Feret diameters bound the extent.
+    """
     if trigger.pulse_width_ns is None:
         return {}
     extent_mm = vertical_extent_mm(trigger.pulse_width_ns, speed_at_gate_mm_s)

@@ -13,7 +13,7 @@ CREATE TABLE sessions (
     info TEXT NOT NULL
 ) STRICT;
 
--- One row for each trigger, durable before anything is done about it. Backgrounds have no outcome.
+-- One row for each trigger, durable before its bundle is processed. Backgrounds have no outcome.
 CREATE TABLE triggers (
     trigger INTEGER PRIMARY KEY,
     session INTEGER NOT NULL REFERENCES sessions,
@@ -29,7 +29,7 @@ CREATE TABLE triggers (
 CREATE INDEX open_triggers ON triggers (session) WHERE state = 'open';
 CREATE INDEX triggers_by_state ON triggers (session, state);
 
--- The feed: exactly one row for each trigger that ended, never edited. What can be asked for is derived
+-- The feed: exactly one row for each trigger that ended, never edited. The columns of queries are derived
 -- from the record and so cannot contradict it.
 CREATE TABLE results (
     seq INTEGER PRIMARY KEY,

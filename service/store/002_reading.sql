@@ -1,8 +1,8 @@
--- Results before this one have no raw frames any more, so that nobody has to look for them.
+-- Results before this one have no raw frames any more, so they need not be searched for them.
 ALTER TABLE store ADD COLUMN first_raw INTEGER NOT NULL DEFAULT 1;
 
--- What results are counted and listed by, without their records, which are 8 kB each: an index on their derived
--- columns would not do, a query that names one of these reads the whole row.
+-- The columns that results are counted and listed by, without their records, which are 8 kB each: an index on derived
+-- columns does not help, because a query that names one of them reads the whole row.
 CREATE TABLE listed (
     seq INTEGER PRIMARY KEY,
     session INTEGER NOT NULL,

@@ -1,4 +1,4 @@
-"""Every trigger's outcome, durable before it is visible: SQLite, one writer, files beside it."""
+"""The result store: every trigger's outcome, durable before it is visible; SQLite with one writer, and files."""
 
 from service.store.reads import ParticleFilter, Record, ResultPage
 from service.store.store import KEEP_RAW, Store, open_store

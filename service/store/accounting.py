@@ -1,4 +1,4 @@
-"""The balance of triggers: `triggers = measured + rejected + lost + in_progress`, counted, never inferred."""
+"""The balance of triggers: `triggers = measured + rejected + lost + in_progress`, each counted by itself."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accounting:
-    """What became of the light gate's triggers; background exposures are counted apart."""
+    """Counts of the light gate's triggers by outcome; background exposures are counted separately."""
 
     triggers: int
     measured: int
@@ -19,5 +19,5 @@ class Accounting:
 
     @property
     def is_balanced(self) -> bool:
-        """Every trigger is in exactly one place; `False` is a fault of the store."""
+        """Whether every trigger is counted exactly once; `False` is a fault of the store."""
         return self.triggers == self.measured + self.rejected + self.lost + self.in_progress

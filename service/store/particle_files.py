@@ -1,7 +1,7 @@
-"""The files of a particle, `particles/<id>/`: on the disk before the row that speaks of them.
+"""The files of a particle, `particles/<id>/`: durable before the row that names them.
 
-A folder without a row is what a crash left between the two; it is invisible, and whoever gets its number
-next removes it. Raw frames are large, so only those of the newest results stay.
+A crash between the two leaves a folder without a row: it is invisible, and removed when its number is given to
+the next result. Raw frames are large, so only those of the newest results are kept.
 """
 
 import os
@@ -16,24 +16,24 @@ RAW = "bundle.tiff"
 
 
 def particle_id(instance_id: str, seq: int) -> str:
-    """Unique across stores; in the order of `seq`."""
+    """Return the id of a particle: unique across stores, and in the order of `seq`."""
     return f"{instance_id[:8]}-{seq:08d}"
 
 
 def raw_frames(particles_dir: Path, instance_id: str, seq: int) -> Path:
-    """Where a result's frames are, if they are kept."""
+    """Return the file of a result's raw frames, which exists if they are kept."""
     return particles_dir / particle_id(instance_id, seq) / RAW
 
 
 def drop_raw(particles_dir: Path, instance_id: str, seq: int) -> None:
-    """Remove the frames of a result, and what a daemon left that was killed while it wrote them."""
-    path = raw_frames(particles_dir, instance_id, seq)
-    for each in (path, unfinished(path)):
-        each.unlink(missing_ok=True)
+    """Remove the raw frames of a result, and the unfinished file of a daemon that was killed while it wrote them."""
+    finished = raw_frames(particles_dir, instance_id, seq)
+    for path in (finished, unfinished(finished)):
+        path.unlink(missing_ok=True)
 
 
 def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
-    """Bring `files` (a name in `folder` each) there, durably.
+    """Copy or link `files`, by their names in `folder`, into it, durably.
 
     The sources stay until `drop_sources`, so that a transaction that fails afterwards can be repeated.
     """
@@ -42,20 +42,20 @@ def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
         return
     folder.mkdir()
     for name, source in files.items():
-        _bring(source, folder / name)
-    # at once: the device flushes for all of them what it would flush for each
+        _link_or_copy(source, folder / name)
+    # in parallel: one flush of the device serves all of them
     written = [*(folder / name for name in files), folder, folder.parent]
-    with ThreadPoolExecutor(len(written), thread_name_prefix="sync") as each:
-        list(each.map(sync, written))
+    with ThreadPoolExecutor(len(written), thread_name_prefix="sync") as threads:
+        list(threads.map(sync, written))
 
 
 def drop_sources(files: Mapping[str, Path]) -> None:
-    """Remove what `keep_files` has brought to safety."""
+    """Remove the sources of files that `keep_files` has made durable."""
     for source in files.values():
         source.unlink()
 
 
-def _bring(source: Path, target: Path) -> None:
+def _link_or_copy(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
     except OSError:  # another file system (the spool is on tmpfs), or one without links

@@ -1,19 +1,20 @@
-"""What is read: queries on a read-only connection, and what they return."""
+"""Queries on a read-only connection, and the types that they return."""
 
 import json
 import sqlite3
 from dataclasses import dataclass
 from typing import Any
 
+from service.results.fields import Outcome
 from service.store.accounting import Accounting
 
 Record = dict[str, Any]
-"""A result as stored: the fields of the pipeline's record, `seq`, `id`, `recorded_at`, and any other key."""
+"""A result as stored: the fields of `service.results.fields.Result`, and any other key."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultPage:
-    """A stretch of the feed, in order, and where the feed begins and ends at the same moment."""
+    """Consecutive results of the feed, and the first and last number of the whole feed at the same moment."""
 
     first_seq: int  # oldest result kept; last_seq + 1 when there is none
     last_seq: int  # 0 before the first result
@@ -22,7 +23,7 @@ class ResultPage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticleFilter:
-    """Which results to list; `None` is no condition. Sizes in mm, both limits included."""
+    """Conditions on the results to list; `None` is no condition. Sizes in mm, both bounds included."""
 
     outcome: str | None = None
     quality: str | None = None
@@ -34,6 +35,7 @@ class ParticleFilter:
 
 
 def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:
+    """Return up to `limit` results after `seq`, in order."""
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
     (first_seq,) = connection.execute("SELECT coalesce(min(seq), ?) FROM results", (last_seq + 1,)).fetchone()
     rows = connection.execute(
@@ -45,7 +47,7 @@ def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> Resul
 
 
 def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
-    """Find the result with this id (text) or this seq (number)."""
+    """Return the result with this id (text) or this seq (number), None if there is none."""
     column = "seq" if isinstance(key, int) else "id"
     row = connection.execute(f"SELECT record FROM results WHERE {column} = ?", (key,)).fetchone()  # noqa: S608 - one of two names above
     return json.loads(row[0]) if row else None
@@ -54,7 +56,7 @@ def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
 def particles(
     connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int | None, limit: int
 ) -> list[Record]:
-    """List the newest results that fit, newest first, older than `before_seq`."""
+    """Return the newest `limit` results that fit and are older than `before_seq`, newest first."""
     conditions = {
         "outcome = ?": wanted.outcome,
         "quality = ?": wanted.quality,
@@ -76,9 +78,9 @@ def particles(
 
 
 def accounting(connection: sqlite3.Connection, session: int | None) -> Accounting:
-    """Count over one session, or over all.
+    """Return the counts of one session, or of all.
 
-    Triggers are counted where they were recorded and outcomes where they are served: the balance is a check.
+    Triggers are counted where they were recorded and outcomes where they are served, so the balance is a check.
     """
     condition, given = ("TRUE", ()) if session is None else ("session = ?", (session,))
     states = dict(
@@ -96,16 +98,16 @@ def accounting(connection: sqlite3.Connection, session: int | None) -> Accountin
         given,
     ):
         outcomes[outcome] = outcomes.get(outcome, 0) + count
-        if outcome == "measured":
+        if outcome == Outcome.MEASURED:
             qualities[quality] = qualities.get(quality, 0) + count
         else:
             reasons[reason] = reasons.get(reason, 0) + count
     backgrounds = states.pop("background", 0)
     return Accounting(
         triggers=sum(states.values()),
-        measured=outcomes.get("measured", 0),
-        rejected=outcomes.get("rejected", 0),
-        lost=outcomes.get("lost", 0),
+        measured=outcomes.get(Outcome.MEASURED, 0),
+        rejected=outcomes.get(Outcome.REJECTED, 0),
+        lost=outcomes.get(Outcome.LOST, 0),
         in_progress=states.get("open", 0),
         backgrounds=backgrounds,
         by_reason=reasons,

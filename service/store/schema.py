@@ -1,7 +1,7 @@
-"""The database file: how it is opened, and how an older one becomes today's.
+"""Open the database file, and migrate an older one to today's schema.
 
 Migrations are the numbered SQL files beside this module; `PRAGMA user_version` is the number of the last
-one applied. A database from a newer program is refused, not guessed at.
+one applied. A database with a newer schema is refused.
 """
 
 import sqlite3
@@ -15,13 +15,13 @@ from service.errors import StoreError
 
 
 def connect_writer(path: Path) -> sqlite3.Connection:
-    """Open the one connection that writes, on today's schema; raise `StoreError` when that cannot be."""
+    """Open the one connection that writes, on today's schema; raise `StoreError` if that fails."""
     try:
         connection = sqlite3.connect(path, isolation_level=None)
     except sqlite3.Error as err:
         raise StoreError(f"{path}: {err}") from err
     try:
-        # a commit returns when it is on the disk: measured 0.18 ms, at four stones a second nothing
+        # a commit returns when it is on the disk: 0.18 ms measured, negligible at four stones a second
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
@@ -37,7 +37,7 @@ def connect_writer(path: Path) -> sqlite3.Connection:
 
 @contextmanager
 def connect_reader(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a read-only connection that sees one moment of the database from its first query to its end."""
+    """Open a read-only connection whose queries all see the same state of the database."""
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
     try:
         connection.execute("BEGIN")
@@ -48,7 +48,7 @@ def connect_reader(path: Path) -> Iterator[sqlite3.Connection]:
 
 @contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """All or nothing: commits at the end, rolls back on any way out that is not the end."""
+    """Run a transaction that is committed at the end of the block, and rolled back if the block is left early."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield
@@ -66,7 +66,8 @@ def _migrate(connection: sqlite3.Connection) -> None:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if version > len(scripts):
         raise StoreError(
-            f"schema {version} was written by a newer program; this one knows up to {len(scripts)}"
+            f"schema {version} was written by a newer stonefall; this one knows schemas up to {len(scripts)}:"
+            " start the newer one, or choose another store.dir"
         )
     for number, script in enumerate(scripts[version:], start=version + 1):
         connection.executescript(

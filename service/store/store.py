@@ -1,6 +1,6 @@
-"""The result store: one thread writes, readers look on, and whoever waits for results is woken.
+"""The result store: one thread writes, others read, and tasks that wait for results are woken by each commit.
 
-`open_store` and `close` block; everything else is for the event loop. A returned write is durable.
+`open_store` and `close` block; everything else is for the event loop. A write is durable when it returns.
 """
 
 import asyncio
@@ -16,6 +16,7 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 from drivers.files.durable import sync
 from pipeline.frames import Trigger
 from service.errors import StoreError
+from service.results.fields import LossReason
 from service.store import reads, writes
 from service.store.accounting import Accounting
 from service.store.particle_files import drop_raw, raw_frames
@@ -26,17 +27,17 @@ T = TypeVar("T")
 
 
 KEEP_RAW = 200
-"""Raw frames take about 9 MB a result."""
+"""Newest results whose raw frames are kept; they take about 9 MB each."""
 NOTE_EVERY = 100
-"""After so many results it is noted how far raw frames were removed."""
+"""Results between two notes in the database of how far raw frames were removed."""
 READERS = 2
-"""Queries at a time: nothing that measures waits for those of a hundred clients."""
+"""Queries at a time: those of a hundred clients do not slow down the measuring."""
 
 
 def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
     """Open `state_dir/results.sqlite`, creating what is missing.
 
-    Of `bundle.tiff`, the raw frames, those of the newest `keep_raw` results are kept.
+    The raw frames, `bundle.tiff`, of the newest `keep_raw` results are kept.
 
     Raises
     ------
@@ -53,7 +54,9 @@ def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as err:
         lock.close()
-        raise StoreError(f"{state_dir}: another process has the store open") from err
+        raise StoreError(
+            f"{state_dir}: another process has the store open: stop it, or choose another store.dir"
+        ) from err
     writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="store-writer")
     try:
         connection = writer.submit(connect_writer, state_dir / "results.sqlite").result()
@@ -65,7 +68,7 @@ def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
 
 
 class Store:
-    """Triggers, their outcomes and the files of the particles; made by `open_store`."""
+    """Triggers, their outcomes and the files of the particles; created by `open_store`."""
 
     def __init__(
         self,
@@ -79,7 +82,7 @@ class Store:
         self._path = state_dir / "results.sqlite"
         self._lock = lock  # held until the process ends or `close`
         self._writer = writer
-        self._connection = connection  # of the writer thread alone
+        self._connection = connection  # used by the writer thread alone
         self._session: int | None = None
         self._committed = asyncio.Event()  # replaced at each commit
         self._released = False
@@ -88,7 +91,7 @@ class Store:
             row = reader.execute("SELECT instance_id, last_seq, first_raw FROM store").fetchone()
         self._instance_id: str = row[0]
         self._last_seq: int = row[1]
-        self._first_raw: int = row[2]  # results before have no raw frames
+        self._first_raw: int = row[2]  # results before this one have no raw frames
         self._keep_raw = keep_raw
 
     def __enter__(self) -> Self:
@@ -100,7 +103,7 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Let the writer finish what it was given, then close the database."""
+        """Finish all writes, then close the database."""
         self._readers.shutdown(cancel_futures=True)
         self._writer.submit(self._connection.close)
         self._writer.shutdown()
@@ -108,21 +111,21 @@ class Store:
 
     @property
     def instance_id(self) -> str:
-        """UUID of this history; a reader of the feed that sees another one starts again."""
+        """UUID of this history; clients that see another one start the feed again."""
         return self._instance_id
 
     @property
     def last_seq(self) -> int:
-        """The newest durable result; 0 before the first."""
+        """Number of the newest durable result; 0 before the first."""
         return self._last_seq
 
     @property
     def session(self) -> int | None:
-        """The session begun by this process."""
+        """Number of the session begun by this process, None before `begin_session`."""
         return self._session
 
     async def begin_session(self, info: Mapping[str, Any]) -> int:
-        """Return the number of a new session; `info` (JSON) says what ran.
+        """Begin a session, a run of the daemon, and return its number; `info` (JSON) describes it.
 
         Its `calibration_id` and `is_simulated` go into the records of triggers that a crash leaves open.
         """
@@ -130,11 +133,11 @@ class Store:
         return self._session
 
     async def note_calibration(self, session: int, calibration_id: str) -> None:
-        """The session goes on with another calibration."""
+        """Record that the session uses another calibration from now on."""
         await self._write(writes.note_calibration, session, calibration_id)
 
     async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
-        """Make it known, durably, that they happened, each for a bundle of this name, unique within the session."""
+        """Record triggers durably, by the names of their bundles, which are unique within the session."""
         await self._write(writes.record_triggers, session, triggers)
 
     async def finish(
@@ -142,39 +145,40 @@ class Store:
     ) -> int:
         """End a trigger with `record` and return the result's `seq`.
 
-        `files` (`mesh.ply`, `silhouettes`, `bundle.tiff`) are moved to `particles/<id>/` first. A second
-        outcome for the same trigger is refused: nothing changes and the `seq` of the first is returned.
+        `files` (by name, such as `mesh.ply`) are moved to `particles/<id>/` first. A second outcome for the same
+        trigger changes nothing, and the `seq` of the first is returned.
         """
         return await self._write(writes.finish, self.particles_dir, session, bundle, record, files or {})
 
     def raw_path(self, seq: int) -> Path:
-        """Where the frames of a result belong; whoever puts them there calls `drop_old_raw`."""
+        """Return where to write the raw frames of a result; call `drop_old_raw` afterwards."""
         return raw_frames(self.particles_dir, self._instance_id, seq)
 
     async def drop_old_raw(self, seq: int) -> None:
-        """Remove the frames of a result that is not one of the newest `keep_raw` any more."""
+        """Remove the raw frames of a result unless it is among the newest `keep_raw`."""
         if seq <= self._last_seq - self._keep_raw:
             await asyncio.to_thread(drop_raw, self.particles_dir, self._instance_id, seq)
 
-    async def lose_open(self, reason: str, detail: str) -> int:
-        """End as `lost` every trigger that an earlier session left open, all at once; how many they were."""
+    async def lose_open(self, reason: LossReason, detail: str) -> int:
+        """End as `lost` every trigger that an earlier session left open; return how many these were."""
         return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail)
 
     async def accounting(self, session: int | None = None) -> Accounting:
-        """Count one session, or of the whole history."""
+        """Return the counts of one session, or of the whole history."""
         return await self._read(reads.accounting, session)
 
     async def results_after(self, seq: int, limit: int) -> reads.ResultPage:
+        """Return up to `limit` results after `seq`, in order."""
         return await self._read(reads.results_after, seq, limit)
 
     async def particle(self, key: str | int) -> reads.Record | None:
-        """One result by id (text) or seq (number)."""
+        """Return one result by id (text) or seq (number), None if there is none."""
         return await self._read(reads.particle, key)
 
     async def particles(
         self, wanted: reads.ParticleFilter, before_seq: int | None, limit: int
     ) -> list[reads.Record]:
-        """Newest first, older than `before_seq`."""
+        """Return the newest `limit` results that fit and are older than `before_seq`, newest first."""
         return await self._read(reads.particles, wanted, before_seq, limit)
 
     async def wait_beyond(self, seq: int) -> None:
@@ -183,7 +187,7 @@ class Store:
             await self._committed.wait()
 
     def release_waiters(self) -> None:
-        """End all waiting, now and from now on: the daemon is about to stop."""
+        """End all waiting in `wait_beyond` for good, because the daemon is about to stop."""
         self._released = True
         self._wake()
 
@@ -204,16 +208,16 @@ class Store:
             return result
 
         written = asyncio.wrap_future(self._writer.submit(job))
-        # on the inner future, and shielded: a caller cancelled meanwhile must not leave the readers asleep
+        # on the inner future, and shielded: waiting readers must be woken even if the caller is cancelled meanwhile
         written.add_done_callback(lambda _: self._wake())
         return await asyncio.shield(written)
 
     def _drop_old_raw(self) -> None:
-        before, first = self._first_raw, self._last_seq - self._keep_raw + 1
-        for seq in range(before, first):
+        first_raw_before, first_kept = self._first_raw, self._last_seq - self._keep_raw + 1
+        for seq in range(first_raw_before, first_kept):
             drop_raw(self.particles_dir, self._instance_id, seq)
-        self._first_raw = max(before, first)
-        if self._first_raw // NOTE_EVERY > before // NOTE_EVERY:
+        self._first_raw = max(first_raw_before, first_kept)
+        if self._first_raw // NOTE_EVERY > first_raw_before // NOTE_EVERY:
             writes.note_first_raw(self._connection, self._first_raw)
 
     async def _read(

@@ -1,4 +1,4 @@
-"""What is written: each function one transaction on the writer's connection.
+"""Writes to the database: each function is one transaction on the writer's connection.
 
 Invariants: every trigger ends in at most one result (`UNIQUE (trigger)`), and results are numbered without
 a gap, because the number is taken in the transaction that makes the result durable.
@@ -13,12 +13,14 @@ from typing import Any
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, Trigger, rfc3339
 from service.errors import StoreError
+from service.results.fields import LossReason
 from service.results.record import lost_record
 from service.store.particle_files import drop_sources, keep_files, particle_id
 from service.store.schema import transaction
 
 
 def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> int:
+    """Record the start of a run of the daemon and return its number."""
     with transaction(connection):
         (session,) = connection.execute(
             "INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session",
@@ -28,7 +30,7 @@ def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> in
 
 
 def note_calibration(connection: sqlite3.Connection, session: int, calibration_id: str) -> None:
-    """The `info` of a session names the calibration that was in use last."""
+    """Record in the `info` of a session which calibration it uses from now on."""
     with transaction(connection):
         connection.execute(
             "UPDATE sessions SET info = json_set(info, '$.calibration_id', ?) WHERE session = ?",
@@ -37,11 +39,13 @@ def note_calibration(connection: sqlite3.Connection, session: int, calibration_i
 
 
 def note_first_raw(connection: sqlite3.Connection, seq: int) -> None:
+    """Record that results before `seq` have no raw frames."""
     with transaction(connection):
         connection.execute("UPDATE store SET first_raw = ?", (seq,))
 
 
 def record_triggers(connection: sqlite3.Connection, session: int, triggers: Mapping[str, Trigger]) -> None:
+    """Record triggers by the names of their bundles, without an outcome yet."""
     with transaction(connection):
         connection.executemany(
             "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state)"
@@ -68,7 +72,7 @@ def finish(
     record: Mapping[str, Any],
     files: Mapping[str, Path],
 ) -> int:
-    """Return the `seq` of the trigger's one result: of `record`, or of the one that was there before."""
+    """End a trigger with `record` and return its `seq`; a trigger that has a result keeps that, and its `seq`."""
     with transaction(connection):
         row = connection.execute(
             "SELECT trigger, state, seq FROM triggers LEFT JOIN results USING (trigger)"
@@ -91,10 +95,10 @@ def lose_open(
     connection: sqlite3.Connection,
     particles_dir: Path,
     live_session: int | None,
-    reason: str,
+    reason: LossReason,
     detail: str,
 ) -> int:
-    """How many triggers of other sessions than `live_session` were open and are `lost` now."""
+    """End as `lost` all open triggers of sessions other than `live_session`; return how many these were."""
     with transaction(connection):
         rows = connection.execute(
             "SELECT trigger, bundle, info FROM triggers JOIN sessions USING (session)"
@@ -142,7 +146,7 @@ def _end(
         # relative to the state directory, and likewise to the base path of the REST interface
         "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in files else None,
     }
-    stored = identity | dict(record) | identity  # first to be read first, last to have the last word
+    stored = identity | dict(record) | identity  # first for the order of the keys, last for the values
     connection.execute(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
         (seq, name, trigger, session, json.dumps(stored, allow_nan=False)),

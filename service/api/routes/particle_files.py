@@ -24,6 +24,7 @@ from service.api.renditions import (
 )
 from service.api.routes.cameras import CameraName
 from service.api.routes.particles import ParticleKey, find_record
+from service.results.fields import Outcome
 from service.store import Record
 
 router = APIRouter(prefix="/particles", tags=["particles"])
@@ -103,7 +104,9 @@ async def silhouette(
 
 async def _record_with_view(context: ApiContext, key: str, camera: str) -> Record:
     record = await find_record(context, key)
-    names_all_views = record["outcome"] != "rejected"  # a rejection names only the views that it is about
+    names_all_views = (
+        record["outcome"] != Outcome.REJECTED
+    )  # a rejection names only the views that it is about
     if names_all_views and camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
         raise Problem(404, "unknown-camera", f"particle {record['id']} has no view of a camera {camera!r}")
     return record

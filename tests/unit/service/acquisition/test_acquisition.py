@@ -13,7 +13,7 @@ from drivers.faulty.gate import FaultyGate
 from drivers.files.recording import RecordingWriter
 from drivers.interfaces import CameraLost, LightGate
 from pipeline.frames import Frame, FrameBundle, Trigger
-from service.acquisition import device_keeper as keeper
+from service.acquisition import device_keeper
 from service.acquisition.rig_cameras import RigCameras
 from service.bundling.counters import BundlingCounters, CameraCounters
 from service.status import AcquisitionState, AcquisitionTarget, ConflictError
@@ -118,28 +118,28 @@ async def test_disarming_before_the_rig_has_begun_to_arm_wins(recording: Path):
         await running
 
 
-async def test_it_is_at_work_as_long_as_a_device_may_keep_it(recording: Path):
+async def test_it_is_active_as_long_as_devices_are_in_use(recording: Path):
     bench = Bench(recording)
     acquisition = bench.acquisition
-    assert not acquisition.is_at_work
+    assert not acquisition.is_active
     async with armed(bench):
-        assert acquisition.is_at_work
+        assert acquisition.is_active
         acquisition.request(AcquisitionTarget.DISARMED)
-        assert acquisition.is_at_work
+        assert acquisition.is_active
         await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
-        assert not acquisition.is_at_work
+        assert not acquisition.is_active
         acquisition.request(AcquisitionTarget.ARMED)
-        await bench.until(lambda: acquisition.is_at_work)
+        await bench.until(lambda: acquisition.is_active)
         acquisition.stop()
-        assert acquisition.is_at_work
-    assert not acquisition.is_at_work
+        assert acquisition.is_active
+    assert not acquisition.is_active
 
 
-def test_the_counters_of_all_sessions_add_up(recording: Path):
+def test_the_counters_of_all_armed_periods_add_up(recording: Path):
     cameras = RigCameras(Bench(recording).devices.cameras)
     for n_lost in (1, 2, 3):
         counters = BundlingCounters(cameras={camera: CameraCounters() for camera in CAMERAS})
-        cameras.count(counters)
+        cameras.use_counters(counters)
         counters.cameras[CAMERAS[1]].lost += n_lost
     assert [status.lost for status in cameras.statuses()] == [0, 6, 0]
 
@@ -150,11 +150,11 @@ async def test_triggers_without_any_image_are_the_line_s_only_while_the_cameras_
     dark = FrameBundle(trigger=trigger, frames={}, missing=dict.fromkeys(CAMERAS, "no_frame"))
     async with armed(bench) as acquisition:
         for n_triggers in (1, 2, 3):
-            acquisition.cameras.look_into(dark)
+            acquisition.cameras.check_bundle(dark)
             assert acquisition.cameras.blind_triggers == n_triggers
         for camera in CAMERAS:
-            acquisition.cameras.note(CameraLost(camera=camera, received_ns=0, reason="does not answer"))
-        acquisition.cameras.look_into(dark)
+            acquisition.cameras.track(CameraLost(camera=camera, received_ns=0, reason="does not answer"))
+        acquisition.cameras.check_bundle(dark)
         assert acquisition.cameras.blind_triggers == 0
 
 
@@ -169,7 +169,7 @@ async def test_a_stone_in_the_air_is_seen_through_when_stopping(recording: Path)
 
 
 async def test_a_lost_camera_degrades_and_comes_back(recording: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.2,))
+    monkeypatch.setattr(device_keeper, "BACK_OFF_S", (0.2,))
     faults = FaultPlan(cameras=frozenset({CAMERAS[1]}), disconnect=Fault(at=frozenset({1})))
     bench = Bench(recording, faults=faults)
     async with armed(bench) as acquisition:
@@ -186,13 +186,13 @@ async def test_a_lost_camera_degrades_and_comes_back(recording: Path, monkeypatc
 async def test_too_few_cameras_hold_the_acquisition_until_they_are_back(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.5,))
+    monkeypatch.setattr(device_keeper, "BACK_OFF_S", (0.5,))
     faults = FaultPlan(cameras=frozenset(CAMERAS[:2]), disconnect=Fault(at=frozenset({0})))
     bench = Bench(recording, faults=faults)
     async with armed(bench) as acquisition:
         await bench.step(1)
         await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
-        assert acquisition.trouble == "c01, c02: disconnected; 1 cameras are left of 2 needed"
+        assert acquisition.trouble == "c01, c02: disconnected; cameras armed: 1, needed: 2"
         await bench.step(1)  # counted all the same
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
         assert acquisition.trouble is None
@@ -205,7 +205,7 @@ async def test_too_few_cameras_hold_the_acquisition_until_they_are_back(
 async def test_a_lost_gate_holds_and_comes_back_while_the_cameras_stay_armed(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.2,))
+    monkeypatch.setattr(device_keeper, "BACK_OFF_S", (0.2,))
     bench = Bench(recording, gate_faults=FaultPlan(disconnect_gate=Fault(at=frozenset({1}))))
     async with armed(bench) as acquisition:
         await bench.step(1)
@@ -245,7 +245,7 @@ class DeadGate:
 async def test_a_gate_that_does_not_answer_holds_until_it_does(
     recording: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.05,))
+    monkeypatch.setattr(device_keeper, "BACK_OFF_S", (0.05,))
     bench = Bench(recording)
     bench.devices = replace(bench.devices, gate=(gate := DeadGate(bench.devices.gate, 3)))
     bench.make_acquisition()
@@ -262,7 +262,7 @@ async def test_a_gate_that_does_not_answer_holds_until_it_does(
     ]
     assert alarms == [
         "device lost: ttyUSB0: no such device device=light gate",
-        "held: ttyUSB0: no such device",
+        "acquisition held: ttyUSB0: no such device",
     ]
 
 

@@ -13,8 +13,8 @@ from support.sinks import Collector
 
 from drivers.errors import CameraUnavailableError
 from drivers.interfaces import CameraVitals, EventSink
-from service.acquisition import device_keeper as keeper
-from service.acquisition.device_keeper import Keeper
+from service.acquisition import device_keeper
+from service.acquisition.device_keeper import DeviceKeeper
 
 
 class Device:
@@ -54,19 +54,21 @@ class Device:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keeper, "BACK_OFF_S", (0.05, 0.1, 0.2))
-    monkeypatch.setattr(keeper, "EXAMINE_S", 0.02)
+    monkeypatch.setattr(device_keeper, "BACK_OFF_S", (0.05, 0.1, 0.2))
+    monkeypatch.setattr(device_keeper, "EXAMINE_EVERY_S", 0.02)
 
 
 @asynccontextmanager
-async def kept(device: Device, lost: list[str] | None = None) -> AsyncIterator[Keeper]:
+async def kept(device: Device, lost: list[str] | None = None) -> AsyncIterator[DeviceKeeper]:
     told = [] if lost is None else lost
-    one = Keeper("c01", device, examine=device.examine, on_lost=lambda reason, cause: told.append(reason))
+    keeper = DeviceKeeper(
+        "c01", device, examine=device.examine, on_lost=lambda reason, cause: told.append(reason)
+    )
     async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
-        one.start(Collector(), tasks)
-        await one.settle()
-        yield one
-        await one.end()
+        keeper.start(Collector(), tasks)
+        await keeper.tried()
+        yield keeper
+        await keeper.close()
 
 
 async def until(condition) -> None:
@@ -76,14 +78,14 @@ async def until(condition) -> None:
 
 async def test_it_is_opened_armed_examined_disarmed_and_closed_on_one_thread():
     device = Device()
-    async with kept(device) as one:
-        assert one.state == "armed"
+    async with kept(device) as keeper:
+        assert keeper.state == "armed"
         await until(lambda: device.calls.count("examine") >= 2)
-        assert one.vitals.temperature_c == 40.0
-        await one.disarm()
+        assert keeper.vitals.temperature_c == 40.0
+        await keeper.disarm()
         assert device.calls[-1] == "disarm"
     assert device.calls[:3] == ["open", "arm", "examine"]
-    assert (device.calls[-1], one.state) == ("close", "closed")
+    assert (device.calls[-1], keeper.state) == ("close", "closed")
     assert len(device.threads) == 1
 
 
@@ -93,16 +95,16 @@ async def test_a_device_that_does_not_answer_is_asked_less_and_less_often_and_lo
     caplog.set_level(logging.INFO)
     device = Device()
     device.problem = "does not answer"
-    async with kept(device) as one:
-        assert (one.state, one.last_error) == ("lost", "does not answer")
+    async with kept(device) as keeper:
+        assert (keeper.state, keeper.last_error) == ("lost", "does not answer")
         await until(lambda: device.calls.count("open") >= 4)
         opened_s = [at_s for call, at_s in zip(device.calls, device.at_s, strict=True) if call == "open"]
         gaps_s = [b - a for a, b in pairwise(opened_s)]
         assert gaps_s[0] >= 0.1
         assert gaps_s[1] >= 0.2
         device.problem = None
-        await until(lambda: one.state == "armed")
-        assert one.recoveries == 1
+        await until(lambda: keeper.state == "armed")
+        assert keeper.recoveries == 1
     messages = [record.message for record in caplog.records]
     assert messages[0] == "device lost: does not answer device=c01"
     assert messages[1].startswith("device back device=c01 after_s=")
@@ -111,22 +113,22 @@ async def test_a_device_that_does_not_answer_is_asked_less_and_less_often_and_lo
 
 async def test_a_failed_examination_is_told_and_the_device_opened_anew():
     device, lost = Device(), []
-    async with kept(device, lost) as one:
+    async with kept(device, lost) as keeper:
         device.problem = "control was lost"
-        await until(lambda: one.state == "lost")
+        await until(lambda: keeper.state == "lost")
         assert lost == ["control was lost"]
         device.problem = None
-        await until(lambda: one.recoveries == 1)
+        await until(lambda: keeper.recoveries == 1)
     assert device.calls.count("open") >= 2
 
 
 async def test_a_device_that_is_lost_again_and_again_is_one_alarm(caplog: pytest.LogCaptureFixture):
     device = Device()
-    async with kept(device) as one:
+    async with kept(device) as keeper:
         for n_opened in range(2, 6):
-            one.lose("no image")
+            keeper.mark_lost("no image")
             await until(lambda n_opened=n_opened: device.calls.count("open") == n_opened)
-            await until(lambda: one.state == "armed")
+            await until(lambda: keeper.state == "armed")
         opened_s = [at_s for call, at_s in zip(device.calls, device.at_s, strict=True) if call == "open"]
         assert opened_s[-1] - opened_s[-2] >= 0.2
     lost = [record for record in caplog.records if record.levelno >= logging.WARNING]
@@ -135,49 +137,49 @@ async def test_a_device_that_is_lost_again_and_again_is_one_alarm(caplog: pytest
 
 async def test_a_loss_while_it_is_being_armed_counts():
     device = Device()
-    one = Keeper("gate", device)
+    keeper = DeviceKeeper("gate", device)
 
     def arm_and_lose(sink: EventSink) -> None:
         device.arm = lambda sink: device.calls.append("arm")
         asyncio.run_coroutine_threadsafe(lose(), loop).result()
 
     async def lose() -> None:
-        one.lose("unplugged")
+        keeper.mark_lost("unplugged")
 
     loop = asyncio.get_running_loop()
     device.arm = arm_and_lose
     async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
-        one.start(Collector(), tasks)
-        await one.settle()
-        assert one.state == "lost"
-        await until(lambda: one.state == "armed")
-        await one.end()
+        keeper.start(Collector(), tasks)
+        await keeper.tried()
+        assert keeper.state == "lost"
+        await until(lambda: keeper.state == "armed")
+        await keeper.close()
     assert device.calls.count("open") == 2
 
 
-async def test_a_loss_that_others_saw_ends_the_session_of_the_device():
+async def test_a_loss_that_others_saw_has_the_device_opened_anew():
     device = Device()
-    async with kept(device) as one:
-        one.lose("unplugged")
+    async with kept(device) as keeper:
+        keeper.mark_lost("unplugged")
         await until(lambda: device.calls.count("open") == 2)
         assert device.calls.index("close") < len(device.calls) - 1 - device.calls[::-1].index("open")
 
 
-async def test_a_device_that_hangs_keeps_nobody_who_abandons_it():
+async def test_a_device_that_hangs_can_be_abandoned():
     is_over = threading.Event()
 
     class Hanging(Device):
         def open(self) -> None:
             is_over.wait()
 
-    one = Keeper("gate", Hanging())
+    keeper = DeviceKeeper("gate", Hanging())
     try:
         async with asyncio.timeout(5), asyncio.TaskGroup() as tasks:
-            one.start(Collector(), tasks)
+            keeper.start(Collector(), tasks)
             await asyncio.sleep(0.05)
-            one.abandon()
-            await one.settle()
-            await one.disarm()
-            await one.end()
+            keeper.abandon()
+            await keeper.tried()
+            await keeper.disarm()
+            await keeper.close()
     finally:
         is_over.set()

@@ -49,7 +49,7 @@ async def test_later_it_waits_for_a_starved_rig():
     wanted_s: list[float] = []
 
     async def fire() -> None:
-        if wanted_s[-1] == empty_rig.STARVED_S:
+        if wanted_s[-1] == empty_rig.QUIET_S:
             fired.set()
 
     def is_quiet(for_s: float) -> bool:

@@ -99,7 +99,7 @@ def test_no_deadline_runs_while_the_host_stands_still(stalled_ms: int, is_measur
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS, device_ns=7) for camera in CAMERAS)])
     assembler.feed(trigger(1, 500 * MS))
-    assembler.wait_longer(stalled_ms * MS)
+    assembler.extend_deadlines(stalled_ms * MS)
     woken_ns = 500 * MS + DELAY_NS + 900 * MS
     bundles = assembler.advance(woken_ns)
     bundles += feed_all(assembler, [frame(camera, 1, woken_ns, device_ns=7 + 500 * MS) for camera in CAMERAS])

@@ -20,7 +20,7 @@ from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, warm_up
 from pipeline.segmentation.silhouette import ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter
-from service.processing.background_files import FOLLOWING, read_background, write_background
+from service.processing.background_files import DERIVED, read_background, write_background
 
 SHAPES = st.tuples(st.integers(1, 40), st.integers(1, 40))
 CLEAN = np.array([[1, 2], [3, 4]], np.float32)
@@ -45,7 +45,7 @@ def test_what_is_mapped_is_what_was_written(shapes: dict[str, tuple[int, int]], 
         assert set(read) == set(model)
         for camera, known in read.items():
             assert type(known.mean) is np.ndarray
-            for name in FOLLOWING:
+            for name in DERIVED:
                 kept = vars(known)[name]
                 np.testing.assert_array_equal(kept, getattr(model[camera], name))
                 assert kept.dtype == getattr(model[camera], name).dtype

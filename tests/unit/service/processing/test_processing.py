@@ -10,7 +10,7 @@ from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
-from service.processing.background_versions import BESIDE, WAITED_FOR
+from service.processing.background_versions import N_AWAITED, N_BESIDE
 from service.processing.measure_job import LearnJob, RigFile
 from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
@@ -51,8 +51,8 @@ async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tm
 
 
 async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Path):
-    empty = [turn(f"e{k}", kind=BundleKind.BACKGROUND) for k in range(WAITED_FOR + 2)]
-    stones = [turn(f"s{k}") for k in range(BESIDE + 2)]
+    empty = [turn(f"e{k}", kind=BundleKind.BACKGROUND) for k in range(N_AWAITED + 2)]
+    stones = [turn(f"s{k}") for k in range(N_BESIDE + 2)]
     pool = ScriptedPool()
     bench = Bench(tmp_path, [*empty[:-2], turn("a"), empty[-2], *stones, empty[-1], turn("z")], pool)
     pool.gates = {bundle.name: asyncio.Event() for bundle in [turn("a"), *empty[:-2], *stones]}
@@ -63,7 +63,9 @@ async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Pat
     for _ in range(200):
         await asyncio.sleep(0)
     names = [job.bundle_path.stem for job in pool.jobs]
-    assert names[-BESIDE:] == [stone.name for stone in stones[:BESIDE]]  # the next one needs what is learnt
+    assert names[-N_BESIDE:] == [
+        stone.name for stone in stones[:N_BESIDE]
+    ]  # the next one needs what is learnt
     assert bench.outcomes == [("a", None)]  # in the order of the triggers
     pool.gates[empty[-2].name].set()
     for _ in range(200):
@@ -74,7 +76,7 @@ async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Pat
     await run
     learnt = [job.out_path for job in pool.jobs if isinstance(job, LearnJob)]
     used = [record["background"] for record in bench.store.records]
-    assert used == [learnt[-3]] * (1 + BESIDE) + [learnt[-2]] * 3
+    assert used == [learnt[-3]] * (1 + N_BESIDE) + [learnt[-2]] * 3
     assert [job.previous_path for job in pool.jobs if isinstance(job, LearnJob)] == [None, *learnt[:-1]]
     assert list_names(tmp_path) == [path.name for path in learnt[-2:]]
 
@@ -138,7 +140,7 @@ async def test_a_full_disk_costs_a_calibration_its_ball_and_not_the_daemon(
     bench = Bench(tmp_path, bundles, ScriptedPool(), FullDesk())
     await bench.processing.run()
     assert bench.outcomes == [("a", None), ("b", None)]
-    assert "ball not kept for the calibration: [Errno 28] No space left on device bundle=b" in caplog.text
+    assert "drop not kept for the calibration: [Errno 28] No space left on device bundle=b" in caplog.text
     assert list_names(tmp_path) == []
 
 

@@ -58,7 +58,7 @@ async def test_bundles_come_out_as_files_in_order_and_unchanged(tmp_path: Path):
 
 async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
     released = []
-    files = BundleFiles(tmp_path, on_through=lambda: released.append(1))
+    files = BundleFiles(tmp_path, on_free=lambda: released.append(1))
     spool = Spool(files, max_bundles=2, camera_ids=CAMERAS)
     async with writing(spool):
         for sequence in (1, 2, 3):
@@ -76,14 +76,14 @@ async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
     assert spool.overflows == 1
     for bundle in rest:
         await spool.release(bundle)
-    assert spool.held == 0
+    assert spool.n_queued == 0
 
 
 async def test_lost_exposures_of_the_empty_rig_are_no_lost_stones(tmp_path: Path):
     spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS)
     for sequence in (1, 2):
         spool.offer(bundle_of(sequence, kind=BundleKind.BACKGROUND))
-    assert (spool.held, spool.overflows) == (1, 0)
+    assert (spool.n_queued, spool.overflows) == (1, 0)
     spool.offer(bundle_of(3))
     assert spool.overflows == 1
 
@@ -144,7 +144,7 @@ async def test_a_spool_that_cannot_be_written_loses_bundles_not_the_daemon(
     assert isinstance(bundle.content, Loss)
     assert bundle.content.reason == "queue_full"
     assert "No such file" in bundle.content.detail
-    assert spool.held == 0
+    assert spool.n_queued == 0
     assert "cannot be written" in caplog.text
 
 

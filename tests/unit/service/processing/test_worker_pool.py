@@ -21,8 +21,8 @@ from support.worker_jobs import (
     wait_for,
 )
 
-from service.processing.measure_job import step_back
-from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError, run_apart
+from service.processing.measure_job import lower_priority
+from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError, run_in_new_process
 
 
 @asynccontextmanager
@@ -95,7 +95,7 @@ async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_jo
     await pool.start()
     before = pool.pids
     (tmp_path / "hold").touch()
-    renewing = asyncio.create_task(pool.renew(calm_s=0))
+    renewing = asyncio.create_task(pool.renew(idle_s=0))
     while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - nobody signals it
         await asyncio.sleep(0.01)
     job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
@@ -115,7 +115,7 @@ async def test_a_process_is_renewed_when_there_is_nothing_to_measure(tmp_path: P
     pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
     await pool.start()
     before = pool.pids
-    renewing = asyncio.create_task(pool.renew(calm_s=0.2))
+    renewing = asyncio.create_task(pool.renew(idle_s=0.2))
     (tmp_path / "go").touch()
     for _ in range(8):  # closer than calm
         await pool.run(wait_for, tmp_path / "go")
@@ -133,7 +133,7 @@ async def test_a_worker_that_cannot_be_renewed_stays(tmp_path: Path):
     before = pool.pids
     (tmp_path / "broken").touch()
     (tmp_path / "go").touch()
-    await pool.renew(calm_s=0)
+    await pool.renew(idle_s=0)
     assert [await pool.run(wait_for, tmp_path / "go")] == before
     pool.close()
 
@@ -151,11 +151,16 @@ async def test_a_worker_that_cannot_start_is_fatal():
 
 
 async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
-    assert await run_apart(stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, prepare=step_back) == "done"
+    assert (
+        await run_in_new_process(
+            stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, prepare=lower_priority
+        )
+        == "done"
+    )
     (pid,) = noted_pids(tmp_path)
     assert pid != os.getpid()
     others = set(multiprocessing.active_children())
-    staying = asyncio.create_task(run_apart(stay, None, deadline_s=60.0, prepare=step_back))
+    staying = asyncio.create_task(run_in_new_process(stay, None, deadline_s=60.0, prepare=lower_priority))
     while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - nobody signals it
         await asyncio.sleep(0.01)
     staying.cancel()

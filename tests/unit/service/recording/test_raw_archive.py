@@ -9,7 +9,7 @@ from support.recordings import CAMERAS, assert_same_bundle, make_bundle
 
 from drivers.files.bundle_file import Compression, overwrite_bundle, read_bundle
 from service.recording import raw_archive
-from service.recording.raw_archive import KeepJob, RawArchive, keep
+from service.recording.raw_archive import KeepJob, RawArchive, keep_frames
 
 
 class Folder:
@@ -92,7 +92,7 @@ def test_only_to_compress_it_waits_for_an_idle_core(
         write(*args, **options)
 
     monkeypatch.setattr(raw_archive, writer, noting)
-    keep(KeepJob(path, CAMERAS, tmp_path / "1" / "bundle.tiff", compression))
+    keep_frames(KeepJob(path, CAMERAS, tmp_path / "1" / "bundle.tiff", compression))
     assert policies == [policy]
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
     assert_same_bundle(read_bundle(tmp_path / "1" / "bundle.tiff", CAMERAS), make_bundle(1))
@@ -113,7 +113,7 @@ async def test_a_disk_that_refuses_is_told_and_costs_no_process(tmp_path: Path):
         assert archive.take(path, seq)
     archive.finish()
     await archive.run()
-    assert archive.trouble == "frames of 2 stones were not kept so far: Not a directory"
+    assert archive.trouble == "frames of 2 stones were not kept since the start: Not a directory"
     assert len(pids) == 1
 
 
@@ -133,4 +133,4 @@ def test_what_comes_too_fast_is_left_out_and_told(tmp_path: Path, caplog: pytest
     assert not archive.take(tmp_path / "10", 10)
     assert archive.trouble is not None
     assert archive.trouble.startswith("frames of 2 stones were not kept")
-    assert caplog.text.count("frames not kept: they come faster than frames are written seq=9") == 1
+    assert caplog.text.count("frames not kept: stones come faster than frames are written seq=9") == 1

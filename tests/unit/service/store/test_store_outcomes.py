@@ -266,7 +266,7 @@ def test_a_newer_schema_and_a_foreign_file_are_refused(tmp_path: Path) -> None:
     connection = sqlite3.connect(tmp_path / "newer" / "results.sqlite")
     connection.execute("PRAGMA user_version = 99")
     connection.close()
-    with pytest.raises(StoreError, match="schema 99 was written by a newer program"):
+    with pytest.raises(StoreError, match="schema 99 was written by a newer stonefall"):
         open_store(tmp_path / "newer")
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "results.sqlite").write_bytes(b"this is a diary, not a database " * 100)
