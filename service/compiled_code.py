@@ -1,8 +1,8 @@
-"""Where numba keeps compiled loops: a folder for every state of the code that they are compiled from.
+"""The cache of compiled loops: a folder for every state of the code that they are compiled from.
 
-numba asks whether the file of a function has changed, not those of what the function calls, whose old code it would
-go on using after an update. Here the code of a module counts together with that of all modules of the pipeline that
-it imports, and nothing else: a changed comment or docstring compiles nothing anew, nor does another path.
+numba's own cache only notices a change in the file of a function, not in what the function calls, and would go on
+using that old code after an update. Here the code of a module counts together with that of all modules of the pipeline
+that it imports, and nothing else: a changed comment or docstring, or another path, compiles nothing anew.
 """
 
 import ast
@@ -23,10 +23,10 @@ SOURCES = Path(__file__).parents[1] / "pipeline"
 
 
 def isolate_numba_cache() -> None:
-    """Have numba keep what it compiles by the state of the code, for this process and those it starts.
+    """Let numba keep compiled code by the state of the sources, in this process and those it starts.
 
-    To be called before numba is imported. Without `NUMBA_CACHE_DIR` the folder is beside the sources; where that cannot
-    be written, in the user's cache. For a user without a home numba finds a place of its own.
+    Call it before numba is imported. Without `NUMBA_CACHE_DIR` the cache is beside the sources, or where these are read
+    only in the user's cache. For a user without a home numba chooses a place of its own.
     """
     if FOLDER not in os.environ:
         try:
@@ -38,7 +38,7 @@ def isolate_numba_cache() -> None:
 
 
 class CodeLocator:
-    """Tells numba where the compiled code of one function lies; numba makes one for each that it compiles."""
+    """Cache folder of one function; numba makes a locator for each function that it compiles."""
 
     def __init__(self, folder: Path, digest: str) -> None:
         self._folder = folder
@@ -46,7 +46,7 @@ class CodeLocator:
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], file: str) -> "CodeLocator | None":
-        """Return the locator of a function of the pipeline; None where nothing can be kept."""
+        """Return the locator of a function of the pipeline; None when nothing can be cached."""
         source = Path(file)
         if not source.is_relative_to(SOURCES):
             return None
@@ -60,7 +60,7 @@ class CodeLocator:
         return locator
 
     def ensure_cache_path(self) -> None:
-        """Make the folder; `OSError` when nothing can be written there."""
+        """Create the folder; raise `OSError` when nothing can be written there."""
         self._folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=self._folder).close()
 
@@ -69,19 +69,19 @@ class CodeLocator:
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        """Return what must be equal for compiled code to be used again."""
+        """Return the digest that must be equal for compiled code to be used again."""
         return self._digest
 
     def get_disambiguator(self) -> str:
-        """Return nothing: no module has two functions of one name, and line numbers change with comments."""
+        """Return an empty text: no module has two functions of one name, and line numbers change with comments."""
         return ""
 
 
 @cache
 def code_digests(root: Path) -> Mapping[str, str]:
-    """Return, by file of the pipeline, the digest of its code and of all that it imports from the pipeline.
+    """Return, by file of the pipeline, the digest of its code and of all code that it imports from the pipeline.
 
-    What was found for the same bytes before is read from `root`: to parse all files takes a second.
+    Digests of the same bytes are read from `root` if they are there: to parse all files takes a second.
     """
     sources = {path.relative_to(SOURCES).as_posix(): path.read_bytes() for path in SOURCES.rglob("*.py")}
     state = hashlib.sha256(b"".join(name.encode() + sources[name] for name in sorted(sources)))
@@ -114,7 +114,7 @@ def _digests(trees: Mapping[str, ast.Module]) -> dict[str, str]:
 
 
 def _code(tree: ast.Module) -> str:
-    """Return the code without line numbers, comments and docstrings, those of constants and attributes included."""
+    """Return the code without line numbers, comments and docstrings, also those of constants and attributes."""
     for node in ast.walk(tree):
         for block in ("body", "orelse", "finalbody"):
             if isinstance(statements := getattr(node, block, None), list):

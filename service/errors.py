@@ -1,19 +1,19 @@
-"""What the service refuses.
+"""The errors of the service.
 
 ::
 
     ServiceError
     ├── SettingsError       a configuration file; names the file and every wrong field
     ├── StoreError          the result store cannot be opened or written; fatal for the daemon
-    ├── VolumeModelError    a file of volume coefficients; names the file and the field
+    ├── VolumeModelError    coefficients of the volume correction; names the file and the field
     └── UsageError          a command's arguments contradict each other or the files they name
 
-`WorkerFailure` is none of them: nothing was refused, something broke.
+`WorkerFailure` is not one of them: it reports a bug or a broken environment.
 """
 
 
 class ServiceError(Exception):
-    """Root of what the service raises on purpose."""
+    """Root of the errors that the service raises on purpose."""
 
 
 class SettingsError(ServiceError):
@@ -25,12 +25,12 @@ class StoreError(ServiceError):
 
 
 class VolumeModelError(ServiceError):
-    """Coefficients of the volume's correction cannot be used, or cannot be fitted from what was given."""
+    """Coefficients of the volume correction cannot be read, or cannot be fitted to the given data."""
 
 
 class UsageError(ServiceError):
-    """The arguments of a command cannot be carried out."""
+    """The arguments of a command contradict each other or the files they name."""
 
 
-class WorkerFailure(Exception):  # noqa: N818 - a bug or a broken environment, with its traceback as text
-    """A job in a worker process ended with an exception that says nothing about the stone."""
+class WorkerFailure(Exception):  # noqa: N818 - no `ServiceError`
+    """A job in a worker process ended with an unexpected exception, whose traceback this carries as text."""

@@ -1,11 +1,11 @@
-"""Where files lie: beside the configuration that names them, or in the user's cache."""
+"""The folder of files that can be fetched or made again."""
 
 import os
 from pathlib import Path
 
 
 def user_cache() -> Path:
-    """Return the folder for what can be fetched or made again (XDG Base Directory Specification).
+    """Return the folder `stonefall` of the user's cache (XDG Base Directory Specification).
 
     Raises
     ------

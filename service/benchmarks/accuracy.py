@@ -1,6 +1,6 @@
-"""How accurate the whole chain is: a synthetic rig is calibrated from balls, then measures known bodies.
+"""Accuracy of the whole measuring chain: a synthetic rig is calibrated from balls, then measures known bodies.
 
-What is rendered and measured follows from the seed alone; processes share the work and change no number.
+Images and results follow from the seed alone, whatever the number of processes.
 """
 
 import multiprocessing
@@ -36,16 +36,16 @@ CALIBRATIONS: Mapping[RigName, tuple[Literal["paper", "bundle"], int]] = {
     "paper": ("paper", 8),
     "ours": ("bundle", 20),
 }
-"""Method and number of drops; the paper used eight."""
-BALL_MM = 10.0
+"""Method and number of drops of each calibration; the paper used eight."""
+BALL_DIAMETER_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchPlan:
-    """What is tried."""
+    """The bodies, rigs and methods that are tried."""
 
-    poses: Mapping[str, int]  # by body; also how many bodies, where these are random
-    own_bodies: Mapping[str, Body] = field(default_factory=dict)  # from mesh files, by their names in `poses`
+    poses: Mapping[str, int]  # by body; of a random body the number of bodies
+    own_bodies: Mapping[str, Body] = field(default_factory=dict)  # from mesh files, by name in `poses`
     seed: int = 1
     methods: Mapping[RigName, tuple[Method, ...]] = field(
         default_factory=lambda: dict.fromkeys(RIGS, METHODS)
@@ -55,7 +55,7 @@ class BenchPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchResult:
-    """What came of it; a rig whose calibration failed is in `refused` with the reason, and in no trial."""
+    """The trials and the calibrations; a rig without calibration is in `refused` with the reason, and in no trial."""
 
     trials: tuple[Trial, ...]
     reports: Mapping[RigName, CalibrationReport]
@@ -64,13 +64,13 @@ class BenchResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """Averages over the trials of one body with one rig by one method; mm and percent, failures left out."""
+    """Averages over the trials of one body, rig and method, without failures; mm and percent."""
 
     body: str
     rig: str
     method: Method
     n: int
-    failures: Mapping[str, int]  # how often there was no body, by reason
+    failures: Mapping[str, int]  # number of trials without a body, by reason
     mean_mm: float
     max_mm: float  # mean of the greatest distances
     signed_mm: float
@@ -80,7 +80,7 @@ class Summary:
     volume_percent: float
     volume_rms_percent: float  # of the reported volume
     area_percent: float
-    # sizes: the mean of measured less true, and the rms
+    # sizes: mean of measured less true, and rms
     sieve_size_mm: float
     sieve_size_rms_mm: float
     max_feret_mm: float
@@ -94,7 +94,7 @@ class Summary:
 def run_accuracy_bench(
     plan: BenchPlan, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> BenchResult:
-    """Calibrate the plan's rigs and try its bodies; `on_progress` is told what is done and of how much."""
+    """Calibrate the rigs and measure the bodies of the plan; call `on_progress` with the steps done and in total."""
     calibrations = {rig: CALIBRATIONS[rig] for rig in plan.methods if rig in CALIBRATIONS}
     n_drops = max((count for _, count in calibrations.values()), default=0)
     total = n_drops + len(calibrations) + sum(plan.poses.values())
@@ -143,7 +143,7 @@ def run_accuracy_bench(
 
 
 def summarize(trials: Sequence[Trial], body: str | None = None) -> list[Summary]:
-    """One summary for each body, rig and method, in the order of the trials; under one name if `body` is given."""
+    """Return a summary for each body, rig and method, in the order of the trials; `body` is one name for all bodies."""
     groups: dict[tuple[str, str, Method], list[Trial]] = {}
     for trial in trials:
         groups.setdefault((body or trial.body, trial.rig, trial.method), []).append(trial)
@@ -197,12 +197,12 @@ def _use_one_thread() -> None:
 
 @cache
 def _scene(seed: int) -> Scene:
-    """Rendered once a process; equal in all of them."""
+    """Return the scene, which is built once in each process and is equal in all."""
     return build_scene(seed)
 
 
 def _drop(seed: int, number: int) -> BallDrop:
-    return drop_ball(_scene(seed), number, BALL_MM)
+    return drop_ball(_scene(seed), number, BALL_DIAMETER_MM)
 
 
 def _calibrate(drops: Sequence[BallDrop], method: Literal["paper", "bundle"]) -> CalibrationReport | str:

@@ -1,8 +1,8 @@
-"""What one stone costs on this machine, stage by stage and from the bundle's file to the durable result.
+"""Time of one stone on this machine, by stage and from the bundle's file to the durable result.
 
-In a worker process of its own, one thread. Stages count processor time, of the quickest of `N_RUNS`: other work on the
-machine does not take of it, but makes the same work take up to twice as long, so the processor's own speed is told as
-well. The whole way, `worker_job.measure` and the store, is run once, and told by the clock too.
+Everything runs in one worker process on one thread. Stages count processor time, of the quickest of `N_RUNS`. Other
+work on the machine can make the same stage take up to twice the processor time, so the speed of the processor is
+reported as well. The whole way (`measure_job.measure` and the store) is run once, and timed by the clock too.
 """
 
 import asyncio
@@ -47,29 +47,29 @@ from service.processing.measure_job import (
 from service.store import open_store
 
 SIZES_MM = (5.0, 15.0, 25.0, 40.0)
-"""Greatest diameters; the last ones fill the image."""
+"""Greatest diameters of the stones; the largest fills the image."""
 FORM = "angular"
 N_RUNS = 3
-"""Of each stone, as long as it lies in the caches: the goals were found in the same way."""
-PRODUCT = 512
-"""Edge of the matrices, in single precision, whose product says how fast the processor is just now."""
+"""Runs of each stone, whose data stay in the caches meanwhile; the goals were measured in the same way."""
+MATRIX_SIZE = 512
+"""Rows of the single-precision matrices whose product tells the present speed of the processor."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoneTimes:
-    """Of one stone, in ms."""
+    """Times of one stone."""
 
     stages_ms: Mapping[str, float]  # processor time, frames to all measures
-    hull_ms: float  # the same in sum, with the hull as the body
+    hull_ms: float  # their sum with the hull as the body
     mesh_ms: float  # silhouettes to the hull's mesh with its integrals
-    way_ms: float  # bundle file to durable result, by the clock
+    way_ms: float  # bundle's file to durable result, by the clock
     way_cpu_ms: float
-    gflops: float  # of the processor meanwhile
+    gflops: float  # speed of the processor meanwhile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizeTimes:
-    """Of stones of one size, in ms; medians, and 95 of 100 are below `..._p95_ms`."""
+    """Times of stones of one size: medians, and 95th percentiles in `..._p95_ms`."""
 
     size_mm: float
     n: int
@@ -87,7 +87,7 @@ class SizeTimes:
 def run_performance_bench(
     repeat: int, seed: int, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> list[SizeTimes]:
-    """Time `repeat` stones of each of `SIZES_MM` in one worker, after one that warms it up."""
+    """Time `repeat` stones of each of `SIZES_MM` in one worker, after a first stone that warms it up."""
     jobs = [(row, number) for row in range(len(SIZES_MM)) for number in range(repeat)]
     timed: dict[int, list[StoneTimes]] = {row: [] for row in range(len(SIZES_MM))}
     with (
@@ -107,7 +107,7 @@ def run_performance_bench(
 
 
 def worker_context() -> WorkerContext:
-    """What the daemon's workers share when nothing is configured."""
+    """Return the context of the daemon's workers with default settings."""
     return WorkerContext(
         parameters=PipelineParameters(),
         is_simulated=True,
@@ -137,7 +137,7 @@ def _summary(size_mm: float, stones: list[StoneTimes]) -> SizeTimes:
 
 @cache
 def _scene(folder: Path, seed: int) -> Scene:
-    """The rig, with its files in the folder."""
+    """Return the scene, and write rig and background to the folder."""
     scene = build_scene(seed)
     write_rig(folder / "rig.json", scene.true_rig)
     write_background(folder / "background", scene.background)
@@ -145,7 +145,7 @@ def _scene(folder: Path, seed: int) -> Scene:
 
 
 def _time_one(folder: Path, seed: int, row: int, number: int) -> StoneTimes:
-    """The n-th stone of a size."""
+    """Time the n-th stone of a size."""
     scene = _scene(folder, seed)
     rng = stream(seed, BODY, row, number)
     bundle = scene.photograph(tumble(stone(FORM, SIZES_MM[row], rng), scene.true_rig, rng), rng, FORM)
@@ -153,9 +153,7 @@ def _time_one(folder: Path, seed: int, row: int, number: int) -> StoneTimes:
     if rejection is not None:
         raise UsageError(f"a stone of {SIZES_MM[row]:g} mm cannot be timed: {rejection}; try another --seed")
     estimates_ms, hulls_ms, meshes_ms, speeds = [], [], [], []
-    for _ in range(
-        N_RUNS
-    ):  # no result is held: a worker keeps none, and the next one would begin in fresh memory
+    for _ in range(N_RUNS):  # no result is kept, as in a worker: otherwise each run would use fresh memory
         speeds.append(processor_gflops())
         estimates_ms.append(measured(bundle, scene, "estimate")[0])
         hulls_ms.append(sum(measured(bundle, scene, "hull")[0].values()))
@@ -172,18 +170,18 @@ def _time_one(folder: Path, seed: int, row: int, number: int) -> StoneTimes:
 
 
 def processor_gflops() -> float:
-    """What one thread just now makes of a product of matrices, the best of a few."""
-    matrix = np.ones((PRODUCT, PRODUCT), np.float32)
+    """Return the present speed of one thread in a product of matrices, the best of a few."""
+    matrix = np.ones((MATRIX_SIZE, MATRIX_SIZE), np.float32)
     times_s = []
     for _ in range(N_RUNS):
         start_s = time.process_time()
         matrix @ matrix
         times_s.append(time.process_time() - start_s)
-    return 2e-9 * PRODUCT**3 / min(times_s)
+    return 2e-9 * MATRIX_SIZE**3 / min(times_s)
 
 
 def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[str, float], ParticleResult]:
-    """Processor time of each stage in this worker, ms, and what came of it."""
+    """Return the processor time of each stage in this worker, ms, and the result."""
     worker = this_worker()
     stages_ms: dict[str, float] = {}
     last_s = time.process_time()
@@ -200,7 +198,7 @@ def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[st
 
 
 def mesh_ms(bundle: FrameBundle, scene: Scene) -> float:
-    """Processor time from silhouettes whose distances are still unknown to the hull's mesh and its integrals."""
+    """Return the processor time, ms, from silhouettes without distance fields to the hull's mesh and its integrals."""
     silhouettes = segment_all(bundle.frames, scene.background, this_worker().segmenter)
     start_s = time.process_time()
     hull = mesh_hull(
@@ -212,7 +210,7 @@ def mesh_ms(bundle: FrameBundle, scene: Scene) -> float:
 
 
 def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tuple[float, float]:
-    """From the bundle's file to the durable result, in ms by the clock and of the processor."""
+    """Return the time from the bundle's file to the durable result, ms, by the clock and of the processor."""
     job = MeasureJob(
         bundle_path=folder / f"{name}.tiff",
         camera_ids=scene.true_rig.camera_ids,

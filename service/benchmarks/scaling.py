@@ -1,4 +1,4 @@
-"""How the cost of a stone grows: with the voxels, with the views, and what more workers bring."""
+"""Time of one stone against the number of voxels and views, and throughput against the number of workers."""
 
 import multiprocessing
 import tempfile
@@ -42,23 +42,23 @@ GRIDS = (128, 256, 512)
 VIEWS = (8, 12, 16, 24, 32)
 WORKERS = (1, 2)
 READY_S = 120.0
-"""Longest wait for the workers."""
+"""Longest wait for the start of the workers."""
 N_BUNDLES = 20
-"""Measured by each number of workers."""
+"""Bundles that each number of workers measures."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridTimes:
-    """On one grid; processor time in ms, medians."""
+    """Processor time on one grid, medians."""
 
-    n: int  # voxels an edge
+    n: int  # voxels along an edge
     n_faces: int  # of the hull's mesh
     stages_ms: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewTimes:
-    """Seen by so many cameras; processor time in ms, medians."""
+    """Processor time with one number of views, medians."""
 
     n_views: int
     stages_ms: Mapping[str, float]  # frames to all measures
@@ -70,16 +70,16 @@ class ViewTimes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerTimes:
-    """Of so many workers at once."""
+    """Throughput of one number of workers."""
 
     n_workers: int
-    stones_per_s: float  # by the clock: other work on the machine shows
-    cpu_ms: float  # a stone, median
+    stones_per_s: float  # by the clock, so that other work on the machine shows
+    cpu_ms: float  # processor time of a stone, median
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scaling:
-    """Of one stone."""
+    """Times of one stone."""
 
     size_mm: float
     grids: Sequence[GridTimes]
@@ -87,14 +87,14 @@ class Scaling:
     workers: Sequence[WorkerTimes]
 
     def exponents(self) -> dict[str, float]:
-        """Of each stage's cost over the number of voxels along an edge: 2 for a surface, 3 for a volume."""
+        """Return the exponent of n in the time of each stage, for n voxels an edge: 2 for a surface, 3 for a volume."""
         n = np.log([grid.n for grid in self.grids])
         stages = {stage: [grid.stages_ms[stage] for grid in self.grids] for stage in self.grids[0].stages_ms}
         return {stage: float(np.polyfit(n, np.log(ms), 1)[0]) for stage, ms in stages.items()}
 
 
 def run_scaling_bench(size_mm: float, repeat: int, seed: int) -> Scaling:
-    """Time one stone again and again, in workers of their own."""
+    """Time one stone repeatedly, in worker processes."""
     with ProcessPoolExecutor(
         1,
         mp_context=multiprocessing.get_context("spawn"),
@@ -109,7 +109,7 @@ def run_scaling_bench(size_mm: float, repeat: int, seed: int) -> Scaling:
 
 
 def crowded_rig() -> RigCalibration:
-    """Twice the cameras of the design: the same ones again, turned about the vertical into the gaps of each layer."""
+    """Return a rig of twice the cameras: those of the design, and again turned into the gaps of each layer."""
     rig = nominal_rig()
     turn = Rotation.from_euler("z", 45, degrees=True).as_matrix()
     more = (replace(camera, id=CameraId(f"d{camera.id[1:]}"), R=camera.R @ turn.T) for camera in rig.cameras)
@@ -117,7 +117,7 @@ def crowded_rig() -> RigCalibration:
 
 
 def spread(rig: RigCalibration, n_views: int) -> tuple[CameraId, ...]:
-    """So many cameras of a crowded rig, as many in each layer of four, opposite ones first."""
+    """Return `n_views` cameras of a crowded rig, equally many in each layer of four, opposite ones first."""
     n_designed = len(rig.cameras) // 2
     places = [first + quarter for quarter in (0, 2, 1, 3) for first in range(0, n_designed, 4)]
     order = [*places, *(n_designed + place for place in places)]
@@ -178,7 +178,7 @@ def _medians(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def _write_jobs(folder: Path, size_mm: float, seed: int) -> list[MeasureJob]:
-    """One stone to be measured again and again."""
+    """Write a bundle with its rig and background, and return the jobs that measure it repeatedly."""
     scene = build_scene(seed)
     write_rig(folder / "rig.json", scene.true_rig)
     write_background(folder / "background", scene.background)

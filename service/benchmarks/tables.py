@@ -1,4 +1,4 @@
-"""What `stonefall benchmark` prints of times."""
+"""Tables of times that `stonefall benchmark` prints."""
 
 import os
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from service.benchmarks.scaling import N_BUNDLES, Scaling
 
 
 def stage_table(times: Sequence[SizeTimes], seed: int) -> Table:
-    """A row for each size of stones."""
+    """Return the times of all stages, with a row for each size of stones."""
     table = Table(
         title=f"ms of processor time a stone on one thread, quickest of {N_RUNS} runs, medians of {times[0].n} stones a"
         f" size, seed {seed}; {_machine()}",
@@ -33,7 +33,7 @@ def stage_table(times: Sequence[SizeTimes], seed: int) -> Table:
 
 
 def scaling_tables(scaling: Scaling, seed: int) -> list[Table]:
-    """By voxels, by views and by workers."""
+    """Return the tables by voxels, by views and by workers."""
     stone = f"a stone of {scaling.size_mm:g} mm, seed {seed}; {_machine()}"
     grids = Table(title=f"ms of processor time from silhouettes to mesh, {stone}")
     for heading in ("voxels", "faces", *scaling.grids[0].stages_ms):

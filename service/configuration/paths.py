@@ -1,4 +1,4 @@
-"""Paths in a configuration file are relative to its folder."""
+"""Paths in a configuration file, which are relative to its folder."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ from pydantic import AfterValidator, ValidationInfo
 
 
 def resolve_path(path: Path, info: ValidationInfo) -> Path:
-    """Return the path as an absolute one, relative to the folder of the configuration file."""
+    """Return the absolute path; a relative one starts at the folder of the configuration file."""
     folder: Path = (info.context or {})["folder"]
     return Path(os.path.normpath(folder / path))
 

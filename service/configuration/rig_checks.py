@@ -1,4 +1,4 @@
-"""What physics and the network forbid a live rig, in the words of its settings."""
+"""Checks of the rig's settings against its files, against physics and against the network."""
 
 from collections.abc import Iterator
 
@@ -13,11 +13,11 @@ from service.bundling.parameters import BundlingParameters
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 
 BUSY_SLACK_MS = 30.0
-"""A stone may follow the one before by so much less than a camera is busy: it is lost as a stone without frames."""
+"""Slack of the dead time, for a gate without a clock; a stone within it is lost for lack of frames."""
 
 
 def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterator[str]:
-    """Say what about the rig cannot work, each with its field and the physics of it."""
+    """Yield what cannot work in the rig, each with its field and the reason."""
     match settings:
         case ReplayRigSettings():
             yield from _replay_problems(settings)
@@ -26,7 +26,7 @@ def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterato
 
 
 def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
-    """Say what of the recording cannot be used."""
+    """Yield why the recording cannot be replayed."""
     try:
         recording = open_recording(settings.recording)
     except RecordingError as err:
@@ -39,7 +39,7 @@ def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
 
 
 def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
-    """Say what cannot work, with the physics of it."""
+    """Yield what cannot work with the cameras and the gate."""
     yield from timing_problems(settings, bundling)
     try:
         calibration = read_rig(settings.calibration)
@@ -57,20 +57,20 @@ def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) ->
         serial = calibrated[place.id].serial
         if place.serial and serial and place.serial != serial:
             yield (
-                f"rig.cameras: {place.id} is camera {place.serial},"
-                f" but {settings.calibration} was made with camera {serial} in its place"
+                f"rig.cameras: {place.id} has serial number {place.serial},"
+                f" but {settings.calibration} was made with {serial} in its place"
             )
     yield from blur_problems(settings, calibration)
     yield from transfer_problems(settings, calibration, bundling)
 
 
 def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
-    """Say which times of the bundling do not fit the fall."""
+    """Yield which times of the bundling do not fit the fall."""
     if settings.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < settings.busy_ms:
         yield (
             f"bundling.dead_time_ms: cameras ignore an edge for {settings.busy_ms:.1f} ms after another; a gate"
-            f" without a clock is given {BUSY_SLACK_MS:g} ms of slack,"
-            f" {settings.busy_ms - BUSY_SLACK_MS:.0f} are needed, not {bundling.dead_time_ms:g}"
+            f" without a clock has {BUSY_SLACK_MS:g} ms of slack: must be at least"
+            f" {settings.busy_ms - BUSY_SLACK_MS:.0f}, not {bundling.dead_time_ms:g}"
         )
     if abs(bundling.expected_delay_ms - settings.busy_ms) > bundling.window_ms / 2:
         yield (
@@ -80,7 +80,7 @@ def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -
 
 
 def blur_problems(settings: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
-    """Say whether a stone moves too far while it is lit."""
+    """Yield whether a stone moves too far during the exposure."""
     lit_us = (settings.flash_us or settings.exposure_us) + settings.trigger_skew_us
     speed = settings.fall.speed_at_center_mm_s
     pixel_mm = min(
@@ -92,14 +92,14 @@ def blur_problems(settings: AravisRigSettings, calibration: RigCalibration) -> I
         yield (
             f"rig.exposure_us: {lit_us:g} us of light and skew blur a stone of {speed / 1e3:.2f} m/s by"
             f" {blur:.1f} px; rig.max_blur_px = {settings.max_blur_px:g} allows {longest_us:.0f} us:"
-            " expose for less, or set rig.flash_us for a short strobe"
+            " shorten the exposure, or set rig.flash_us for a short strobe"
         )
 
 
 def transfer_problems(
     settings: AravisRigSettings, calibration: RigCalibration, bundling: BundlingParameters
 ) -> Iterator[str]:
-    """All frames of a trigger share the uplink, and must be through before the next ones come."""
+    """Yield whether the frames of a trigger exceed the uplink they share, or arrive too late."""
     rate_bytes_s = min(settings.link_bytes_s, settings.throughput_limit_bytes_s or settings.link_bytes_s)
     packet_bytes = 1500 if settings.packet_size_bytes == "negotiate" else settings.packet_size_bytes
     per_packet_s = packet_bytes / rate_bytes_s + settings.packet_delay_ns / 1e9

@@ -1,6 +1,6 @@
 """`[rig]` of the configuration: a recording that is replayed, or cameras and a light gate.
 
-When the cameras expose follows from the height of the fall, not from a number somebody typed.
+The trigger delay of the cameras is not a setting: it follows from the height of the fall.
 """
 
 from dataclasses import dataclass, field, replace
@@ -30,14 +30,14 @@ from service.configuration.paths import ConfiguredPath, resolve_path
 from service.recording.live_recording import RecordingSource
 
 OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")
-"""Settings of a live rig that change what its cameras see."""
+"""Settings of a live rig that change the images of its cameras."""
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayRigSettings:
-    """Stones come from a recording."""
+    """A recording that is replayed in the place of a rig."""
 
     recording: ConfiguredPath
     backend: Literal["replay"] = "replay"
@@ -63,11 +63,11 @@ class ReplayRigSettings:
         return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
 
     def describe(self) -> dict[str, Any]:
-        """Return what a run of the daemon measures, for the store."""
+        """Return what is measured, for the record of the session in the store."""
         return {"recording": str(self.recording)}
 
     def source(self, devices: Devices, rig: RigCalibration) -> RecordingSource:
-        """Return what a recording of this replay says of its rig: what the replayed one says."""
+        """Return the description of the rig for recordings of this replay: that of the replayed recording."""
         assert devices.belt is not None  # noqa: S101 - every replay has one
         recording = devices.belt.recording
         return RecordingSource(
@@ -81,19 +81,19 @@ class ReplayRigSettings:
 
     @property
     def optical_settings(self) -> None:
-        """Return None: in replay the recording alone says what the empty rig looks like."""
+        """Return None: in replay the background comes from the recording alone."""
         return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPlace:
-    """Which camera is in a place of the rig; what is given must all be true of it."""
+    """The camera in one place of the rig; it must match everything that is given here."""
 
     id: CameraId
     serial: str | None = None
     address: str | None = None
     user_name: str | None = None
-    features: tuple[Feature, ...] = ()  # for this camera alone, after those of all
+    features: tuple[Feature, ...] = ()  # of this camera, written after those of all cameras
 
 
 def _resolve_port(gate: PortGate, info: ValidationInfo) -> PortGate:
@@ -123,23 +123,25 @@ class GateSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AravisRigSettings:
-    """GigE cameras on the trigger of a light gate."""
+    """GigE Vision cameras that a light gate triggers."""
 
     backend: Literal["aravis"]
     calibration: ConfiguredPath  # rig file
     cameras: tuple[CameraPlace, ...]
     gate: GateSettings
-    is_simulated: bool = False  # results say so
+    is_simulated: bool = False  # results are marked as synthetic
 
-    fall_height_mm: float = FALL_HEIGHT_MM  # from the beam of the gate to the rig's centre
-    start_above_gate_mm: float = 0.0  # the stone starts from rest with its lowest point so far above the beam
-    delay_correction_ms: float = 0.0  # measured, for the latency of gate and cameras: negative
+    fall_height_mm: float = FALL_HEIGHT_MM  # from the beam of the gate to the centre of the rig
+    start_above_gate_mm: float = (
+        0.0  # height of the stone's lowest point above the beam when it starts from rest
+    )
+    delay_correction_ms: float = 0.0  # measured; negative for the latency of gate and cameras
     exposure_us: float = 20.0
-    flash_us: float | None = None  # of the strobe, when it is shorter than the exposure
-    trigger_skew_us: float = 1.0  # between cameras; a wired line has next to none
+    flash_us: float | None = None  # duration of the strobe, if shorter than the exposure
+    trigger_skew_us: float = 1.0  # between cameras; of a wired trigger next to none
     max_blur_px: float = 1.5
 
-    trigger: str = "Line1"  # input of the cameras; or "software", "action": triggered by this machine
+    trigger: str = "Line1"  # input of the cameras; "software" or "action": this machine triggers them
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
     action: ActionKeys = field(default_factory=ActionKeys)
     strobe_line: str | None = None  # output of the cameras that fires the strobe
@@ -151,7 +153,7 @@ class AravisRigSettings:
     packet_delay_ns: int = 0
     throughput_limit_bytes_s: int | None = None
     receive_buffer_bytes: int = 4 << 20
-    link_bytes_s: float = 125e6  # of a camera: 1 Gb/s
+    link_bytes_s: float = 125e6  # of each camera: 1 Gb/s
     uplink_bytes_s: float = 2.5e9  # of this machine: 2 x 10 Gb/s
 
     def __post_init__(self) -> None:
@@ -193,21 +195,21 @@ class AravisRigSettings:
 
     @property
     def fall(self) -> Fall:
-        """Return how the stones fall."""
+        """Return the fall from the gate to the centre of the rig."""
         return Fall(height_mm=self.fall_height_mm, speed_at_gate_mm_s=speed_mm_s(self.start_above_gate_mm))
 
     @property
     def trigger_delay_ms(self) -> float:
-        """From the edge of the light gate to the exposure at the rig's centre."""
+        """Return the time from the edge of the light gate to the exposure at the centre of the rig."""
         return fall_time_ms(self.fall.height_mm, self.fall.speed_at_gate_mm_s) + self.delay_correction_ms
 
     @property
     def busy_ms(self) -> float:
-        """From an edge to the end of its exposure; until then a camera ignores further edges."""
+        """Return the time from an edge to the end of its exposure, during which cameras ignore further edges."""
         return self.trigger_delay_ms + self.exposure_us / 1e3
 
     def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
-        """With the edges that the cameras ignore in the dead time, if the gate's clock can tell which they are."""
+        """Return the parameters, with a dead time of at least `busy_ms` if the gate has a clock of its own."""
         if self.gate.modem_line is not None:
             return bundling
         return replace(bundling, dead_time_ms=max(bundling.dead_time_ms, self.busy_ms))
@@ -223,11 +225,11 @@ class AravisRigSettings:
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return what a run of the daemon measures, for the store."""
+        """Return what is measured, for the record of the session in the store."""
         return {"cameras": [camera.id for camera in self.cameras], "gate": type(self.gate.device).__name__}
 
     def source(self, devices: Devices, rig: RigCalibration) -> RecordingSource:
-        """Return what a recording of these devices says of them."""
+        """Return the description of these devices for recordings."""
         document = self._document()
         return RecordingSource(
             camera_ids=tuple(devices.cameras),

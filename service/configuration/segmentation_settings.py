@@ -1,4 +1,4 @@
-"""`[segmentation]` of the configuration: which segmenter is asked, with which model."""
+"""`[segmentation]` of the configuration: segmenter, model and parameters."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,29 +16,33 @@ from service.processing.segmenters import SegmenterPlan
 
 
 def _resolve_model(model: str, info: ValidationInfo) -> str:
-    """A path relative to the configuration's folder; names of models stay as they are."""
+    """Return the absolute path of a model; the name of one stays as it is."""
     is_path = model.endswith(".onnx") or "/" in model
     return str(resolve_path(Path(model), info)) if is_path else model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmentationSettings(SegmentationParameters):
-    """The parameters of the pipeline, and which segmenter is asked."""
+    """The parameters of the pipeline, and which segmenter and model are used."""
 
     segmenter: SegmenterKind = "auto"
-    model: Annotated[str, AfterValidator(_resolve_model)] = ""  # built-in; the name of a fetched one; a path
-    providers: tuple[str, ...] = ()  # of onnxruntime, the first that works; CUDA where there is, else the CPU
+    model: Annotated[str, AfterValidator(_resolve_model)] = (
+        ""  # empty: the built-in one; or the name of a fetched model, or a path
+    )
+    providers: tuple[
+        str, ...
+    ] = ()  # of onnxruntime, the first usable one is taken; default: CUDA if available, else the CPU
 
     @property
     def parameters(self) -> SegmentationParameters:
-        """What the pipeline takes."""
+        """Return the parameters of the pipeline."""
         return SegmentationParameters(
             **{each.name: getattr(self, each.name) for each in fields(SegmentationParameters)}
         )
 
 
 def plan_segmenter(settings: SegmentationSettings) -> SegmenterPlan:
-    """Read the model and try whether it can be used."""
+    """Read the model and try it; the plan says why it cannot be used."""
     try:
         load_model(settings.model)
         model = read_model(settings.model)

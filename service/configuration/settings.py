@@ -1,8 +1,7 @@
-"""The daemon's configuration: one TOML file, read once, frozen, every wrong field named.
+"""The configuration of the daemon: one TOML file, read once, frozen, every wrong field named.
 
-Parameters are the dataclasses beside the code that uses them; this module only nests them. Relative
-paths are relative to the file's folder. The calibration is not configuration but a measured result in
-a file of its own.
+Parameters are dataclasses beside the code that uses them; this module only nests them. Relative paths start at the
+folder of the file. The calibration is not configuration but a measured result in a file of its own.
 """
 
 import tomllib
@@ -34,7 +33,7 @@ from service.store import KEEP_RAW
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkersSettings:
-    """How many processes measure, and how long one bundle may take."""
+    """Number of processes that measure, and the time that one bundle may take."""
 
     slots: int = 2
     deadline_s: float = 20.0
@@ -48,7 +47,7 @@ class WorkersSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpoolSettings:
-    """The bounded queue of bundles; its folder belongs on tmpfs and is emptied at the start."""
+    """The bounded queue of bundles; its folder should be on tmpfs, and is emptied at the start."""
 
     dir: ConfiguredPath
     max_bundles: int = 16  # about 21 MB each with 16 cameras of 1280x1024
@@ -60,10 +59,10 @@ class SpoolSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreSettings:
-    """Where results stay."""
+    """Where and how results are stored."""
 
     dir: ConfiguredPath
-    keep_raw: int = KEEP_RAW  # frames of so many newest stones are kept
+    keep_raw: int = KEEP_RAW  # number of the newest stones whose frames are kept
     save_silhouettes: bool = True
 
     def __post_init__(self) -> None:
@@ -72,7 +71,7 @@ class StoreSettings:
 
 
 class Settings(BaseModel):
-    """The whole file; a section is a field, an unknown key is refused."""
+    """The whole file: each section is a field, unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -95,6 +94,7 @@ class Settings(BaseModel):
 
     @property
     def pipeline(self) -> PipelineParameters:
+        """Return the parameters of the pipeline; raise `VolumeModelError` when the volume model is unusable."""
         return PipelineParameters(
             **{
                 part.name: getattr(self, part.name)
@@ -107,12 +107,12 @@ class Settings(BaseModel):
 
 
 def load_settings(path: Path) -> Settings:
-    """Read and check a configuration file; what it refers to is not looked at, see `problems`.
+    """Read and check a configuration file, but not the files that it refers to: see `problems`.
 
     Raises
     ------
     SettingsError
-        Naming the file and every wrong field.
+        The file cannot be read or has wrong fields; names the file and each of them.
     """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -131,7 +131,7 @@ def load_settings(path: Path) -> Settings:
 
 
 def problems(settings: Settings) -> Iterator[str]:
-    """Say which settings contradict each other or what they refer to, each with its field."""
+    """Yield which settings contradict each other or the files they refer to, each with its field."""
     n_disagreeing = settings.carving.max_disagreeing_views
     if settings.views.min < n_disagreeing + 2:
         yield (
@@ -144,14 +144,14 @@ def problems(settings: Settings) -> Iterator[str]:
     except VolumeModelError as err:
         yield f"measuring.volume_model: {err}"
     if settings.measuring.volume_model is not None and settings.body.kind == "hull":
-        yield 'measuring.volume_model: goes by the estimated body, so body.kind must be "estimate"'
+        yield 'measuring.volume_model: needs the estimated body: set body.kind = "estimate", or leave it out'
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
-        if problem := _cannot_hold_files(folder):
+        if problem := _write_problem(folder):
             yield f"{name}: {problem}"
 
 
 def shortcomings(settings: Settings) -> Iterator[str]:
-    """Say what the daemon starts without, each with its field."""
+    """Yield what is missing that the daemon can start without, each with its field."""
     plan = plan_segmenter(settings.segmentation)
     if plan.trouble is not None:
         yield f"segmentation.model: {plan.trouble}"
@@ -160,14 +160,14 @@ def shortcomings(settings: Settings) -> Iterator[str]:
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:
-    """Return the field as it is written; behind `rig` pydantic also names the backend."""
+    """Return the name of a field as it is in the file; pydantic adds the backend after `rig`."""
     if loc[0] == "rig" and len(loc) > 1 and loc[1] in BACKENDS:
         loc = (loc[0], *loc[2:])
     return ".".join(map(str, loc))
 
 
-def _cannot_hold_files(folder: Path) -> str | None:
-    """Why no file can be made in `folder` (which need not exist yet), None when it can."""
+def _write_problem(folder: Path) -> str | None:
+    """Return why no file can be written to `folder`, which need not exist yet; None when one can."""
     existing = folder
     while not existing.exists():
         existing = existing.parent

@@ -1,4 +1,4 @@
-"""Files with the coefficients of the volume's correction (format "stonefall-volume/1")."""
+"""`[measuring]` of the configuration, and files with coefficients of the volume correction ("stonefall-volume/1")."""
 
 import json
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ FORMAT = "stonefall-volume/1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuringSettings:
-    """What turns a shape into a stone, as it is configured."""
+    """Density and volume model of the product."""
 
     density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
     volume_model: ConfiguredPath | None = (
@@ -27,7 +27,7 @@ class MeasuringSettings:
 
     @property
     def parameters(self) -> MeasuringParameters:
-        """What the pipeline takes.
+        """Return the parameters of the pipeline.
 
         Raises
         ------
@@ -39,19 +39,19 @@ class MeasuringSettings:
 
 
 def read_volume_model(path: Path) -> VolumeModel:
-    """The coefficients in a file.
+    """Read the coefficients in a file.
 
     Raises
     ------
     VolumeModelError
-        The file cannot be read, or holds no such coefficients; names the field.
+        The file cannot be read or has a wrong field; names both.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as err:
         raise VolumeModelError(f"{path}: {err.strerror}") from err
     except ValueError as err:
-        raise VolumeModelError(f"{path}: is no JSON: {err}") from err
+        raise VolumeModelError(f"{path}: is not JSON: {err}") from err
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise VolumeModelError(
             f'{path}: format: must be "{FORMAT}"; write the file with stonefall fit-volume'
@@ -71,7 +71,7 @@ def read_volume_model(path: Path) -> VolumeModel:
 
 
 def write_volume_model(path: Path, model: VolumeModel, remarks: dict[str, float | int | str]) -> None:
-    """Write the coefficients, and how they were found, under a name that appears when it is complete."""
+    """Write the coefficients and how they were found; the file appears when it is complete."""
     document = {
         "format": FORMAT,
         "id": model.id,

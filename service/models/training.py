@@ -1,7 +1,7 @@
-"""Train our own segmentation network and write it beside its description.
+"""Train our own segmentation network and write it with its description.
 
-The same seed, views and steps give the same network on the same kind of processor; nothing is measured with what
-is computed here until the file is put where segmentation looks for it.
+The same seed, views and steps give the same network on the same kind of processor. Nothing is measured with a new
+network until its file replaces the built-in one or the configuration names it.
 """
 
 import hashlib
@@ -23,6 +23,7 @@ from pipeline.training.scores import score, validation_view
 from service.errors import UsageError
 
 WALLS_PER_BODY = 0.4
+"""Rendered views of the empty rig for each view of a stone."""
 EXAM_SEEDS = range(700_000, 700_006)
 """Views of each hard case that a new network is examined on; training draws from other streams."""
 EXAM_WITHOUT_BACKGROUND = range(700_100, 700_103)
@@ -30,7 +31,7 @@ EXAM_WITHOUT_BACKGROUND = range(700_100, 700_103)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingPlan:
-    """All that a network depends on."""
+    """Everything that a trained network depends on."""
 
     seed: int
     n_views: int
@@ -99,7 +100,7 @@ def train_network(plan: TrainingPlan, out: Path, say: Callable[[str], None]) -> 
 
 
 def examine(model: bytes) -> dict[str, dict[str, float]]:
-    """Scores of a network, by hard case; `no-background` is all cases without one."""
+    """Return the scores of a network by hard case, with and without a background."""
     probability = load_network(model).probability
     known = score((validation_view(case, seed) for case in HardCase for seed in EXAM_SEEDS), probability)
     unknown = score(

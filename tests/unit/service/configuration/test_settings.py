@@ -203,7 +203,7 @@ def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
     assert list(problems(settings)) == []
     assert settings.pipeline.measuring.volume_model.id == "basalt"
     (useless,) = problems(settings_of(tmp_path, text + '\n[body]\nkind = "hull"'))
-    assert useless == 'measuring.volume_model: goes by the estimated body, so body.kind must be "estimate"'
+    assert useless == 'measuring.volume_model: needs the estimated body, so body.kind must be "estimate"'
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
@@ -313,7 +313,7 @@ def test_another_camera_than_the_calibrated_one_is_found_before_it_measures(tmp_
     write_rig(tmp_path / "rig.json", calibrated)
     found = list(problems(settings_of(tmp_path, LIVE)))
     assert len(found) == 16
-    assert found[0].startswith("rig.cameras: c01 is camera SIM0001, but ")
+    assert found[0].startswith("rig.cameras: c01 has serial number SIM0001, but ")
     assert "was made with camera SIM0000" in found[0]
 
 
