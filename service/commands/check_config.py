@@ -1,10 +1,11 @@
-"""`stonefall check-config`: what a configuration file comes to, and what is wrong with it."""
+"""`stonefall check-config`: print the settings of a configuration file, and what is wrong with them."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import tomli_w
 import typer
 
 from service.configuration.settings import load_settings, problems, shortcomings
@@ -12,10 +13,10 @@ from service.errors import SettingsError
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="TOML file.")],
+    file: Annotated[Path, typer.Argument(help="Configuration file, see deploy/stonefall.toml.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print settings and problems as JSON.")] = False,
 ) -> None:
-    """Print the resolved settings and what is wrong with them; exit 0 if nothing is."""
+    """Print all settings of a configuration file, defaults included, and what is wrong; exit 0 if nothing is."""
     try:
         settings = load_settings(file)
     except SettingsError as err:
@@ -27,27 +28,22 @@ def command(
     if as_json:
         typer.echo(json.dumps({"settings": document, "problems": wrong}, indent=2))
     else:
-        for line in _as_toml(document):
-            typer.echo(line)
+        typer.echo("\n".join(_sections(document)))
         for problem in wrong:
             typer.echo(f"stonefall: {file}: {problem}", err=True)
     if wrong:
         raise typer.Exit(1)
 
 
-def _as_toml(document: dict[str, dict[str, Any]]) -> Iterator[str]:
-    """Show the settings the way they are written; a value that is not set is a comment."""
-    for section, values in document.items():
-        yield f"[{section}]"
-        for name, value in values.items():
-            yield f"# {name} is not set" if value is None else f"{name} = {_toml(value)}"
-        yield ""
+def _sections(document: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield each section as TOML that can be read again; settings without a value are comments below its header."""
+    for name, values in document.items():
+        header, *lines = tomli_w.dumps({name: _without_none(values)}).splitlines()
+        unset = [f"# {key} is not set" for key, value in values.items() if value is None]
+        yield "\n".join([header, *unset, *lines, ""])
 
 
-def _toml(value: Any) -> str:
+def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
-        pairs = (f"{name} = {_toml(each)}" for name, each in value.items() if each is not None)
-        return f"{{ {', '.join(pairs)} }}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_toml, value))}]"
-    return json.dumps(value)
+        return {name: _without_none(each) for name, each in value.items() if each is not None}
+    return [_without_none(each) for each in value] if isinstance(value, list) else value

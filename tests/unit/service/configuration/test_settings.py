@@ -330,23 +330,34 @@ def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, t
     assert settings_of(tmp_path, spelled_out) == settings
 
 
-def test_check_config_prints_what_a_file_comes_to(tmp_path: Path):
-    path = tmp_path / "stonefall.toml"
-    path.write_text(MINIMAL.replace("/var/lib/somewhere", "store"))
-    write_tiny_recording(tmp_path / "recording")
+def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
+    folder = tmp_path / "Körnung \U0001f6a7 \x7f"  # what TOML writes other than JSON
+    folder.mkdir()
+    path = folder / "stonefall.toml"
+    path.write_text(MINIMAL.replace("/var/lib/somewhere", "store"), encoding="utf-8")
+    write_tiny_recording(folder / "recording")
     good = CliRunner().invoke(build_app(), ["check-config", str(path)])
     assert good.exit_code == 0, good.output
-    assert f'recording = "{tmp_path}/recording"' in good.stdout
-    assert "# density_g_cm3 is not set" in good.stdout
+    assert "[measuring]\n# density_g_cm3 is not set\n" in good.stdout
     assert "keep_raw = 200" in good.stdout
     again = tmp_path / "again.toml"
-    again.write_text(good.stdout)
+    again.write_text(good.stdout, encoding="utf-8")
     assert load_settings(again) == load_settings(path)
+    repeated = CliRunner().invoke(build_app(["check-config"]), ["check-config", str(again)])
+    assert (repeated.exit_code, repeated.stdout) == (0, good.stdout)
 
     path.write_text(MINIMAL)
-    (tmp_path / "recording/rig.json").unlink()
+    (folder / "recording/rig.json").unlink()
     bad = CliRunner().invoke(build_app(), ["check-config", str(path), "--json"])
     assert bad.exit_code == 1
     document = json.loads(bad.stdout)
     assert document["settings"]["workers"]["slots"] == 2
     assert "rig.calibration: " in document["problems"][0]
+
+
+@pytest.mark.parametrize("name", ["stonefall.toml", "simulated.toml"])
+def test_check_config_prints_live_rigs_that_it_reads_again(name: str, tmp_path: Path):
+    printed = CliRunner().invoke(build_app(["check-config"]), ["check-config", str(DEPLOY / name)]).stdout
+    again = tmp_path / "again.toml"
+    again.write_text(printed, encoding="utf-8")
+    assert load_settings(again) == load_settings(DEPLOY / name)
