@@ -1,1 +1,1 @@
-"""The daemon: wires drivers and pipeline, keeps the results, serves them."""
+"""The service: connects drivers and pipeline, stores the results, and serves them over REST and commands."""

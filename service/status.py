@@ -6,19 +6,13 @@ These are the very models that the REST interface returns: a field that is added
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.frames import CameraId
 from service.errors import ServiceError
-
-
-def always_present(schema: dict[str, Any]) -> None:
-    """Describe a model whose fields are all in every answer, whether or not they have a default here."""
-    schema["required"] = list(schema["properties"])
-    for property_ in schema["properties"].values():
-        property_.pop("default", None)
+from service.results.fields import always_present
 
 
 class Report(BaseModel):

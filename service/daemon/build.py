@@ -13,7 +13,7 @@ from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import image_sizes_px
-from service.calibration.startup import CalibrationsFound, find_calibrations
+from service.calibration.startup import CalibrationsAtStart, load_calibrations
 from service.calibration.verifications import open_verifications
 from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
@@ -39,17 +39,17 @@ from service.store import Store
 
 log = logging.getLogger(__name__)
 
-ACQUISITION_LIMIT_S = 20.0
-"""An armed rig makes progress twenty times a second; opening and closing dead cameras takes longer."""
-COMMIT_LIMIT_S = 30.0
-"""A bundle has its outcome so long after its second attempt at the latest."""
+ACQUISITION_SILENCE_S = 20.0
+"""Longest time without progress of an active acquisition: that of opening and closing dead cameras."""
+COMMIT_SILENCE_S = 30.0
+"""Longest time from the end of a bundle's second attempt to its outcome."""
 
 
 async def build(settings: Settings, store: Store) -> Daemon:
-    """Build all parts; nothing runs yet, but what a killed predecessor left behind is settled."""
+    """Build all parts, none of which runs yet; triggers that a killed daemon left open are recorded as lost."""
     configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
-    found = await asyncio.to_thread(find_calibrations, settings.store.dir / "calibrations", configured)
+    found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
     source = settings.rig.source(devices, found.rig)
     session = await _begin_session(settings, store, source, found)
     folder = await asyncio.to_thread(_empty_folder, settings.spool.dir / store.instance_id)
@@ -59,8 +59,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         log.error("%s", segmentation.warning)
     heartbeats = Heartbeats(
         {
-            Part.ACQUISITION: ACQUISITION_LIMIT_S,
-            Part.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_LIMIT_S,
+            Part.ACQUISITION: ACQUISITION_SILENCE_S,
+            Part.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_SILENCE_S,
         }
     )
     rig_watch = RigWatch(found.rig, source.fall)
@@ -69,14 +69,13 @@ async def build(settings: Settings, store: Store) -> Daemon:
     recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
     calibrations = await _open_calibrations(settings, store, found, session, rig_watch, recordings)
 
-    enough = 2 * settings.workers.slots  # bundles to keep the workers busy
+    n_ahead = 2 * settings.workers.slots  # bundles that keep the workers busy
     belt = devices.belt
-    if (
-        belt is not None
-    ):  # in fast pace a new bundle comes for each that is through; the archive can take all of them
-        belt.permit(min(enough + 1, settings.spool.max_bundles))
+    if belt is not None:
+        # in fast pace a replay delivers a bundle for each one that is free again; the archive can take all of them
+        belt.permit(min(n_ahead + 1, settings.spool.max_bundles))
     files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
-    archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=enough)
+    archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=n_ahead)
     spool = Spool(
         files,
         max_bundles=settings.spool.max_bundles,
@@ -95,7 +94,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
-        is_ball=lambda: belt is None and calibrations.wants_balls,  # a recording says itself what fell
+        is_ball=lambda: belt is None and calibrations.wants_balls,  # a recording has the kind of each bundle
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
     )
@@ -117,7 +116,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             is_simulated=source.is_simulated,
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
-            checked=False,  # this very process has written them into its memory
+            checked=False,  # this process has just written the pixels
         ),
         spool=spool,
         pool=pool,
@@ -150,9 +149,9 @@ async def build(settings: Settings, store: Store) -> Daemon:
 
 
 async def _begin_session(
-    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsFound
+    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsAtStart
 ) -> int:
-    """Begin a run of the daemon in the store; triggers that a killed one left open are lost."""
+    """Begin a session in the store, and record triggers that a killed daemon left open as lost."""
     session = await store.begin_session(
         {
             "calibration_id": found.rig.calibration_id,
@@ -167,7 +166,7 @@ async def _begin_session(
 
 
 def _empty_folder(folder: Path) -> Path:
-    """Make the folder of this store's bundles on tmpfs, empty: daemons with other stores are not disturbed."""
+    """Create the folder empty; it belongs to one store, so that daemons with other stores keep theirs."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     return folder
@@ -181,7 +180,7 @@ def _open_recordings(settings: Settings, store: Store, source: RecordingSource, 
 async def _open_calibrations(
     settings: Settings,
     store: Store,
-    found: CalibrationsFound,
+    found: CalibrationsAtStart,
     session: int,
     rig_watch: RigWatch,
     recordings: Recordings,
@@ -198,7 +197,7 @@ async def _open_calibrations(
 
 
 def _kept_background(settings: Settings, configured: RigCalibration) -> KeptBackground | None:
-    """Return where the background outlives the daemon; in replay the recording alone decides."""
+    """Return the background that outlives the daemon, None in replay, where only the recording counts."""
     optical_settings = settings.rig.optical_settings
     if optical_settings is None:
         return None

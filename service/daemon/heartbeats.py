@@ -1,4 +1,4 @@
-"""Which parts of the daemon make progress; time enters as an argument."""
+"""Record which parts of the daemon make progress; time is an argument."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,20 +14,20 @@ class Part(StrEnum):
 
 @dataclass(slots=True)
 class Heartbeats:
-    """When each part last made progress.
+    """Time of the latest progress of each part; a part with nothing to do counts as making progress."""
 
-    A part that has nothing to do beats, too, when that was verified.
-    """
-
-    limits_s: Mapping[Part, float]
-    beats_s: dict[Part, float] = field(default_factory=dict)
+    max_silence_s: Mapping[Part, float]
+    """Longest time without progress that a part may need."""
+    last_beat_s: dict[Part, float] = field(default_factory=dict)
 
     def beat(self, part: Part, now_s: float) -> None:
-        """Note that a part has made progress."""
-        self.beats_s[part] = now_s
+        """Record that a part has made progress, or was found to have nothing to do."""
+        self.last_beat_s[part] = now_s
 
     def late(self, now_s: float) -> list[Part]:
-        """Return the parts without progress for longer than their limit; before its first beat none is late."""
+        """Return the parts without progress for too long; before its first beat no part is late."""
         return [
-            part for part, limit_s in self.limits_s.items() if now_s - self.beats_s.get(part, now_s) > limit_s
+            part
+            for part, silence_s in self.max_silence_s.items()
+            if now_s - self.last_beat_s.get(part, now_s) > silence_s
         ]

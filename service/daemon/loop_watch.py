@@ -1,4 +1,4 @@
-"""How long the event loop was held up, and whether the wall clock was set while nobody looked."""
+"""Measure how long the event loop is held up, and detect that the wall clock was set."""
 
 import asyncio
 import time
@@ -6,45 +6,46 @@ from collections import deque
 
 PERIOD_S = 0.02
 WINDOW_S = 60.0
+"""Time over which the longest delay is reported."""
 STEP_S = 0.1
-"""A wall clock that moves by more against the monotonic one was set, not disciplined."""
+"""Move of the wall clock against the monotonic one, within a period, above which it was set and not disciplined."""
 STEP_REMEMBERED_S = 3600.0
 
 
 class LoopWatch:
-    """`run` is a task; what it saw is read at any time."""
+    """Watches the event loop and the wall clock: `run` is its task, the findings can be read at any time."""
 
     def __init__(self) -> None:
-        self._held_up: deque[tuple[float, float]] = deque()  # when, and for how long
+        self._delays: deque[tuple[float, float]] = deque()  # time and length of each, lengths decreasing
         self._step_at_s: float | None = None
         self._step_s = 0.0
 
     async def run(self) -> None:
-        """Wake up on time, or note by how much it was too late."""
+        """Sleep again and again, and record by how much each sleep ends too late."""
         offset_s = time.time() - time.monotonic()
         while True:
             due_s = time.monotonic() + PERIOD_S
             await asyncio.sleep(PERIOD_S)
             now_s = time.monotonic()
-            self._note(now_s, now_s - due_s)
+            self._record(now_s, now_s - due_s)
             moved_s = time.time() - time.monotonic() - offset_s
             offset_s += moved_s
             if abs(moved_s) > STEP_S:
                 self._step_at_s, self._step_s = now_s, moved_s
 
     def worst_ms(self) -> float:
-        """Longest delay within the last minute."""
-        return max((lag_s for _, lag_s in self._held_up), default=0.0) * 1e3
+        """Return the longest delay of the loop within the last minute."""
+        return max((delay_s for _, delay_s in self._delays), default=0.0) * 1e3
 
     def clock_step_s(self) -> float | None:
-        """By how much the wall clock was last set, None when that was not within the hour."""
+        """Return by how much the wall clock was last set, None if it was not set within the last hour."""
         if self._step_at_s is None or time.monotonic() - self._step_at_s > STEP_REMEMBERED_S:
             return None
         return self._step_s
 
-    def _note(self, now_s: float, lag_s: float) -> None:
-        while self._held_up and (now_s - self._held_up[0][0] > WINDOW_S):
-            self._held_up.popleft()
-        while self._held_up and self._held_up[-1][1] <= lag_s:  # only what may still become the worst
-            self._held_up.pop()
-        self._held_up.append((now_s, lag_s))
+    def _record(self, now_s: float, delay_s: float) -> None:
+        while self._delays and (now_s - self._delays[0][0] > WINDOW_S):
+            self._delays.popleft()
+        while self._delays and self._delays[-1][1] <= delay_s:  # these can never be the longest again
+            self._delays.pop()
+        self._delays.append((now_s, delay_s))

@@ -1,7 +1,7 @@
-"""The life of the daemon: each part is started in order, with how it ends beside it; the end is the reverse.
+"""Run the daemon: each part is a context manager that starts and ends it; they end in reverse order.
 
 The first SIGTERM or SIGINT stops the rig, measures what it has seen and exits 0; the second one gives up
-what is not measured yet. Whatever a part cannot handle ends the task group, and with it the process.
+what is not measured yet. An exception that a part does not handle ends the task group, and with it the process.
 """
 
 import asyncio
@@ -25,11 +25,11 @@ from service.store import open_store
 log = logging.getLogger(__name__)
 
 DRAIN_S = 30.0
-"""How long bundles already seen may take after SIGTERM before they are given up."""
+"""Longest wait for the results of bundles already seen, after which they are lost, reason `shutdown`."""
 DISARM_S = 15.0
-"""How long the rig may take to disarm, the last stone's frames included, before it is left alone."""
+"""Longest wait for the rig to disarm, the last stone's frames included, before its devices are abandoned."""
 ARCHIVE_S = 5.0
-"""How long frames that wait to be archived may take then; results do not need them."""
+"""Longest wait for frames that are still to be archived, which no result needs."""
 
 
 async def run(settings: Settings, manager: ServiceManager) -> None:
@@ -68,7 +68,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
 
 
 async def _warmed_up(daemon: Daemon, manager: ServiceManager) -> RestServer:
-    """Start the workers, and prepare what would hold the loop for 0.3 s when it is first asked for."""
+    """Start the workers and return the REST server, with everything prepared that would hold the loop for 0.3 s."""
     app = create_app(daemon.store, daemon, daemon.settings.api)
     manager.notify("STATUS=warming up the workers")
     await asyncio.gather(
@@ -84,7 +84,7 @@ async def _warmed_up(daemon: Daemon, manager: ServiceManager) -> RestServer:
 async def _serving(
     daemon: Daemon, tasks: asyncio.TaskGroup, server: RestServer, listener: socket
 ) -> AsyncIterator[None]:
-    """Answer REST requests to the very end: whoever asks shall hear how it goes."""
+    """Answer REST requests, as the last part to end, so that clients can follow the stop."""
     serving = tasks.create_task(server.serve([listener]))
     await server.is_serving.wait()
     log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
@@ -109,7 +109,7 @@ async def _watching(
 
 @asynccontextmanager
 async def _archiving(daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopRequests) -> AsyncIterator[None]:
-    """Keep the frames of the newest stones."""
+    """Archive the frames of the newest stones."""
     archiving = tasks.create_task(daemon.archive.run())
     yield
     daemon.archive.finish()
@@ -121,7 +121,7 @@ async def _archiving(daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopReq
 async def _processing(
     daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopRequests
 ) -> AsyncIterator[None]:
-    """Measure what is in the spool; what is not through in time is lost, reason `shutdown`."""
+    """Measure the bundles of the spool; those without a result in time are lost, reason `shutdown`."""
     tasks.create_task(daemon.spool.write())
     processing = tasks.create_task(daemon.processing.run())
     yield
@@ -134,7 +134,7 @@ async def _processing(
 
 @asynccontextmanager
 async def _calibrating(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
-    """Solve calibrations when asked; a solution that is under way at the end has to be asked for again."""
+    """Solve calibrations on request; one that is being solved at the end must be requested again."""
     calibrating = tasks.create_task(daemon.calibrations.run())
     yield
     calibrating.cancel()
@@ -144,7 +144,7 @@ async def _calibrating(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterato
 async def _acquiring(
     daemon: Daemon, tasks: asyncio.TaskGroup, manager: ServiceManager, requests: StopRequests
 ) -> AsyncIterator[None]:
-    """Arm the rig and tell the service manager; in the end disarm it and hand over what it has seen."""
+    """Arm the rig and notify the service manager; at the end disarm it and hand over what it has seen."""
     acquiring = tasks.create_task(daemon.acquisition.run())
     if not requests.stop.is_set():
         daemon.acquisition.request(AcquisitionTarget.ARMED)
@@ -158,6 +158,6 @@ async def _acquiring(
     daemon.acquisition.stop()
     await requests.wait_for(acquiring, DISARM_S)
     if not acquiring.done():
-        log.error("the rig does not disarm in time and is left alone")
+        log.error("the rig did not disarm in time: its devices are abandoned")
         daemon.acquisition.abandon()
         await acquiring

@@ -1,4 +1,4 @@
-"""The parts of the daemon at work: what the REST interface, the watchdog and `systemctl status` ask."""
+"""The parts of the running daemon, and what the REST interface, the watchdog and `systemctl status` ask of them."""
 
 import logging
 import shutil
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Daemon:
-    """The parts at work; to the REST interface they are its `Control`."""
+    """The parts of the running daemon; implements `service.api.control.Control`."""
 
     settings: Settings
     segmentation: SegmenterPlan
@@ -102,11 +102,11 @@ class Daemon:
         )
 
     def late(self) -> list[Part]:
-        """Parts that have something to do and make no progress."""
+        """Return the parts that have something to do and make no progress."""
         return self.heartbeats.late(time.monotonic())
 
     def watch(self) -> list[Part]:
-        """Look after the parts, often: those with nothing to do are not late, the others are named."""
+        """Record that idle parts are not late, and return those that are; to be called often."""
         if not self.acquisition.is_active:
             self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
         if self.spool.n_queued == 0:
@@ -114,5 +114,5 @@ class Daemon:
         return self.late()
 
     def status(self) -> str:
-        """One line for `systemctl status`."""
+        """Return one line for `systemctl status`."""
         return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {self.store.last_seq}"

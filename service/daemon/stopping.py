@@ -1,4 +1,4 @@
-"""How the daemon is asked to stop: the first SIGTERM or SIGINT in order, the second one in a hurry."""
+"""Requests to stop the daemon: in order by the first SIGTERM or SIGINT, at once by the second one."""
 
 import asyncio
 import logging
@@ -10,13 +10,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class StopRequests:
-    """What the signals have asked for."""
+    """Events that signals set."""
 
     stop: asyncio.Event = field(default_factory=asyncio.Event)
-    hurry: asyncio.Event = field(default_factory=asyncio.Event)
+    """Stop in order: measure what was seen."""
+    stop_now: asyncio.Event = field(default_factory=asyncio.Event)
+    """Give up what is not measured yet."""
 
     def listen(self) -> None:
-        """Take over the signals of this process."""
+        """Install the signal handlers of this process."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._on_stop, number)
@@ -24,12 +26,12 @@ class StopRequests:
             signal.SIGHUP, log.warning, "SIGHUP ignored: a new configuration needs a restart"
         )
 
-    async def wait_for(self, task: "asyncio.Task[None]", limit_s: float) -> None:
-        """Return when the task is through, takes too long, or the stop is asked for a second time."""
-        await _first_of(task, self.hurry, limit_s)
+    async def wait_for(self, task: "asyncio.Task[None]", timeout_s: float) -> None:
+        """Return when the task is done, at the time-out, or when a second signal requests to stop at once."""
+        await _first_of(task, self.stop_now, timeout_s)
 
     async def unless_stopped(self, event: asyncio.Event) -> None:
-        """Return when the event is set or the stop is asked for."""
+        """Return when the event is set or a stop is requested."""
         waiting = asyncio.create_task(_set(event))
         await _first_of(waiting, self.stop)
         waiting.cancel()
@@ -37,13 +39,13 @@ class StopRequests:
     def _on_stop(self, number: signal.Signals) -> None:
         log.info("stop requested signal=%s", number.name)
         if self.stop.is_set():
-            self.hurry.set()
+            self.stop_now.set()
         self.stop.set()
 
 
-async def _first_of(task: "asyncio.Task[None]", event: asyncio.Event, limit_s: float | None = None) -> None:
+async def _first_of(task: "asyncio.Task[None]", event: asyncio.Event, timeout_s: float | None = None) -> None:
     waiting = asyncio.create_task(_set(event))
-    await asyncio.wait([task, waiting], timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+    await asyncio.wait([task, waiting], timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
     waiting.cancel()
 
 

@@ -1,4 +1,4 @@
-"""The service manager's side door: sd_notify datagrams, the watchdog's interval, journal priorities.
+"""The interface to systemd: sd_notify datagrams, the watchdog's interval, journal priorities.
 
 The protocol is that of sd_notify(3): assignments separated by newlines, one datagram to the socket in
 `NOTIFY_SOCKET`; a leading `@` stands for the NUL byte of an abstract socket.
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 log = logging.getLogger(__name__)
 
 REPORT_S = 1.0
-"""How often the status is reported; more often when the watchdog asks for it."""
+"""Interval between reports of the status; shorter if the watchdog asks for it."""
 EXTENSION_US = 15_000_000
-"""While stopping makes progress, it may take so much longer."""
+"""Time by which the stop time-out is extended while stopping makes progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceManager:
-    """systemd, or nobody (`address` None, every notification goes nowhere)."""
+    """systemd; without an `address` notifications are dropped, because another process started the daemon."""
 
     address: str | None = None
-    watchdog_s: float | None = None  # within this time it wants to hear of progress
+    watchdog_s: float | None = None  # longest time between two reports of progress
 
     def notify(self, *assignments: str) -> None:
-        """Tell, for example, `READY=1`, `STATUS=armed`; never blocks, an unreachable listener is logged."""
+        """Send assignments such as `READY=1`, `STATUS=armed`; never blocks, an unreachable manager is logged."""
         if self.address is None:
             return
         path = "\0" + self.address[1:] if self.address.startswith("@") else self.address
@@ -36,11 +36,11 @@ class ServiceManager:
             try:
                 sender.sendto("\n".join(assignments).encode(), path)
             except OSError as err:
-                log.warning("the service manager did not hear us: %s notification=%s", err, assignments)
+                log.warning("the service manager was not notified: %s notification=%s", err, assignments)
 
 
 def service_manager(environ: Mapping[str, str], pid: int) -> ServiceManager:
-    """Who started us, from the variables systemd sets; the watchdog counts only if it means this process."""
+    """Return the service manager from the variables that systemd sets; its watchdog only if it is for this process."""
     watchdog_us = environ.get("WATCHDOG_USEC", "")
     is_ours = environ.get("WATCHDOG_PID", str(pid)) == str(pid)
     return ServiceManager(
@@ -55,7 +55,7 @@ async def feed_watchdog(
     status: Callable[[], str],
     stopping: asyncio.Event,
 ) -> None:
-    """Tell of progress, not of time: as long as a part is `late`, nothing is sent.
+    """Report to the watchdog periodically, except while a part is `late`: it is fed by progress, not by time.
 
     Runs until it is cancelled. While `stopping` makes progress it asks for more time.
     """
@@ -73,7 +73,7 @@ PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERR
 
 
 class JournalFormatter(logging.Formatter):
-    """`<3>`-style prefixes on every line, so that journald knows the priority (sd-daemon(3))."""
+    """Formats every line with a prefix such as `<3>`, from which journald reads the priority (sd-daemon(3))."""
 
     def format(self, record: logging.LogRecord) -> str:
         prefix = f"<{PRIORITIES.get(record.levelno, 6)}>"
@@ -81,17 +81,17 @@ class JournalFormatter(logging.Formatter):
 
 
 def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> None:
-    """Log to stderr: for people with the time, for the journal (which has the time) with priorities."""
+    """Log to stderr: with the time, or with priorities if the journal reads it, which records the time itself."""
     handler = logging.StreamHandler()
     if _is_journal(environ.get("JOURNAL_STREAM", "")):
         handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
     logging.basicConfig(level=level, handlers=[handler], force=True)
-    logging.getLogger("uvicorn").setLevel(logging.WARNING)  # its start and end are told by the daemon
+    logging.getLogger("uvicorn").setLevel(logging.WARNING)  # the daemon logs its start and end
 
 
 def _is_journal(stream: str) -> bool:
-    """Whether stderr is the very stream `device:inode` that the journal reads (systemd.exec(5))."""
+    """Return whether stderr is the stream `device:inode` that the journal reads (systemd.exec(5))."""
     status = os.fstat(2)
     return stream == f"{status.st_dev}:{status.st_ino}"

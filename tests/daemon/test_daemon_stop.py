@@ -80,7 +80,7 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
 
     monkeypatch.setattr(build, "build_devices", hanging)
     monkeypatch.setattr(run, "DISARM_S", disarm_s)
-    monkeypatch.setattr(build, "ACQUISITION_LIMIT_S", 0.1)
+    monkeypatch.setattr(build, "ACQUISITION_SILENCE_S", 0.1)
     manager = ListeningManager(watchdog_s=0.15)
     try:
         await asyncio.wait_for(run.run(settings, manager), 100)
@@ -89,7 +89,7 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     assert "READY=1" not in manager.heard
     assert "STOPPING=1" in manager.heard
     assert "no progress of acquisition" in caplog.text
-    assert "the rig does not disarm" in caplog.text
+    assert "the rig did not disarm in time" in caplog.text
 
 
 async def test_only_who_looks_after_the_parts_calls_an_idle_one_alive(settings: Settings):
