@@ -1,6 +1,6 @@
-"""Prints each stone as it is measured: a small client of the REST feed, to start an own one from.
+"""Print each stone as it is measured: a small client of the REST feed, and a start for a client of your own.
 
-Keeps its cursor, asks with a long poll, and needs nothing but the standard library.
+It keeps its cursor, asks with a long poll, and needs only the standard library.
 """
 
 import argparse
@@ -19,9 +19,9 @@ HEAD = ROW.format(
     "seq", "bundle", "class", "outcome", "quality", "volume mm3", "error %", "sieve mm", "error mm", "time ms",
     "remarks",
 )  # fmt: skip
-"""The errors are those of volume and sieve size against the truth of a synthetic recording."""
+"""Column headings; the errors are those of volume and sieve size against the truth of a synthetic recording."""
 PATIENCE_S = 60.0
-"""For a rig that is held, when somebody waits for the end."""
+"""Longest wait for a held rig with `--once`."""
 
 
 def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
@@ -30,9 +30,9 @@ def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
 
 
 def ask(base: str, path: str, process: int | None, timeout_s: float = 40) -> dict[str, Any] | None:
-    """The answer, None while there is none; ends the program when the process has ended.
+    """Return the response, None while there is none; end the program when the process has ended.
 
-    A daemon that serves keeps its port to its end: while it runs, nobody else answers there.
+    The daemon keeps its port until it ends: while it runs, no other process responds there.
     """
     end_without(process)
     answer = None
@@ -56,7 +56,7 @@ def wait_until_ready(base: str, process: int | None, patience_s: float = 120) ->
 
 
 def is_running(process: int) -> bool:
-    """False for a process that ended, even while its parent has not asked for its exit code."""
+    """Return whether a process runs; False for one that ended, even if its parent has not read its exit code."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -64,7 +64,7 @@ def is_running(process: int) -> bool:
 
 
 def number_of(bundle: str) -> int | None:
-    """Which one of the recording it is: a replay in a loop numbers its rounds behind that, live cameras count."""
+    """Return the number of a bundle in its recording; a replay in a loop appends the round, live cameras count."""
     number = re.match(r"\d+", bundle)
     return int(number[0]) if number else None
 
@@ -96,7 +96,9 @@ def main() -> int:
     parser.add_argument("base", help="such as http://127.0.0.1:8080")
     parser.add_argument("--truth", type=Path, help="truth.jsonl of a synthetic recording")
     parser.add_argument("--once", action="store_true", help="end when all triggers have their outcome")
-    parser.add_argument("--stones", type=int, help="so many fall; without, the daemon knows the end")
+    parser.add_argument(
+        "--stones", type=int, help="number of stones that will fall; without it the daemon knows the end"
+    )
     parser.add_argument("--while-process", type=int, help="stop waiting when this process is gone")
     arguments = parser.parse_args()
     truth = {}
@@ -128,7 +130,7 @@ def main() -> int:
                 held_since = time.monotonic()
             elif time.monotonic() - held_since > PATIENCE_S:
                 sys.exit(f"held: {acquisition['trouble']}")
-            # then once more for what came between the two answers
+            # then once more for what came between the two responses
             has_ended = (
                 acquisition["state"] == "disarmed"
                 if arguments.stones is None
