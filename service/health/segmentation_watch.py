@@ -1,7 +1,7 @@
-"""Whether the network runs where and as it should, from what workers say of each result.
+"""Watch whether the network runs as configured, by the flags of each result.
 
-A provider can fail while the daemon runs: the GPU is out of memory, its driver is gone. Results go on, on the CPU
-or without the network, and say so; here somebody is told.
+A provider can fail while the daemon runs: the GPU is out of memory, its driver is gone. Stones are still measured, on
+the CPU or without the network, and flagged; this watch turns the flags into a warning for the operator.
 """
 
 from collections import deque
@@ -13,26 +13,26 @@ from pipeline.segmentation.silhouette import FoundBy
 from service.processing.segmenters import SegmenterPlan
 
 WINDOW = 20
-"""Results for which a network was asked: so many without trouble, from whichever worker, and it is over."""
+"""Results with the network but without trouble, from any worker, after which the warning ends."""
 
 
 class SegmentationWatch:
-    """Fed with all results, in their order."""
+    """Watches the network: `feed` it all results, in their order."""
 
     def __init__(self, plan: SegmenterPlan) -> None:
         self._plan = plan
         self._troubles: deque[str | None] = deque(maxlen=WINDOW)
 
     def feed(self, record: Mapping[str, Any]) -> None:
-        """Learn from one result."""
+        """Take one result into account."""
         flags = record.get("segmentation_flags", {}).values()
-        parts = (part for flag in flags for part in flag.split("; "))
-        trouble = next((part for part in parts if any(kind in part for kind in NetworkTrouble)), None)
+        reasons = (reason for flag in flags for reason in flag.split("; "))
+        trouble = next((reason for reason in reasons if any(kind in reason for kind in NetworkTrouble)), None)
         if trouble is not None or set(record.get("segmenters", {}).values()) - {FoundBy.BACKGROUND}:
             self._troubles.append(trouble)
 
     @property
     def warning(self) -> str | None:
-        """What is worse than was asked for: known from the start, or found since."""
+        """Why outlines are not found as configured, known from the start or found since; None if they are."""
         latest = next((trouble for trouble in reversed(self._troubles) if trouble is not None), None)
-        return "; ".join(each for each in (self._plan.warning, latest) if each is not None) or None
+        return "; ".join(text for text in (self._plan.warning, latest) if text is not None) or None
