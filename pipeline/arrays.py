@@ -16,6 +16,8 @@ Singles = NDArray[np.float32]
 
 Vector = Annotated[Floats, "(3,)"]
 """A point in mm or a direction, in the frame that its name gives."""
+Vector2 = Annotated[Floats, "(2,)"]
+"""A pixel (u, v), or another pair of image coordinates."""
 Matrix33 = Annotated[Floats, "(3, 3)"]
 """A rotation or an intrinsic matrix."""
 Values = Annotated[Floats, "(N,)"]

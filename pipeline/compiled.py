@@ -1,4 +1,4 @@
-"""Loops over pixels, voxels and faces, compiled."""
+"""Compiling loops over pixels, voxels and faces with numba."""
 
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
@@ -11,26 +11,29 @@ Result = TypeVar("Result")
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """The function, compiled by numba at its first call, without holding the GIL.
+    """Have numba compile a function at its first call, to run without holding the GIL.
 
     What is compiled is kept for later processes in `NUMBA_CACHE_DIR`, else beside the source or in the user's
     cache folder. Where none of these can be written, every process compiles for itself.
     """
-    # no fastmath: results are the same bit for bit on any number of workers; no function pointer for C, which
-    # nobody asks for and which costs 7 % of the time (numba's types do not know of that option)
+    # no fastmath: results are the same bit for bit on any number of workers; no function pointer for C, which is
+    # not used and costs 7 % of the time (numba's types lack that option)
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     try:
         return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no place to keep it
+    except RuntimeError:  # no folder to keep it in can be written
         return numba.njit(**options)(function)
 
 
 def compiled_within(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """The function, as it is for Python, and compiled where a compiled one calls it: in a third less time."""
+    """Have numba compile a function only where a compiled one calls it, which takes a third less time to compile.
+
+    From Python it is called as it is.
+    """
     options = {"error_model": "numpy", "no_cfunc_wrapper": True}
     return numba.extending.register_jitable(**options)(function)
 
 
 def whole(n: int) -> int:
-    """A constant for compiled loops; numba compiles callees anew for each `n` that is written out as an argument."""
+    """Return a constant for compiled loops: numba would compile callees anew for each `n` written as an argument."""
     return cast(int, np.int64(n))

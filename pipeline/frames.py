@@ -1,4 +1,4 @@
-"""What the cameras saw: the types that travel the data's way from the drivers to the pipeline.
+"""What the cameras saw: the types that pass from the drivers to the pipeline.
 
 Times are nanoseconds. `received_ns` is the host's monotonic clock at arrival, `device_ns` the
 device's own clock; the two are never subtracted from one another.
@@ -18,7 +18,7 @@ CameraId = NewType("CameraId", str)
 """Name of a camera's place in the rig, such as `c01`; not the serial number of the device in it."""
 
 CAMERA_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
-"""What a camera may be called: the id is part of file names and URLs."""
+"""Form of a camera's id, which is part of file names and URLs."""
 
 Image = NDArray[np.uint8]
 """Grey image (H, W), row major, pixel centres on integers, (u, v) = (column, row)."""
@@ -45,7 +45,7 @@ def rfc3339(moment: datetime | str, timespec: str = "milliseconds") -> str:
 
 
 class BundleKind(StrEnum):
-    """What was exposed."""
+    """What a bundle shows."""
 
     PARTICLE = "particle"
     """A stone, counted by the light gate."""
@@ -73,7 +73,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trigger:
-    """One stone passed the light gate (or, for `BACKGROUND`, the empty rig is exposed)."""
+    """The passing of one stone through the light gate, or an exposure of the empty rig for `BACKGROUND`."""
 
     sequence: int  # counted by the gate; a gap reveals lost triggers
     received_ns: int
@@ -87,7 +87,7 @@ class Trigger:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameBundle:
-    """The frames of one trigger; a camera without a usable frame is in `missing`, with the reason."""
+    """The frames of one trigger, and the reason why a camera in `missing` has none that is usable."""
 
     trigger: Trigger
     frames: Mapping[CameraId, Frame]
@@ -97,8 +97,10 @@ class FrameBundle:
 
     @property
     def name(self) -> str:
+        """Name of the recorded bundle, else the trigger's sequence number."""
         return self.trigger.name or f"{self.trigger.sequence:08d}"
 
     @property
     def kind(self) -> BundleKind:
+        """What the bundle shows."""
         return self.trigger.kind

@@ -1,4 +1,4 @@
-"""The chain for one bundle: segment, judge the views, carve, mesh, estimate the body, measure."""
+"""The chain from a bundle to a measurement: segment, check the views, carve, mesh, estimate the body, measure."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +21,7 @@ from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
+from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.prepared import PreparedViews, prepare_views
 from pipeline.views.quality import Quality, ViewsParameters, judge_views, quality_of
 
@@ -32,14 +33,14 @@ BodyKind = Literal["estimate", "hull"]
 
 @dataclass(frozen=True, slots=True)
 class BodyParameters:
-    """Which body the mesh and the figures of the shape describe; with `hull` no other is looked for."""
+    """Which body the mesh and the figures of the shape describe; with `hull` no estimate is made."""
 
     kind: BodyKind = "estimate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuringParameters:
-    """What turns a shape into a stone."""
+    """Density and volume correction, which turn a shape into volume and mass."""
 
     density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
     volume_model: VolumeModel = SYNTHETIC
@@ -71,6 +72,7 @@ class HullMeasurement:
 
     @property
     def equivalent_diameter_mm(self) -> float:
+        """Diameter of the sphere of the hull's volume."""
         return _sphere_diameter_mm(self.volume_mm3)
 
 
@@ -79,7 +81,7 @@ class ParticleMeasurement:
     """One measured particle."""
 
     body: BodyKind
-    """What `shape` describes; the hull also where no better body could be estimated."""
+    """The body that `shape` describes; the hull also where no better one could be estimated."""
     shape: ShapeMeasurement
     hull: HullMeasurement
     volume_mm3: float
@@ -87,8 +89,7 @@ class ParticleMeasurement:
     volume_model: str
     """Id of the correction."""
     volume_estimate_mm3: float | None
-    """Of the estimated body's mesh, if one was asked for; how far it is from the hull's is what the correction
-    goes by."""
+    """Volume of the estimated body's mesh, if it was estimated; the correction depends on its ratio to the hull's."""
     angularity: float | None
     """AIMS-type gradient angularity, mean over the views."""
     mass_g: float | None
@@ -115,12 +116,12 @@ def _sphere_diameter_mm(volume_mm3: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticleResult:
-    """What one bundle gave: a measurement, or the reason why not."""
+    """The outcome of one bundle: a measurement, or the reason why there is none."""
 
     silhouettes: SilhouetteSet
     optics: Mapping[CameraId, ViewOptics] = field(default_factory=dict)
-    views: tuple[CameraId, ...] = ()  # that carved
-    dropped: Mapping[CameraId, str] = field(default_factory=dict)
+    views: tuple[CameraId, ...] = ()  # cameras whose silhouettes carved
+    dropped: Mapping[CameraId, DroppedView] = field(default_factory=dict)
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
     consistency: Consistency | None = None  # `None` when it was rejected before the views were compared
     quality: Quality | None = None
@@ -139,7 +140,7 @@ def measure_bundle(
     on_stage: Callable[[str], None] = lambda stage: None,
     view_mapper: ViewMapper = map,
 ) -> ParticleResult:
-    """Measure the particle of one bundle; a bundle that shows none is a result with a `rejection`.
+    """Measure the particle of one bundle; a bundle that shows none gives a result with a `rejection`.
 
     `on_stage` is told the name of each stage as it ends, so that the caller's clock can time it. `view_mapper` works
     on the views one by one or several at a time; the result does not depend on it.
@@ -153,7 +154,7 @@ def measure_bundle(
     on_stage("segment")
     optics = observe_all(bundle.frames, background, silhouettes, view_mapper)
     on_stage("optics")
-    dropped = dict(bundle.missing)
+    dropped = {camera: DroppedView(DropCause.NO_FRAME, why) for camera, why in bundle.missing.items()}
     consistency = None
     try:
         judge_views(silhouettes, dropped, rig, parameters.views)
@@ -215,7 +216,7 @@ def _measure(
         shape = measure_shape(mesh.vertices_mm, mesh.faces)
     except MeshError as err:
         raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
-    if estimate is None or estimate.fallback is not None:  # the least excess that any body's hull has
+    if estimate is None or estimate.fallback is not None:  # corrected by the least excess that any hull has
         body: BodyKind = "hull"
         volume_model = "sphere"
         hull = HullMeasurement(volume_mm3=shape.volume_mm3, surface_area_mm2=shape.surface_area_mm2)

@@ -1,4 +1,4 @@
-"""How the views of a bundle are worked on: one after the other, or several at a time."""
+"""The protocol of `map`, by which the views of a bundle are worked on one after the other or several at a time."""
 
 from collections.abc import Callable, Iterable
 from typing import Protocol, TypeVar

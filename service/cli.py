@@ -1,12 +1,12 @@
-"""The console script `stonefall`: one command a module in `service/commands`.
+"""The console script `stonefall`: each command is a module in `service/commands`.
 
-A command's failure is one clear line on stderr and exit code 1; wrong usage exits with 2.
+A command that fails prints one line to stderr and exits with 1; wrong usage exits with 2.
 """
 
 import sys
 from collections.abc import Callable, Iterable
-from importlib import import_module
-from typing import Any
+from importlib import import_module, metadata
+from typing import Annotated, Any
 
 import typer
 
@@ -30,11 +30,11 @@ COMMANDS = {
     "cameras": "service.commands.cameras",
     "benchmark": "service.commands.benchmark",
 }
-"""Each module has one function `command`, whose docstring is its help; or several of them in a `typer.Typer`."""
+"""Module of each command. Its `command` is a function, whose docstring is the help, or a `typer.Typer` of several."""
 
 
 def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """The application with these commands; each costs the import of what it needs."""
+    """Build the application with these commands, importing the module of each and nothing of the others."""
     app = typer.Typer(
         name="stonefall",
         help="Photographs every stone leaving a crusher and knows its shape before it lands.",
@@ -42,7 +42,7 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
     )
-    app.callback()(lambda: None)  # a single command stays a subcommand
+    app.callback()(_options)  # with a callback a single command stays a subcommand
     for name in names:
         command: typer.Typer | Callable[..., Any] = import_module(COMMANDS[name]).command
         if isinstance(command, typer.Typer):
@@ -52,17 +52,48 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
     return app
 
 
+def version_line() -> str:
+    """Return the versions of the package, of the REST interface and of the algorithm."""
+    from service.api.version import API_VERSION
+    from service.results.version import ALGORITHM_VERSION
+
+    return f"stonefall {metadata.version('stonefall')}, API {API_VERSION}, algorithm {ALGORITHM_VERSION}"
+
+
 def main() -> None:
-    """Run the command line; expected failures become one line on stderr."""
+    """Run the command line; a failure that is expected becomes one line on stderr."""
     # imported here: `stonefall --help` needs none of it
     from drivers.errors import DriverError
     from pipeline.errors import PipelineError
     from service.errors import ServiceError
 
     isolate_numba_cache()
-    wanted = [name for name in sys.argv[1:2] if name in COMMANDS]
+    asked_for = sys.argv[1:2]
+    needed = (
+        () if asked_for == ["--version"] else [name for name in asked_for if name in COMMANDS] or COMMANDS
+    )
     try:
-        build_app(wanted or COMMANDS)()
+        build_app(needed)()
     except (DriverError, PipelineError, ServiceError, OSError) as err:
         print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201 - a command's one line for people
         sys.exit(1)
+
+
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo(version_line())
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the versions of package, REST interface and algorithm.",
+        ),
+    ] = False,
+) -> None:
+    """Declare the options of `stonefall` itself."""

@@ -6,19 +6,13 @@ The REST interface returns these models themselves: a field that is added here i
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.frames import CameraId
 from service.errors import ServiceError
-
-
-def always_present(schema: dict[str, Any]) -> None:
-    """Mark all fields of a model as required in its schema: they are in every answer, defaults included."""
-    schema["required"] = list(schema["properties"])
-    for property_ in schema["properties"].values():
-        property_.pop("default", None)
+from service.results.fields import always_present
 
 
 class Report(BaseModel):

@@ -1,1 +1,1 @@
-"""GigE Vision cameras and their rig in software: real packets on loopback, no hardware."""
+"""The simulated rig: GigE Vision cameras, light gate and belt in software, with real packets on loopback."""

@@ -1,4 +1,4 @@
-"""The belt: lets one stone after the other fall through the light gate."""
+"""The belt of the simulated rig: lets one stone after the other fall through the light gate."""
 
 import threading
 import time
@@ -8,24 +8,24 @@ from dataclasses import dataclass, replace
 from drivers.gige_simulator.hopper import Fall, Hopper
 
 SETTLE_NS = 1_000_000_000
-"""From the moment the rig is ready to the first stone: the host arms its gate last, which nobody here can see."""
+"""From the moment the rig is ready to the first stone: the host arms its gate last, which cannot be seen from here."""
 LATE_NS = 10_000_000
-"""A thread that wakes up later than this moves all stones that follow, so that none comes too soon after another."""
+"""When the thread wakes up later than this, all stones that follow are moved, so that none follows too soon."""
 POLL_S = 0.05
 MAX_RATE_HZ = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeltCounters:
-    """What fell since the belt was opened."""
+    """What the belt dropped since it was opened."""
 
     stones: int = 0
     empty: int = 0  # recorded exposures of the empty rig
-    late: int = 0  # of both, not at their time
+    late: int = 0  # of both, dropped later than planned
 
 
 class Belt:
-    """Runs at an even rate, or stands and drops single stones on command; its thread lives from `open` to `close`.
+    """Runs at an even rate, or stands and drops single stones on request; its thread lives from `open` to `close`.
 
     `drop` is called on that thread with what falls and the moment (monotonic ns, just past) when it closes the beam.
     """
@@ -35,7 +35,7 @@ class Belt:
         self._drop = drop
         self._changed = threading.Condition()
         self._is_closing = False
-        self._is_ready: Callable[[], bool] | None = None  # to start by itself
+        self._is_ready: Callable[[], bool] | None = None  # set while the belt waits to start by itself
         self._next_ns: int | None = None  # when it runs
         self._n_single = 0
         self.ended = threading.Event()
@@ -78,13 +78,13 @@ class Belt:
             self._changed.notify_all()
 
     def start_when(self, is_ready: Callable[[], bool]) -> None:
-        """Start by itself a second after `is_ready`, which is asked on the belt's thread."""
+        """Start a second after `is_ready` becomes true; it is called on the belt's thread."""
         with self._changed:
             self._is_ready = is_ready
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Stand still, or do not start; what is falling goes on falling."""
+        """Stop the belt, or do not start it; a stone that is falling goes on falling."""
         with self._changed:
             self._is_ready = None
             self._next_ns = None
@@ -109,7 +109,7 @@ class Belt:
         self.ended.set()
 
     def _next_edge_ns(self) -> int | None:
-        """Wait for the next one's turn and return its moment; nothing when the belt is closed."""
+        """Wait until the next stone is due and return when it closes the beam; None when the belt is closed."""
         with self._changed:
             while not self._is_closing:
                 now_ns = time.monotonic_ns()

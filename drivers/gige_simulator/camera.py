@@ -1,7 +1,7 @@
-"""A GigE Vision camera in pure Python: real packets from an address of its own, no root, no hardware.
+"""A simulated GigE Vision camera: real packets from an address of its own, without root rights or hardware.
 
-Two threads a camera: the control port's answers, the sensor's exposes and sends. Any address of
-127/8 works without being configured; broadcast discovery finds all cameras of a machine.
+A camera has two threads: that of its GVCP port answers commands, that of its sensor exposes and sends. Any address
+of 127/8 works without being configured; broadcast discovery finds all cameras of a machine.
 """
 
 import struct
@@ -41,14 +41,14 @@ _FOREVER_NS = 2**62
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """Something that happened to the camera: who has control, power, cable."""
+    """An event in the life of the camera: control, power, cable, settings."""
 
     at_ns: int  # host's monotonic clock
     event: str
 
 
 class SimulatedCamera:
-    """`start`, then anything from any thread, then `stop`; may be started again, settings forgotten."""
+    """A camera between `start` and `stop`; thread-safe. Started again it has lost its settings."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class SimulatedCamera:
             note=self._note,
             restart=lambda: self._power_off(BOOT_S),
         )
-        self._channel = GvcpChannel(self._registers, self._device)
+        self._gvcp = GvcpChannel(self._registers, self._device)
         self._stream_port = 0
         self._unplugged_until_ns = 0
         self._off_until_ns: int | None = None
@@ -102,7 +102,7 @@ class SimulatedCamera:
             seed=design.seed,
         )
 
-    # --- what it is and does ---
+    # --- state ---
 
     @property
     def id(self) -> CameraId:
@@ -110,7 +110,7 @@ class SimulatedCamera:
 
     @property
     def design(self) -> CameraDesign:
-        """What it is now: address and serial number may have changed."""
+        """The present design: address and serial number may have changed by `power_cycle`."""
         return self._design
 
     @property
@@ -119,13 +119,13 @@ class SimulatedCamera:
 
     @property
     def stream_port(self) -> int:
-        """UDP port the frames come from."""
+        """UDP port that the frames are sent from."""
         return self._stream_port
 
     @property
     def controller(self) -> Peer | None:
-        """Who has control: address and port."""
-        return self._channel.controller
+        """Address and port of the application in control."""
+        return self._gvcp.controller
 
     @property
     def log(self) -> tuple[LogEntry, ...]:
@@ -136,21 +136,21 @@ class SimulatedCamera:
         return Counters(
             **asdict(self._sensor.tallied()),
             **asdict(self._stream.tallied()),
-            heartbeats=self._channel.n_heartbeats,
-            actions=self._channel.n_actions,
+            heartbeats=self._gvcp.n_heartbeats,
+            actions=self._gvcp.n_actions,
         )
 
     @property
     def features(self) -> Mapping[str, Feature]:
-        """What it can be asked, by SFNC name."""
+        """All features, by SFNC name."""
         return self._registers.features
 
     def feature(self, name: str, bank: int = 0) -> Value:
-        """Value of a feature, by its SFNC name in either dialect; enumerations as their number."""
+        """Return the value of a feature, by its SFNC name in either dialect; of an enumeration the number."""
         return self._registers.get(name, bank)
 
     def address_of(self, name: str, bank: int = 0) -> int:
-        """Address of a feature's register, by its SFNC name."""
+        """Return the address of a feature's register, by its SFNC name."""
         return self._registers.address(name, bank)
 
     # --- life ---
@@ -158,7 +158,7 @@ class SimulatedCamera:
     def start(self) -> None:
         """Switch on; raises `CameraUnavailableError` when the address is taken or not this machine's."""
         address = self._design.address
-        with self._lock, self._naming(address):
+        with self._lock, self._explained_bind(address):
             self._stream_port = self._stream.open(address)
             self._power_on()
             try:
@@ -169,26 +169,26 @@ class SimulatedCamera:
         self._sensor.start()
 
     def stop(self) -> None:
-        """Vanish, as a killed process does: no goodbye, and the host says nobody listens there."""
+        """Vanish as a killed process does: control is not given up, the kernel refuses further datagrams."""
         self._port.close()
         self._sensor.stop()
         self._stream.close()
-        self._channel.reset()
+        self._gvcp.reset()
 
     # --- signals ---
 
     def line(self, name: str = "Line1", at_ns: int | None = None, *, rising: bool = True) -> None:
-        """Apply an electrical edge to an input line, at a moment of `time.monotonic_ns`."""
+        """Apply an electrical edge to an input line, at `at_ns` of `time.monotonic_ns`; None: now."""
         self._sensor.line(name, time.monotonic_ns() if at_ns is None else at_ns, rising=rising)
 
     def skip_blocks(self, n_blocks: int) -> None:
-        """Go on counting blocks as if so many more frames had been exposed."""
+        """Raise the block id of the next frame by `n_blocks`, as if so many more had been exposed."""
         self._sensor.skip_blocks(n_blocks)
 
     # --- faults that take time ---
 
     def unplug(self, seconds: float | None = None) -> None:
-        """Pull the network cable, for so long or until `replug`; the camera keeps its power and its settings."""
+        """Pull the network cable, for `seconds` or until `replug`; the camera keeps its power and its settings."""
         with self._lock:
             ns = _FOREVER_NS if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
             self._unplugged_until_ns = ns
@@ -202,15 +202,15 @@ class SimulatedCamera:
     def power_cycle(
         self, off_s: float = 2.0, *, address: str | None = None, serial: str | None = None
     ) -> None:
-        """Cut the power for `off_s`: silence, then a camera without its settings and without a controller.
+        """Cut the power for `off_s`; afterwards the camera has lost its settings and its controller.
 
-        It comes back under another address (a new DHCP lease), or another device is in its place. Raises
-        `CameraUnavailableError` when that address is taken.
+        With `address` it comes back at another one (a new DHCP lease), with `serial` another device is in its place.
+        Raises `CameraUnavailableError` when that address is taken.
         """
         with self._lock:
             design = self._design
             if address is not None and self._port.is_open:
-                with self._naming(address):
+                with self._explained_bind(address):
                     self._port.move(address)
                     self._stream_port = self._stream.open(address)
             self._design = replace(design, address=address or design.address, serial=serial or design.serial)
@@ -218,16 +218,16 @@ class SimulatedCamera:
         self._port.wake()
 
     def steal_control(self, seconds: float = 5.0, peer: Peer = ("192.0.2.66", 49152)) -> None:
-        """Let a foreign application have control for so long; then its heartbeat ends."""
+        """Give control to another application for `seconds`; then its heartbeat ends."""
         with self._lock:
             timeout_ns = self._registers.number("GevHeartbeatTimeout") * 1_000_000
-            self._channel.seize(peer, heard_ns=time.monotonic_ns() + round(seconds * 1e9) - timeout_ns)
+            self._gvcp.seize(peer, heard_ns=time.monotonic_ns() + round(seconds * 1e9) - timeout_ns)
         self._port.wake()
 
     def tamper(self, name: str, value: Value, bank: int = 0) -> None:
-        """Change a feature behind the controller's back; SFNC name, enumerations by number or entry.
+        """Change a feature without its controller; by SFNC name, an enumeration by number or entry.
 
-        Raises `ValueError` for a feature there is not.
+        Raises `ValueError` for a feature, bank or entry that does not exist, and for a value of another type.
         """
         feature = self._registers.features.get(name)
         if feature is None or not 0 <= bank < self._registers.n_banks(feature):
@@ -237,22 +237,23 @@ class SimulatedCamera:
                 raise ValueError(f"camera {self.id}: {name} has no entry {value!r}")
             value = feature.entries[value]
         if isinstance(value, str) != (feature.kind == "string"):
-            raise ValueError(f"camera {self.id}: {name} is no {type(value).__name__}")
+            raise ValueError(f"camera {self.id}: {name} cannot be set to a {type(value).__name__}")
         with self._lock:
             self._registers.put(name, value, bank)
             self._device.written((name, bank))
             self._note(f"{name} changed to {value} by a foreign hand")
 
     def jump_clock(self, by_ns: int) -> None:
+        """Let the camera's clock jump."""
         with self._lock:
             self._clock.jump(by_ns)
             self._note(f"clock jumped by {by_ns} ns")
 
     def send_malformed(self, kind: Literal["short", "foreign", "abort"] = "foreign") -> None:
-        """Send a datagram that is no packet to the receiver of the stream, uncounted.
+        """Send a datagram that is no valid packet to the receiver of the stream, uncounted.
 
-        `short`: a torn header; `foreign`: a header of unknown content; `abort`: the extended trailer
-        that makes Aravis 0.8.26 ask for 38 GB and end its process.
+        `short`: half a header; `foreign`: a header of unknown content; `abort`: the extended trailer that makes
+        Aravis 0.8.26 allocate 38 GB and abort its process.
         """
         datagrams = {
             "short": b"\0\0\0",
@@ -267,17 +268,17 @@ class SimulatedCamera:
         with self._lock:
             if not self._is_connected():
                 return None
-            return self._channel.answer(datagram, peer, time.monotonic_ns())
+            return self._gvcp.answer(datagram, peer, time.monotonic_ns())
 
     def _next_due_ns(self) -> int | None:
         with self._lock:
-            due_ns = (self._channel.heartbeat_due_ns(), self._off_until_ns)
-        return min((each for each in due_ns if each is not None), default=None)
+            due_ns = (self._gvcp.heartbeat_due_ns(), self._off_until_ns)
+        return min((time_ns for time_ns in due_ns if time_ns is not None), default=None)
 
     def _run_due(self) -> None:
         with self._lock:
             now_ns = time.monotonic_ns()
-            self._channel.check_heartbeat(now_ns)
+            self._gvcp.check_heartbeat(now_ns)
             if self._off_until_ns is not None and now_ns >= self._off_until_ns:
                 self._power_on()
 
@@ -290,7 +291,7 @@ class SimulatedCamera:
         self._off_until_ns = time.monotonic_ns() + round(off_s * 1e9)
         self._sensor.end_acquisition()
         self._stream.disconnect()
-        self._channel.reset()
+        self._gvcp.reset()
         self._note(f"power off for {off_s:g} s")
 
     def _power_on(self) -> None:
@@ -299,14 +300,15 @@ class SimulatedCamera:
         self._note("power on")
 
     @contextmanager
-    def _naming(self, address: str) -> Iterator[None]:
+    def _explained_bind(self, address: str) -> Iterator[None]:
+        """Raise `OSError` as `CameraUnavailableError` that names the address and what to do."""
         try:
             yield
         except OSError as err:
             raise CameraUnavailableError(
                 self.id,
                 f"cannot be simulated at {address}:{GVCP_PORT} ({err.strerror}): "
-                "end the simulator that is there, or choose another address of 127/8",
+                "end the simulator that uses it, or choose another address of 127/8",
             ) from err
 
     def _note(self, event: str) -> None:

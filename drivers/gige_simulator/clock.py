@@ -1,4 +1,4 @@
-"""A camera's clock: its own offset and drift, latched, or slave of a PTP master (the host's UTC clock)."""
+"""The clock of a simulated camera: free running with offset and drift, or slave of a PTP master (the host's UTC)."""
 
 import random
 import threading
@@ -6,7 +6,7 @@ import time
 
 LISTENING_NS = 1_000_000_000
 LOCKING_NS = 3_000_000_000
-"""After so long PTP has chosen its master, has locked to it."""
+"""From switching PTP on until a master is chosen, and until the clock is locked to it."""
 LOCKED_NOISE_NS = 150
 UNLOCKED_OFFSET_NS = 500_000
 
@@ -23,24 +23,25 @@ class CameraClock:
         self._random = random.Random(seed)  # noqa: S311 - repeatable, nothing secret
 
     def restart(self) -> None:
-        """Power on: the clock starts at its offset again, free running."""
+        """Start at the offset again, free running, as after power-on."""
         with self._lock:
             self._start = (time.monotonic_ns(), self._offset_ns)
             self._ptp_since_ns = None
 
     def device_ns(self, host_ns: int) -> int:
+        """Return what this clock shows at `host_ns`."""
         with self._lock:
             return self._device_ns(host_ns)
 
     def host_ns(self, device_ns: int) -> int:
-        """When on the host's clock this clock shows `device_ns`, as it runs now."""
+        """Return the host's time at which this clock, as it runs now, shows `device_ns`."""
         with self._lock:
             now_ns = time.monotonic_ns()
             ahead_ns = device_ns - self._device_ns(now_ns)
             return now_ns + round(ahead_ns / (1 if self._is_locked(now_ns) else self._rate))
 
     def jump(self, by_ns: int) -> None:
-        """Step; a PTP slave is back at its master's time once it has locked anew."""
+        """Jump by `by_ns`; a PTP slave returns to its master's time once it has locked again."""
         with self._lock:
             now_ns = time.monotonic_ns()
             self._start = (now_ns, self._device_ns(now_ns) + by_ns)
@@ -48,7 +49,7 @@ class CameraClock:
                 self._ptp_since_ns = now_ns
 
     def set_ptp(self, *, is_enabled: bool) -> None:
-        """Start to synchronise, or go on free running from the time shown now."""
+        """Start to synchronise, or run freely from the time shown now."""
         with self._lock:
             if is_enabled == (self._ptp_since_ns is not None):
                 return
@@ -57,6 +58,7 @@ class CameraClock:
             self._ptp_since_ns = now_ns if is_enabled else None
 
     def ptp_state(self) -> str:
+        """Return the value of the feature `PtpStatus`."""
         with self._lock:
             if self._ptp_since_ns is None:
                 return "Disabled"
@@ -66,7 +68,7 @@ class CameraClock:
         return "Slave" if enabled_ns >= LOCKING_NS else "Uncalibrated"
 
     def ptp_offset_ns(self) -> int:
-        """Return the offset from the master as the slave measures it; 0 while there is none."""
+        """Return the offset from the master as the slave measures it; 0 without a master."""
         state = self.ptp_state()
         with self._lock:
             noise = self._random.gauss(0, 1)

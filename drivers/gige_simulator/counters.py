@@ -1,4 +1,4 @@
-"""What a camera counts about itself, so that a test can demand that nothing is unaccounted for.
+"""Counters of a simulated camera, with which tests verify that every edge and exposure is accounted for.
 
 edges = triggers + missed + debounced + unseen, and, once everything is sent,
 exposures = frames + torn + swallowed + unexposed + aborted.
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class SensorTally:
-    """What came in and was exposed; kept under the sensor's lock."""
+    """Counters of edges and exposures, kept under the sensor's lock; `Counters` describes them."""
 
     edges: int = 0
     heard: int = 0
@@ -26,7 +26,7 @@ class SensorTally:
 
 @dataclass(slots=True)
 class WireTally:
-    """What went out; kept under the stream channel's lock."""
+    """Counters of frames and packets, kept under the stream channel's lock; `Counters` describes them."""
 
     frames: int = 0
     torn: int = 0
@@ -38,24 +38,24 @@ class WireTally:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counters:
-    """Since the camera was made: a power cycle does not clear them."""
+    """All counters since the camera was made; a power cycle does not clear them."""
 
-    edges: int  # rising edges at the lines, software triggers, actions, and what else is listened to
-    heard: int  # of them, by a trigger that is on
+    edges: int  # rising edges at the lines, other edges that a trigger listens to, software triggers, actions
+    heard: int  # edges that a trigger which is on listens to
     triggers: int  # accepted edges
-    missed: int  # not acquiring, not listened to, or still exposing the last one
-    debounced: int
-    unseen: int  # by fault
-    exposures: int  # due: triggered, or the next one of a free run
-    started: int  # of them
-    unexposed: int  # the image source had nothing to show: not sent
-    swallowed: int  # by fault: not sent
-    aborted: int  # acquisition or power ended before it was sent
-    frames: int  # every packet left, at first or when resent
-    torn: int  # a packet never left (yet)
-    packets: int  # on the wire, resent and repeated ones and refusals to resend included
-    dropped: int  # taken by a fault, the pulled cable or the uplink instead
-    resent: int
+    missed: int  # edges while not acquiring, with no trigger listening, or while the last exposure goes on
+    debounced: int  # edges dropped by the debouncer of the line
+    unseen: int  # edges dropped by fault
+    exposures: int  # planned: triggered, or the next one of a free run
+    started: int  # exposures begun
+    unexposed: int  # not sent, because the image source had no image
+    swallowed: int  # not sent, by fault
+    aborted: int  # not sent, because acquisition or power ended before
+    frames: int  # of which every packet left, at first or when resent
+    torn: int  # frames of which a packet has not left (yet)
+    packets: int  # on the wire, including resent and repeated ones and refusals to resend
+    dropped: int  # packets not sent because of a fault, the pulled cable or the uplink
+    resent: int  # packets
     unavailable: int  # refusals to resend
     heartbeats: int  # readings of the control privilege by its owner
-    actions: int  # with our keys
+    actions: int  # action commands with the camera's keys

@@ -1,4 +1,4 @@
-"""What a simulated camera is, before it is switched on."""
+"""The properties of a simulated camera."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from pipeline.frames import CameraId
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraDesign:
-    """Everything that distinguishes one camera from the next."""
+    """The properties of one simulated camera; `ValueError` for impossible ones."""
 
     id: CameraId
     address: str  # IPv4, such as 127.0.0.2
@@ -19,10 +19,10 @@ class CameraDesign:
     image_size_px: tuple[int, int] = (1280, 1024)
     clock_offset_ns: int = 0  # what its clock shows at power-on
     clock_drift_ppm: float = 0.0
-    seed: int = 0  # of everything left to chance
-    link_bytes_s: int = 115_000_000  # a GigE link
+    seed: int = 0  # of all random numbers
+    link_bytes_s: int = 115_000_000  # of a GigE link
     mtu_bytes: int = 9000  # of the link: larger test packets do not get through
-    can_resend: bool = True  # announced as a capability, and done
+    can_resend: bool = True  # whether resends are announced as a capability
     has_zipped_xml: bool = False
 
     def __post_init__(self) -> None:
@@ -31,4 +31,4 @@ class CameraDesign:
                 raise ValueError(f"camera {self.id}: {name} {text!r} is longer than 16 characters")
         width, height = self.image_size_px
         if width % 4 or height % 2 or width < 16 or height < 2:
-            raise ValueError(f"camera {self.id}: image {width} x {height} px is no multiple of 4 x 2 px")
+            raise ValueError(f"camera {self.id}: image {width} x {height} px is not a multiple of 4 x 2 px")

@@ -1,4 +1,4 @@
-"""The camera behind its registers: what reading and writing each of them does."""
+"""The effects and live values of the registers of a simulated camera."""
 
 import math
 import struct
@@ -40,7 +40,7 @@ _USER_SETS = ("Default", "UserSet1")
 
 
 def make_registers(design: CameraDesign) -> Registers:
-    """Return registers and XML of a camera of this dialect; legacy cameras clamp what others refuse."""
+    """Return the registers of a camera with its GenICam XML; the legacy dialect clamps values that others refuse."""
     table = feature_table(design.dialect, design.image_size_px, throughput_bytes_s=design.link_bytes_s)
     registers = Registers(table, clamps=design.dialect == "legacy")
     xml = genicam_xml(registers, vendor=VENDOR, model=design.model)
@@ -49,7 +49,7 @@ def make_registers(design: CameraDesign) -> Registers:
 
 
 class CameraDevice:
-    """Gives registers their effects and live values; called under the camera's lock."""
+    """The `CommandEffects` of a camera; called under the camera's lock."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class CameraDevice:
         )
 
     def power_on(self, design: CameraDesign, *, stream_port: int) -> None:
-        """Forget everything but what is in non-volatile memory."""
+        """Forget everything but the non-volatile memory: user name and user sets."""
         registers = self._registers
         if design.serial != self._serial:  # another device
             self._serial, self._user_name, self._startup_set = design.serial, "", "Default"
@@ -133,7 +133,7 @@ class CameraDevice:
         self._mtu_bytes = design.mtu_bytes
         self._on_since_s = time.monotonic()
 
-    # --- what the control channel sets in motion ---
+    # --- effects of commands ---
 
     def written(self, key: Key) -> None:
         name, bank = key
@@ -175,7 +175,7 @@ class CameraDevice:
     def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
         self._stream.resend(block_id, first, last, has_extended_ids=has_extended_ids)
 
-    # --- effects ---
+    # --- effects of features ---
 
     def _destination(self) -> tuple[str, int]:
         address = IPv4Address(self._registers.word(STREAM_ADDRESS))
@@ -225,7 +225,7 @@ class CameraDevice:
     # --- live values ---
 
     def _temperature_c(self) -> float:
-        """Warms up by 9 K within minutes and then wavers by a few tenths."""
+        """Return a temperature that rises by 9 K within minutes and then wavers by a few tenths."""
         if self._faults.temperature_c is not None:
             return self._faults.temperature_c
         on_s = time.monotonic() - self._on_since_s
@@ -250,11 +250,12 @@ class CameraDevice:
 
 
 def mac_address(serial: str) -> bytes:
-    """Six bytes, locally administered, that stay with the device wherever it is plugged in."""
+    """Return the MAC address of a device, locally administered, derived from its serial number."""
     return b"\x02\x5f" + struct.pack(">I", zlib.crc32(serial.encode()))
 
 
 def _bootstrap(design: CameraDesign, stream_port: int, xml_bytes: int) -> Mapping[int, int]:
+    """Return the words of the bootstrap registers after power-on, by address."""
     mac = mac_address(design.serial)
     return {
         0x000: 0x00020000,  # the standard's version

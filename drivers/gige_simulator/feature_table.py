@@ -1,7 +1,7 @@
-"""What a simulated camera can be asked and told: one table in two dialects.
+"""The features of a simulated camera: one table in two dialects.
 
-Names follow the Standard Features Naming Convention (SFNC); the legacy dialect is the same table with the
-names of older cameras, integer registers behind its floats, and values clamped instead of refused.
+Names follow the Standard Features Naming Convention (SFNC); the legacy dialect is the same table with the names of
+older cameras, integer registers behind its floats, and values clamped instead of refused.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ _SETS = ("Default", "UserSet1")
 def feature_table(
     dialect: Dialect, image_size_px: tuple[int, int], *, throughput_bytes_s: int
 ) -> tuple[Feature, ...]:
-    """Return the features of a camera with such a sensor on such a link."""
+    """Return the features of a camera with a sensor of `image_size_px` (W, H) on a link of `throughput_bytes_s`."""
     table = (
         *_device(throughput_bytes_s),
         *_image_format(*image_size_px),
@@ -186,7 +186,7 @@ def _command(category: str, **settings: Any) -> partial[Feature]:
 def _choice(
     name: str, category: str, entries: tuple[str, ...] | Mapping[str, int], **settings: Any
 ) -> Feature:
-    """Return an enumeration, its entries counted from 0 unless they have numbers."""
+    """Return an enumeration; entries without numbers are counted from 0."""
     if isinstance(entries, tuple):
         entries = {entry: value for value, entry in enumerate(entries)}
     return Feature(name=name, category=category, kind="enumeration", entries=entries, **settings)
@@ -214,10 +214,10 @@ _LEGACY_STEPS = {
     "LineDebouncerTime": 1.0,
     "DeviceTemperature": 0.1,
 }
-"""Floats behind an integer register, and what one count of it is worth."""
+"""Floats that the legacy dialect keeps in an integer register, and the value of one count."""
 
 GAIN_STEP_DB = 0.1
-"""What one count of the legacy `GainRaw` is worth."""
+"""Value of one count of the legacy `GainRaw`."""
 
 
 def _as_legacy(feature: Feature) -> Feature:

@@ -1,4 +1,4 @@
-"""A feature of a camera: what registers and GenICam XML are made of."""
+"""The description of one feature of a camera, from which registers and GenICam XML are made."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,27 +27,27 @@ CHUNKS = {"Timestamp": 0x101, "FrameID": 0x102, "ExposureTime": 0x103, "CounterV
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Feature:
-    """One feature; numbers are physical, the register holds them divided by `scale`."""
+    """One feature; numbers are physical values, the register holds them divided by `scale`."""
 
     name: str
     category: str
     kind: Kind = "integer"
-    key: str = ""  # what the simulator calls it, in every dialect: the SFNC name
+    key: str = ""  # the SFNC name, by which the simulator refers to it in every dialect
     access: Access = "RW"
     value: int | float = 0  # after power-on
     minimum: float = 0
     maximum: float = 0xFFFFFFFF
     increment: int = 1
-    limit: tuple[str, str] | None = None  # keys: the maximum is the first minus the second
+    limit: tuple[str, str] | None = None  # keys of two features: the maximum is the first minus the second
     scale: float = 1.0
     unit: str = ""
     entries: Mapping[str, int] = field(default_factory=dict)
     selector: str | None = None  # key of the enumeration that chooses among registers of this feature
-    is_locked: bool = False  # not while acquiring
-    address: int | None = None  # of a bootstrap register; others are allotted one
+    is_locked: bool = False  # not writable while acquiring
+    address: int | None = None  # of a bootstrap register; None: one is allotted
     length: int = 4  # bytes
     bits: tuple[int, int] = (0, 31)  # of the register, 0 = most significant
-    is_kept: bool = True  # in user sets
+    is_kept: bool = True  # saved in user sets
 
     def __post_init__(self) -> None:
         if not self.key:

@@ -1,8 +1,8 @@
 """The light gate of the simulated rig: a microcontroller that speaks `gate_protocol` on a pseudo-terminal.
 
-It counts what closes its beam, pulses the cameras' trigger line at once and tells the host. Its clock has a drift
-of its own, and pulling its plug does not take its power. The modem-line mode of a gate cannot be simulated: a
-pseudo-terminal has no such line.
+It counts the stones that close its beam, pulses the cameras' trigger line at once and reports to the host. Its clock
+drifts, and pulling its plug does not cut its power. Gates on modem lines cannot be simulated: a pseudo-terminal has
+no such line.
 """
 
 import heapq
@@ -34,18 +34,18 @@ from drivers.gige_simulator.pseudo_terminal import PseudoTerminal
 
 STATUS_NS = 1_000_000_000
 UNOPENED_POLL_NS = 20_000_000
-"""A pseudo-terminal does not say when a host opens it."""
+"""Interval of polling until a host opens the pseudo-terminal, which does not report that."""
 BOUNCE_NS = 3_000_000
 """From the opening of the beam to the bounce, and from one edge of a doubled stone to the other."""
 GAP_NS = 1_000_000
-"""For so long the beam is open between the two edges of a doubled stone."""
+"""How long the beam is open between the two pulses of a doubled stone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateDesign:
-    """What a simulated gate is."""
+    """The properties of a simulated gate."""
 
-    link: Path  # under which the host finds its port
+    link: Path  # symbolic link that the host opens as the serial port
     serial: str = "SIM-GATE"
     clock_drift_ppm: float = 0.0
     seed: int = 0
@@ -58,19 +58,19 @@ class GateCounters:
     edges: int = 0  # counted
     test_pulses: int = 0
     merged: int = 0  # bounces
-    missed: int = 0  # neither counted nor pulsed: by fault, blocked beam or without power
-    uncounted: int = 0  # pulsed only
+    missed: int = 0  # stones neither counted nor pulsed: by fault, blocked beam or without power
+    uncounted: int = 0  # stones that pulsed the cameras only
     pulses: int = 0  # on the cameras' trigger line
-    lines: int = 0  # handed to a host whole
+    lines: int = 0  # sent whole
     damaged_lines: int = 0  # lost, halved, corrupted or silenced
-    unheard_lines: int = 0  # no host had the port open
+    unheard_lines: int = 0  # while no host had the port open
 
 
 class SimulatedGate:
-    """Stays powered from `open` to `close`, on one thread.
+    """A light gate that is powered from `open` to `close`, with one thread.
 
-    `pulse` is the cameras' trigger line; `empty_rig` is told first when the host wants a test pulse. Both take the
-    moment (monotonic ns) and are called on the gate's thread or on the one that calls `interrupt`.
+    `pulse` is the cameras' trigger line; `empty_rig` is called before it when the host asks for a test pulse. Both
+    take the time (monotonic ns) and are called on the gate's thread or on the one that calls `interrupt`.
     """
 
     def __init__(
@@ -88,10 +88,10 @@ class SimulatedGate:
         self._power_on_ns = 0
         self._sequence = 0
         self._ignored = 0
-        self._plans: list[tuple[int, int, Callable[[], None]]] = []  # heap of (due, order, what)
+        self._plans: list[tuple[int, int, Callable[[], None]]] = []  # heap of (due_ns, order, action)
         self._order = count()
         self._last_line_ns = 0
-        # edges and each kind of line have random numbers of their own: none moves those of the others
+        # edges and each kind of line have their own random numbers: no fault shifts those of the others
         self._dice: dict[type[Record] | None, random.Random] = {
             kind: random.Random(f"{design.seed}/gate/{kind and kind.__name__}")  # noqa: S311 - nothing secret
             for kind in (None, Edge, TestPulse, Width, Status, Identity)
@@ -127,17 +127,18 @@ class SimulatedGate:
         self._wake_fd = -1
 
     def unplug(self, seconds: float | None = None) -> None:
-        """Pull the serial plug, for a time or until `plug`; the gate counts and pulses on."""
+        """Pull the serial plug, for `seconds` or until `plug`; the gate goes on counting and pulsing."""
         now_ns = time.monotonic_ns()
         self._plan(now_ns, self._port.unplug)
         if seconds is not None:
             self._plan(now_ns + round(seconds * 1e9), self._plug)
 
     def plug(self) -> None:
+        """Put the serial plug in again."""
         self._plan(time.monotonic_ns(), self._plug)
 
     def power_cycle(self, seconds: float = 1.0) -> None:
-        """Take the power for a time: nothing is seen, and then counter and clock begin anew."""
+        """Cut the power for `seconds`: no stone is seen meanwhile, and counter and clock begin anew."""
         now_ns = time.monotonic_ns()
         with self._lock:
             self._is_powered = False
@@ -160,7 +161,7 @@ class SimulatedGate:
     # --- the beam ---
 
     def interrupt(self, edge_ns: int, width_ns: int) -> None:
-        """A stone closes the beam at `edge_ns`, which is now, and leaves it after `width_ns`."""
+        """Let a stone close the beam at `edge_ns`, which is now, and leave it after `width_ns`."""
         faults, dice = self.faults, self._dice[None]
         missed, uncounted, bounced, doubled = (
             dice.random() < p for p in (faults.missed, faults.uncounted, faults.bounce, faults.doubled)
@@ -232,7 +233,7 @@ class SimulatedGate:
             )
 
     def _say(self, record: Record) -> None:
-        """Send a record, or what the faults make of it; never before what was said earlier."""
+        """Send a record, or what the faults make of it; lines keep their order."""
         dice = self._dice[type(record)]
         line, is_whole = damaged(encode(record), self.faults, dice)
         late_ns = round(dice.random() * self.faults.jitter_us * 1000)
@@ -258,7 +259,7 @@ class SimulatedGate:
             elif command + b"\n" == IDENTIFY:
                 self._say(Identity(name="stonefall-simulated-gate", serial=self._design.serial, version="1"))
 
-    # --- the thread, which alone touches the port ---
+    # --- the thread, which alone uses the port ---
 
     def _plan(self, due_ns: int, action: Callable[[], None]) -> None:
         with self._lock:
@@ -282,7 +283,7 @@ class SimulatedGate:
             self._listen()
 
     def _wait(self) -> None:
-        """Until something is due or the host sent something."""
+        """Wait until an action is due or the host sent something."""
         with self._lock:
             wait_ns = self._plans[0][0] - time.monotonic_ns() if self._plans else STATUS_NS
         fds = [self._wake_fd]

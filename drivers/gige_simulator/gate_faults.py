@@ -1,33 +1,33 @@
-"""What can go wrong at the simulated gate and on its serial line."""
+"""The faults of the simulated gate and its serial line."""
 
 import random
 from dataclasses import dataclass
 
-from drivers.gige_simulator.faults import Switches
+from drivers.gige_simulator.faults import FaultSwitches
 
 
 @dataclass(slots=True, kw_only=True)
-class GateFaults(Switches):
-    """What goes wrong, from now on until it is set back; numbers without a unit are probabilities."""
+class GateFaults(FaultSwitches):
+    """Faults of a gate, in force until they are cleared; numbers without a unit are probabilities."""
 
-    missed: float = 0.0  # of an edge: no pulse, no line, not counted
-    uncounted: float = 0.0  # of an edge: the cameras are pulsed, and that is all
-    bounce: float = 0.0  # of a stone: one more edge, which the gate merges
-    doubled: float = 0.0  # of a stone: two edges, 3 ms apart, both counted, both pulsed
-    lost: float = 0.0  # of a line, on its way to the host
-    repeated: float = 0.0  # of a line: sent twice
-    garbage: float = 0.0  # of a line: random bytes before it
-    halved: float = 0.0  # of a line: breaks off in the middle
-    corrupted: float = 0.0  # of a line: one character is another
-    jitter_us: float = 0.0  # a line leaves up to so much late; the order stays
+    missed: float = 0.0  # a stone is not seen: no pulse, no line, not counted
+    uncounted: float = 0.0  # a stone pulses the cameras, but is neither counted nor announced
+    bounce: float = 0.0  # a stone has one more edge, which the gate merges
+    doubled: float = 0.0  # a stone has two edges, 3 ms apart, both counted, both pulsed
+    lost: float = 0.0  # a line does not arrive
+    repeated: float = 0.0  # a line is sent twice
+    garbage: float = 0.0  # random bytes come before a line
+    halved: float = 0.0  # a line breaks off in the middle
+    corrupted: float = 0.0  # one character of a line is wrong
+    jitter_us: float = 0.0  # a line leaves late, by at most so much; lines keep their order
     is_silent: bool = False  # no line leaves
     is_blocked: bool = False  # the beam stays closed: no stone is seen
 
 
 def damaged(line: bytes, faults: GateFaults, dice: random.Random) -> tuple[bytes, bool]:
-    """What the serial line makes of a line, maybe nothing, and whether the whole of it is still in there.
+    """Return what arrives of a line, and whether that still contains the whole of it.
 
-    Always takes as many random numbers, so that one fault does not move the others.
+    Always draws the same number of random numbers, so that one fault does not shift the others.
     """
     lost, repeated, garbage, halved, corrupted = (
         dice.random() < probability

@@ -1,4 +1,4 @@
-"""The GenICam description of a camera, from its table of features."""
+"""Make the GenICam XML of a camera from its features."""
 
 import io
 import zipfile
@@ -19,7 +19,7 @@ _HEAD = (
 
 
 def genicam_xml(registers: Registers, *, vendor: str, model: str) -> bytes:
-    """Describe all features, with their registers, limits and selectors."""
+    """Return the XML that describes all features, with their registers, limits and selectors."""
     categories: dict[str, list[str]] = {}
     nodes: list[str] = []
     for feature in registers.features.values():
@@ -37,7 +37,7 @@ def genicam_xml(registers: Registers, *, vendor: str, model: str) -> bytes:
 
 
 def zipped(xml: bytes, name: str) -> bytes:
-    """Return the description as most cameras carry it."""
+    """Return a ZIP archive with the XML as a file `name`, the form in which most cameras carry it."""
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr(zipfile.ZipInfo(name), xml, zipfile.ZIP_DEFLATED)
@@ -52,7 +52,7 @@ def _tree(categories: Mapping[str, list[str]]) -> Iterator[str]:
 
 
 def _nodes(feature: Feature, registers: Registers) -> Iterator[str]:
-    """Yield the feature's node and its register's."""
+    """Yield the node of a feature and that of its register."""
     common = "<pIsLocked>TLParamsLocked</pIsLocked>" if feature.is_locked else ""
     common += f"<Unit>{feature.unit}</Unit>" if feature.unit else ""
     common += "".join(

@@ -1,6 +1,6 @@
-"""The control channel of a camera: commands in, acknowledgements out; who may write, and for how long.
+"""The control channel of a simulated camera: answers GVCP commands, and keeps track of who has control.
 
-No socket and no thread: a datagram goes in with its sender and the time, the answer comes out.
+No socket and no thread: a datagram goes in with its sender and the time, the acknowledgement comes out.
 """
 
 import struct
@@ -28,42 +28,43 @@ PENDING_ACK = 0x89
 _EXTENDED_IDS = 0x10
 _EXCLUSIVE, _CONTROL = 0x1, 0x2
 _MAX_MEMORY_BYTES = 536
-"""Most that fits into a command or answer of 576 bytes."""
+"""Largest number of bytes of memory in a command or acknowledgement of 576 bytes."""
 
 
-class Device(Protocol):
-    """What the control channel sets in motion."""
+class CommandEffects(Protocol):
+    """The reactions of a camera to commands."""
 
     def written(self, key: Key) -> None:
-        """React to a register that was written; may raise `RefusedError`."""
+        """React to a feature whose register was written; may raise `RefusedError`."""
 
     def word_written(self, address: int, value: int) -> None:
-        """React to a bootstrap register that belongs to no feature."""
+        """React to a bootstrap register without a feature that was written."""
 
     def released(self) -> None:
-        """React to the end of control: the stream ends."""
+        """React to the end of control: acquisition and stream end."""
 
     def acted(self, *, at_device_ns: int | None) -> Status:
-        """React to an action command with our keys."""
+        """React to an action command with the camera's keys."""
 
-    def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None: ...
+    def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
+        """Send packets of a block again."""
 
     def noted(self, event: str) -> None:
-        """Write down who has control."""
+        """Log an event, such as a change of control."""
 
 
 @dataclass(slots=True)
 class _LastCommand:
-    """Of the controller."""
+    """The latest command of the controller, and its acknowledgement."""
 
     datagram: bytes
     answer: bytes | None
 
 
 class GvcpChannel:
-    """One controller at a time; it loses control when it is silent for longer than its heartbeat timeout."""
+    """The commands of one camera; at most one application has control, until its heartbeat times out."""
 
-    def __init__(self, registers: Registers, device: Device) -> None:
+    def __init__(self, registers: Registers, device: CommandEffects) -> None:
         self.controller: Peer | None = None
         self.n_heartbeats = 0
         self.n_actions = 0
@@ -81,15 +82,18 @@ class GvcpChannel:
         }
 
     def answer(self, datagram: bytes, peer: Peer, now_ns: int) -> bytes | None:
-        """Do what a command asks; nothing for what is no command or wants no answer.
+        """Execute a command and return its acknowledgement; None for other datagrams, and where none is required.
 
-        What the controller repeats is answered again, not done again; others only read.
+        A repeated command of the controller is acknowledged again, not executed again; other applications only read.
         """
         if len(datagram) < HEADER.size or datagram[0] != KEY:
             return None
         _, flags, command, size, request_id = HEADER.unpack_from(datagram)
         body = datagram[HEADER.size :]
-        if self.controller in (None, peer):  # nobody: whoever takes control with this command was heard
+        if self.controller in (
+            None,
+            peer,
+        ):  # None: an application that takes control by this command was heard
             self._heard_ns = now_ns
         if command == PACKET_RESEND:
             self._resend(flags, body)
@@ -120,25 +124,26 @@ class GvcpChannel:
         return wanted
 
     def heartbeat_due_ns(self) -> int | None:
-        """When control ends if nothing is heard; nothing without a controller."""
+        """Return when control ends if nothing is heard until then; None without a controller."""
         if self.controller is None:
             return None
         return self._heard_ns + self._registers.word(HEARTBEAT_TIMEOUT) * 1_000_000
 
     def check_heartbeat(self, now_ns: int) -> None:
+        """End control if the heartbeat has timed out."""
         due_ns = self.heartbeat_due_ns()
         if due_ns is not None and now_ns >= due_ns:
             self._device.noted(f"heartbeat of {_name(self.controller)} ended")
             self.release()
 
     def release(self) -> None:
-        """End control, whoever has it."""
+        """End control, whichever application has it."""
         self.controller, self._is_exclusive = None, False
         self._registers.put_word(CONTROL_PRIVILEGE, 0)
         self._device.released()
 
     def seize(self, peer: Peer, *, heard_ns: int) -> None:
-        """Give control to `peer`, whoever has it; it was heard at `heard_ns`, which may lie ahead."""
+        """Give control to `peer`, whichever application has it; its heartbeat counts from `heard_ns`."""
         self._heard_ns = heard_ns
         self._take(peer, _CONTROL)
 
@@ -150,7 +155,7 @@ class GvcpChannel:
         self._device.noted(f"{'exclusive ' if self._is_exclusive else ''}control to {_name(peer)}")
 
     def reset(self) -> None:
-        """Power on: nobody has control, nothing was asked."""
+        """Forget controller and last command, as after power-on."""
         self.controller, self._is_exclusive, self._last = None, False, None
 
     # --- commands ---
@@ -216,7 +221,7 @@ class GvcpChannel:
             self.release()
 
     def _action(self, flags: int, body: bytes) -> Status | None:
-        """Act if the keys are ours; otherwise be silent, as the command is for other cameras."""
+        """Act if the keys are the camera's; otherwise return None, as the command is for other cameras."""
         device_key, group_key, group_mask = struct.unpack_from(">III", body)
         registers = self._registers
         if (
@@ -242,12 +247,12 @@ class GvcpChannel:
 
 
 def is_discovery(datagram: bytes) -> bool:
-    """Whether this is the one command that is answered at once by everybody."""
+    """Return whether a datagram is a discovery command, which is answered without delay."""
     return datagram[2:4] == DISCOVERY.to_bytes(2, "big")
 
 
 def pending_ack(datagram: bytes, delay_ms: int) -> bytes | None:
-    """Ask the sender of this command for patience; nothing if it is none."""
+    """Return the pending acknowledgement of a command, None if the datagram is no command."""
     if len(datagram) < HEADER.size or datagram[0] != KEY:
         return None
     _, _, _, _, request_id = HEADER.unpack_from(datagram)

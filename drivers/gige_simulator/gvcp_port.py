@@ -1,6 +1,6 @@
-"""The sockets and the thread of a control channel, and the network's faults on it.
+"""The sockets and the thread of a camera's control channel, with the faults of its network.
 
-One socket is bound to the camera's address, one hears broadcasts; answers always leave from the first.
+One socket is bound to the camera's address, one receives broadcasts; answers always leave from the first.
 """
 
 import os
@@ -17,10 +17,11 @@ from drivers.gige_simulator.gvcp_channel import Peer, is_discovery, pending_ack
 from drivers.gvcp import GVCP_PORT
 
 _PENDING_FROM_MS = 100.0
+"""An acknowledgement that is delayed by so much or more is announced by a pending one."""
 
 
 class GvcpPort:
-    """Hands datagrams to `answer`, and calls `run_due` when `next_due_ns` of the monotonic clock has come."""
+    """Passes datagrams to `answer` and sends what it returns; calls `run_due` at `next_due_ns` (monotonic clock)."""
 
     def __init__(
         self,
@@ -40,7 +41,7 @@ class GvcpPort:
         self._random = random.Random(f"{seed}/control")  # noqa: S311 - repeatable, nothing secret
         self._lock = threading.Lock()
         self._sockets: tuple[socket.socket, ...] = ()
-        self._retired: list[socket.socket] = []  # to be closed by the thread that listens on them
+        self._retired: list[socket.socket] = []  # to be closed by the thread that reads them
         self._wake: int | None = None
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -50,7 +51,7 @@ class GvcpPort:
         return self._thread is not None
 
     def open(self, address: str) -> None:
-        """Listen and answer; raises `OSError` when the address is taken or not this machine's."""
+        """Start to answer at an address; raises `OSError` when it is taken or not this machine's."""
         self._stopping.clear()
         self._sockets = _bound(address)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK)
@@ -58,7 +59,7 @@ class GvcpPort:
         self._thread.start()
 
     def move(self, address: str) -> None:
-        """Listen at another address, and no longer at the last one; raises `OSError`."""
+        """Answer at another address instead; raises `OSError` when it is taken or not this machine's."""
         sockets = _bound(address)
         with self._lock:
             self._retired += self._sockets
@@ -66,7 +67,7 @@ class GvcpPort:
         self.wake()
 
     def wake(self) -> None:
-        """Let the thread ask anew what is due and where to listen."""
+        """Make the thread call `next_due_ns` again and look for changed sockets."""
         with self._lock:
             if self._wake is not None:
                 os.eventfd_write(self._wake, 1)
@@ -78,8 +79,8 @@ class GvcpPort:
             self._thread.join()
             self._thread = None
         with self._lock:
-            for each in (*self._retired, *self._sockets):
-                each.close()
+            for udp_socket in (*self._retired, *self._sockets):
+                udp_socket.close()
             self._retired, self._sockets = [], ()
             if self._wake is not None:
                 os.close(self._wake)
@@ -95,14 +96,14 @@ class GvcpPort:
                     self._receive(from_socket)
                 else:
                     os.eventfd_read(fd)
-            if not poll.poll(0):  # what came in time counts, even when it is read late
+            if not poll.poll(0):  # a datagram that arrived in time counts, even when it is read late
                 self._run_due()
 
     def _listening(self) -> tuple[select.poll, dict[int, socket.socket]]:
         with self._lock:
             while self._retired:
                 self._retired.pop().close()
-            by_fd = {each.fileno(): each for each in self._sockets}
+            by_fd = {udp_socket.fileno(): udp_socket for udp_socket in self._sockets}
             poll = select.poll()
             for fd in (*by_fd, self._wake):
                 if fd is not None:
@@ -112,7 +113,7 @@ class GvcpPort:
     def _receive(self, from_socket: socket.socket) -> None:
         try:
             datagram, peer = from_socket.recvfrom(2048)
-        except OSError:  # what came back for an answer nobody waits for any more
+        except OSError:  # an ICMP error for an answer to a socket that was closed meanwhile
             return
         if self._loses():
             return
@@ -135,7 +136,7 @@ class GvcpPort:
 
 
 def _bound(address: str) -> tuple[socket.socket, ...]:
-    """Return the socket of this address, and the one that hears broadcasts."""
+    """Return the socket of an address, and the one that receives broadcasts."""
     control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     broadcast = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

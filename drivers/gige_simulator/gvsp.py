@@ -1,4 +1,4 @@
-"""The stream protocol: an image laid out as the packets of one block.
+"""Lay an image out as the packets of one block of GigE Vision's stream protocol (GVSP).
 
 Byte layouts are those that Aravis accepts and Wireshark dissects.
 """
@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.gige_simulator.features import CHUNKS, MONO8
+from pipeline.arrays import GreyImage
 
-IP_UDP_BYTES = 28  # counted by the packet size
+IP_UDP_BYTES = 28
+"""Size of the headers of IP and UDP, which the packet size includes."""
 STANDARD_HEADER = struct.Struct(">HHI")
 EXTENDED_HEADER = struct.Struct(">HHIQI")
 
@@ -32,13 +33,13 @@ class Block:
     has_extended_ids: bool
     packet_bytes: int  # with the headers of IP and UDP
     device_ns: int
-    image: NDArray[np.uint8]  # (H, W)
+    image: GreyImage
     offset_px: tuple[int, int]
     chunks: tuple[tuple[str, int | float], ...] | None  # None: chunk mode is off
 
 
 def packets(block: Block) -> Sequence[Packet]:
-    """Return leader, payload and trailer; the index is the packet id. The image is copied."""
+    """Return leader, payload and trailer of a block; the index is the packet id. The image is copied."""
     height, width = block.image.shape
     payload = np.ascontiguousarray(block.image).reshape(-1)
     payload_type = _IMAGE
@@ -57,14 +58,14 @@ def packets(block: Block) -> Sequence[Packet]:
 
 
 def unavailable(block_id: int, packet_id: int, status: int, *, has_extended_ids: bool) -> bytes:
-    """Answer to a request for a packet that is gone."""
+    """Return the answer to a request for a packet that is not kept any more."""
     if has_extended_ids:
         return EXTENDED_HEADER.pack(status, 0, (_PAYLOAD | _EXTENDED_IDS) << 24, block_id, packet_id)
     return STANDARD_HEADER.pack(status, block_id, _PAYLOAD << 24 | packet_id)
 
 
 def chunk_bytes(n_image: int, n_chunks: int) -> int:
-    """Size of a payload with chunks: the image and each chunk carry an id and a length."""
+    """Return the size of a payload with chunks: the image and each chunk carry an id and a length."""
     return n_image + 8 + n_chunks * 16
 
 
@@ -74,8 +75,8 @@ def _header(block: Block, content: int, packet_id: int) -> bytes:
     return STANDARD_HEADER.pack(0, block.block_id, content << 24 | packet_id)
 
 
-def _payload_packets(block: Block, payload: NDArray[np.uint8]) -> list[memoryview]:
-    """Lay the payload out in rows of header and data, then cut; the last one is as short as it may be."""
+def _payload_packets(block: Block, payload: GreyImage) -> list[memoryview]:
+    """Return the payload (N,) in packets of header and data; the last one is as short as possible."""
     n_header = (EXTENDED_HEADER if block.has_extended_ids else STANDARD_HEADER).size
     n_data = block.packet_bytes - IP_UDP_BYTES - n_header
     n_packets = -(-payload.size // n_data)

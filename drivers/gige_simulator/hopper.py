@@ -1,7 +1,7 @@
-"""The stones of a recording in the order in which they fall, unpacked ahead.
+"""The stones of a recording in the order in which they fall, decompressed ahead.
 
-Unpacking one takes 0.1 s of the processor that sixteen cameras need to be on time: what has room in memory is
-ready before the first one falls.
+Decompressing one takes 0.1 s of the processor that sixteen cameras need to be on time: as many as fit into
+`AHEAD_BYTES` are ready before they fall.
 """
 
 import queue
@@ -14,18 +14,18 @@ from drivers.files.recording import BundleHeader, Recording, playback_order, rea
 from pipeline.frames import BundleKind, CameraId, Image, Trigger
 
 AHEAD_BYTES = 512 << 20
-"""Of images in memory, 24 bundles of full size; a recording that needs no more is unpacked only once in a loop."""
+"""Limit of images in memory, 24 bundles of full size; a looping recording that fits is decompressed only once."""
 PULSE_WIDTH_NS = 64_000_000
-"""Where none was recorded: a stone of 20 mm, the middle of the product, that begins to fall at the beam."""
+"""Pulse width where none was recorded: a stone of 20 mm, the middle of the product, that begins to fall at the beam."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fall:
-    """One stone, or, of a recorded exposure of the empty rig, nothing on purpose."""
+    """One stone, or an exposure of the empty rig, where no stone falls."""
 
     is_empty: bool
     pulse_width_ns: int
-    images: Mapping[CameraId, Image]  # what each camera sees; one without an image sends none
+    images: Mapping[CameraId, Image]  # what each camera sees; a camera without an image sends none
 
 
 class Hopper:
@@ -50,7 +50,7 @@ class Hopper:
         self._thread.start()
 
     def take(self) -> Fall | None:
-        """Wait for the next stone; nothing after the last one and when the hopper is closed."""
+        """Wait for the next stone and return it; None after the last one and when the hopper is closed."""
         return self._falls.get()
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class Hopper:
 
 
 def read_fall(header: BundleHeader, recording: Recording) -> Fall:
-    """What fell when a bundle was recorded."""
+    """Return what fell when a bundle was recorded."""
     try:
         bundle = read_bundle(header.path, recording.camera_ids)
     except RecordingError:

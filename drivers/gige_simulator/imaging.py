@@ -1,39 +1,39 @@
-"""What a sensor makes of the light: asks the image source, adapts, cuts the region of interest, errs on request."""
+"""The images of a simulated sensor: automatic exposure, region of interest and faults, on top of an image source."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.gige_simulator.faults import Faults
 from drivers.gige_simulator.registers import Registers
+from pipeline.arrays import GreyImage
 from pipeline.frames import CameraId
 
 TARGET_GREY = 128.0
-"""Mean grey level automatic exposure and gain aim at."""
+"""Mean grey level that automatic exposure and gain aim at."""
 _NEAR = 0.05
-"""Relative deviation from it at which `Once` is done."""
+"""Relative deviation from the target at which the automatic mode `Once` ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """What an image source is asked for: what this camera saw."""
+    """One exposure of one camera, for which an image source returns the image."""
 
     camera: CameraId
     n: int  # exposures since power-on, from 1
     trigger_ns: int  # host's monotonic time of the edge that caused it
-    exposed_ns: int  # of its start
+    exposed_ns: int  # host's monotonic time of its start
     exposure_us: float
     gain_db: float
 
 
-ImageSource = Callable[[Exposure], "NDArray[np.uint8] | None"]
-"""Returns the whole sensor's image (H, W), not changed any more; nothing is sent for `None`."""
+ImageSource = Callable[[Exposure], "GreyImage | None"]
+"""Returns the image (H, W) of the whole sensor, which must not be changed afterwards; None: nothing is sent."""
 
 
 class Imaging:
-    """Images as they go out, of one camera."""
+    """Makes the images that one camera sends."""
 
     def __init__(
         self, registers: Registers, *, faults: Faults, source: ImageSource, note: Callable[[str], None]
@@ -42,10 +42,10 @@ class Imaging:
         self._faults = faults
         self._source = source
         self._note = note
-        self._frozen: NDArray[np.uint8] | None = None
+        self._frozen: GreyImage | None = None
 
-    def take(self, exposure: Exposure) -> NDArray[np.uint8] | None:
-        """Return the region of interest of what the source shows; nothing when it shows nothing, or something odd."""
+    def take(self, exposure: Exposure) -> GreyImage | None:
+        """Return the region of interest of the source's image; None if there is none, or its shape or type is wrong."""
         image, registers = self._source(exposure), self._registers
         if image is None:
             return None
@@ -59,7 +59,7 @@ class Imaging:
             image[top : top + registers.number("Height"), left : left + registers.number("Width")]
         )
 
-    def _spoilt(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _spoilt(self, image: GreyImage) -> GreyImage:
         faults = self._faults
         if not faults.frozen:
             self._frozen = None
@@ -73,7 +73,7 @@ class Imaging:
         return image[: image.shape[0] // 2] if faults.wrong_size else image
 
     def _adapt(self, mean_grey: float, exposure: Exposure) -> None:
-        """Move exposure time or gain towards the target; `Once` is done as soon as it is near."""
+        """Move automatic exposure time or gain towards the target; `Once` ends as soon as it is near."""
         factor = min(max(TARGET_GREY / max(mean_grey, 1.0), 0.5), 2.0)
         if self._registers.choice("ExposureAuto") != "Off":
             self._put("ExposureTime", exposure.exposure_us * factor)

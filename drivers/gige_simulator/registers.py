@@ -1,7 +1,7 @@
-"""The camera's memory as the control channel sees it: addresses, alignment, access, ranges, live values.
+"""The memory of a simulated camera: addresses, alignment, access rights, ranges and live values of its registers.
 
-Below 0xB000 lie the bootstrap registers of the GigE Vision standard, from 0x10000 those of the features,
-from 0x100000 the GenICam XML. Everything is big endian.
+Below 0xB000 lie the bootstrap registers of the GigE Vision standard, from 0x10000 those of the features, from
+0x100000 the GenICam XML. All numbers are big endian.
 """
 
 import struct
@@ -24,11 +24,11 @@ STREAM_SOURCE_PORT = 0xD1C
 
 Value = int | float | str
 Key = tuple[str, int]
-"""A feature's key and the bank its selector chooses; 0 without a selector."""
+"""A feature's key, and its bank: the entry of its selector that it belongs to, 0 without a selector."""
 
 
 class Status(IntEnum):
-    """What an acknowledgement says."""
+    """Status codes of an acknowledgement."""
 
     SUCCESS = 0x0000
     NOT_IMPLEMENTED = 0x8001
@@ -45,7 +45,7 @@ class Status(IntEnum):
 
 
 class RefusedError(Exception):
-    """The camera refuses a command with this status; `answer` is what was done of it before."""
+    """The camera refuses a command with `status`; `answer` is the body of the acknowledgement."""
 
     def __init__(self, status: Status, answer: bytes = b"") -> None:
         super().__init__(status.name)
@@ -61,7 +61,7 @@ class _Register:
 
 
 class Registers:
-    """Memory with rules; `live` values are asked for at every read."""
+    """Memory with rules of access; values in `live` are computed at every read."""
 
     def __init__(self, features: Sequence[Feature], *, clamps: bool) -> None:
         self.features = {feature.key: feature for feature in features}
@@ -79,7 +79,7 @@ class Registers:
         self.reset()
 
     def reset(self) -> None:
-        """Power on: everything forgotten, features at their defaults."""
+        """Clear the memory and set all features to their defaults, as after power-on."""
         self.version += 1
         self.is_acquiring = False
         self._memory[:] = bytes(len(self._memory))
@@ -106,15 +106,17 @@ class Registers:
                 yield feature.key, bank
 
     def n_banks(self, feature: Feature) -> int:
-        """Registers of this feature: one for each entry of its selector."""
+        """Return the number of registers of a feature: one for each entry of its selector."""
         return len(self.features[feature.selector].entries) if feature.selector else 1
 
     def address(self, key: str, bank: int = 0) -> int:
+        """Return the address of a feature's register."""
         return self._addresses[key, bank]
 
     # --- the camera's side: physical values, no rules ---
 
     def get(self, key: str, bank: int = 0) -> Value:
+        """Return the value of a feature."""
         feature = self.features[key]
         address = self._addresses[key, bank]
         data = bytes(self._memory[address : address + feature.length])
@@ -126,19 +128,20 @@ class Registers:
         return raw if feature.scale == 1 else raw * feature.scale
 
     def number(self, key: str, bank: int = 0) -> int:
-        """Value of an integer, boolean or enumeration."""
+        """Return the value of an integer, boolean or enumeration."""
         return int(self.get(key, bank))
 
     def quantity(self, key: str, bank: int = 0) -> float:
-        """Value of a float in its physical unit."""
+        """Return the value of a float in its physical unit."""
         return float(self.get(key, bank))
 
     def choice(self, key: str, bank: int = 0) -> str:
-        """Name of the chosen entry of an enumeration."""
+        """Return the name of the chosen entry of an enumeration."""
         value = self.number(key, bank)
         return next(name for name, number in self.features[key].entries.items() if number == value)
 
     def put(self, key: str, value: Value, bank: int = 0) -> None:
+        """Set the value of a feature."""
         feature = self.features[key]
         address = self._addresses[key, bank]
         if isinstance(value, str):
@@ -152,7 +155,7 @@ class Registers:
         self.version += feature.access == "RW"
 
     def word(self, address: int) -> int:
-        """Four bytes at a bootstrap address."""
+        """Return the 32-bit word at a bootstrap address."""
         return int(struct.unpack_from(">I", self._memory, address)[0])
 
     def put_word(self, address: int, word: int) -> None:
@@ -162,11 +165,11 @@ class Registers:
         self._memory[address : address + len(text)] = text.encode("latin-1")
 
     def defaults(self) -> dict[Key, Value]:
-        """What a user set keeps, as the camera is made."""
+        """Return the content of the user set `Default`."""
         return {(key, bank): self.features[key].value for key, bank in self._kept()}
 
     def saved(self) -> dict[Key, Value]:
-        """What a user set keeps."""
+        """Return the present values of all features that a user set keeps."""
         return {(key, bank): self.get(key, bank) for key, bank in self._kept()}
 
     def _kept(self) -> Iterator[Key]:
@@ -182,7 +185,7 @@ class Registers:
     # --- the control channel's side: addresses and rules ---
 
     def read(self, address: int, size: int) -> bytes:
-        """`size` bytes from `address`; raises `RefusedError`."""
+        """Return `size` bytes from `address`; raises `RefusedError`."""
         if address % 4 or size % 4:
             raise RefusedError(Status.BAD_ALIGNMENT)
         if address >= XML_ADDRESS and address + size <= XML_ADDRESS + len(self.xml) + 3:
@@ -204,7 +207,7 @@ class Registers:
                     self.put(key, self.live[key](bank), bank)
 
     def write(self, address: int, data: bytes) -> list[Key]:
-        """Write one register; the features in it, in order. Raises `RefusedError`."""
+        """Write one register and return the keys of the features in it; raises `RefusedError`."""
         if address % 4 or len(data) % 4:
             raise RefusedError(Status.BAD_ALIGNMENT)
         register = self._registers.get(address)
@@ -224,7 +227,7 @@ class Registers:
         return register.parts
 
     def _accept(self, feature: Feature, old: bytes, offered: bytes) -> bytes:
-        """Return the register with this feature's part of `offered` in it."""
+        """Return the register `old` with the part of one feature taken from `offered`; raises `RefusedError`."""
         if feature.kind == "string":
             return offered
         if feature.kind == "float":
@@ -241,7 +244,7 @@ class Registers:
         return _insert(feature, int.from_bytes(old, "big"), round(value)).to_bytes(len(old), "big")
 
     def _within_range(self, feature: Feature, value: float) -> float:
-        """Return what the register takes for `value`, both as the register holds them."""
+        """Return the raw value that the register accepts for a raw `value`; raises `RefusedError`."""
         if feature.kind in ("boolean", "command"):
             return value
         if feature.kind == "enumeration":
@@ -263,7 +266,7 @@ class Registers:
 
 
 def _extract(feature: Feature, word: int) -> int:
-    """Return the feature's bits of a register; two's complement where the range is below zero."""
+    """Return the feature's bits of a register, as two's complement where its range is below zero."""
     first, last = feature.bits
     if feature.length == 8:
         first, last = 0, 63

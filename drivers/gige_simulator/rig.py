@@ -1,7 +1,7 @@
-"""The simulated rig: GigE Vision cameras, a light gate and a belt around one recording, in one process.
+"""The simulated rig: GigE Vision cameras, a light gate and a belt in one process, which replay one recording.
 
-The belt lets a stone of the recording close the gate's beam; the gate tells its host and pulses Line1 of all
-cameras; each waits its trigger delay, exposes, and sends what the recording has of that stone.
+The belt lets a stone of the recording close the gate's beam; the gate reports it to the host and pulses Line1 of all
+cameras; each waits for its trigger delay, exposes, and sends the recorded image of that stone.
 """
 
 import ipaddress
@@ -29,32 +29,32 @@ from pipeline.frames import BundleKind, CameraId
 
 TRIGGER_LINE = "Line1"
 MAX_EMPTY = 5
-"""Exposures of the empty rig that are kept in memory, to be seen in turn where no stone is."""
+"""How many exposures of the empty rig are kept in memory; they are seen in turn while no stone is in view."""
 EXPOSURE_US = 20.0
-"""Of a recording that does not say; the design's."""
+"""Exposure time of a recording that does not give it."""
 LINGER_NS = 1_500_000_000
-"""After the last exposure: for frames on the wire and packets that the host wants again."""
+"""Time after the last exposure for frames on the wire and packets that the host requests again."""
 MAX_CLOCK_OFFSET_NS = 10**13
 MAX_CLOCK_DRIFT_PPM = 50.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigDesign:
-    """What a simulated rig is."""
+    """The properties of a simulated rig."""
 
     gate_link: Path  # the host's end of the gate's serial line
-    control: Path | None = None  # Unix socket for faults at run time
-    first_address: str = "127.0.0.2"  # of consecutive ones, a camera each
-    n_cameras: int | None = None  # the first of the recording; None: all
-    legacy_every: int = 4  # so often a camera speaks the older dialect; 0: none
+    control: Path | None = None  # path of the control socket, for requests at run time
+    first_address: str = "127.0.0.2"  # of the first camera; the others have the addresses after it
+    n_cameras: int | None = None  # how many of the recording's, from the first; None: all
+    legacy_every: int = 4  # every so many cameras one speaks the older dialect; 0: none
     rate_hz: float = 4.0
     is_looping: bool = False
     fall_ms: float = 247.35  # from the gate to the middle of the rig: 0.3 m
-    sight_ms: float = SIGHT_MS  # before and after that a stone is seen
-    exposure_us: float | None = None  # at which images are as recorded; None: the recording's
-    gain_db: float = 0.0
-    uplink_bytes_s: float | None = None  # of the switch all cameras are at; None: faster than all of them
-    uplink_buffer_bytes: int = 2 << 20  # that the switch has for it
+    sight_ms: float = SIGHT_MS  # a stone is seen so long before and after it passes the middle
+    exposure_us: float | None = None  # at which images are as recorded; None: as recording.json says
+    gain_db: float = 0.0  # at which images are as recorded
+    uplink_bytes_s: float | None = None  # shared by all cameras behind a switch; None: unlimited
+    uplink_buffer_bytes: int = 2 << 20  # of the switch
     seed: int = 0
 
 
@@ -64,7 +64,7 @@ class SimulatedRig:
     Attributes
     ----------
     cameras, gate, belt
-        To be examined and broken while they run.
+        The parts, which can be examined and broken while they run.
     """
 
     def __init__(self, design: RigDesign, recording: Recording) -> None:
@@ -103,12 +103,14 @@ class SimulatedRig:
         self._linger_ns = round(design.fall_ms * 1e6) + LINGER_NS
 
     def open(self) -> None:
-        """Power everything on.
+        """Switch all parts on.
 
         Raises
         ------
-        CameraUnavailableError, GateUnavailableError
-            An address is taken; the gate's link cannot be made.
+        CameraUnavailableError
+            The address of a camera is taken.
+        GateUnavailableError
+            The link of the gate's serial port cannot be made.
         OSError
             The control socket cannot be made.
         """
@@ -136,7 +138,7 @@ class SimulatedRig:
 
     @property
     def is_over(self) -> bool:
-        """Whether everything fell and every image was sent, a while ago: the host may want packets again."""
+        """Whether all stones fell and all images were sent, long enough ago for requests to resend packets."""
         if not self.belt.ended.is_set() or time.monotonic_ns() < self._last_edge_ns + self._linger_ns:
             return False
         return all(_is_sent(camera.counters) for camera in self.cameras.values())
@@ -147,7 +149,7 @@ class SimulatedRig:
         return self.gate.is_opened and all(camera.is_acquiring for camera in self.cameras.values())
 
     def counters(self) -> dict[str, Any]:
-        """What belt, gate and cameras counted."""
+        """Return the counters of belt, gate and cameras."""
         return counters_of(self.cameras, self.gate, self.belt)
 
     def _drop(self, fall: Fall, edge_ns: int) -> None:
@@ -169,7 +171,7 @@ def _is_sent(counters: Counters) -> bool:
 
 
 def _camera_designs(design: RigDesign, recording: Recording) -> Iterator[CameraDesign]:
-    """One camera after the other, each with a clock of its own, some of the older dialect."""
+    """Yield the design of each camera, with a clock of its own, some with the older dialect."""
     first = ipaddress.IPv4Address(design.first_address)
     known = {camera.id: camera.serial for camera in recording.rig.cameras} if recording.rig else {}
     for index, camera in enumerate(recording.camera_ids[: design.n_cameras]):
@@ -188,7 +190,7 @@ def _camera_designs(design: RigDesign, recording: Recording) -> Iterator[CameraD
 
 
 def _empty_rig(recording: Recording) -> list[Images]:
-    """What the cameras see where no stone is: dark, if nobody recorded it."""
+    """Return exposures of the empty rig; one black image for each camera if none was recorded."""
     headers = [header for header in recording.headers if header.kind is BundleKind.BACKGROUND]
     if seen := [read_fall(header, recording).images for header in headers[:MAX_EMPTY]]:
         return seen

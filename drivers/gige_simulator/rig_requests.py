@@ -1,8 +1,8 @@
-"""Requests to the simulated rig while it runs: faults, power, plugs, the belt.
+"""Carry out requests to the simulated rig while it runs: faults, power, plugs, the belt.
 
-A request is a JSON object: what to `do`, for most `of` whom (a camera's id, `"cameras"` for all of them, or
-`"gate"`), and what the method of that name below takes. The answer has `"ok": true` and what was asked for, or
-`"ok": false` and the `problem`. With `socat - UNIX-CONNECT:PATH`, a request a line::
+A request is a JSON object: `do` names the request, a method of `RigRequests`; `of` names a camera by its id, all
+`"cameras"` or the `"gate"`; other fields are the arguments of that method. The answer has `"ok": true` and the
+result, or `"ok": false` and the `problem`. With `socat - UNIX-CONNECT:PATH`, a request a line::
 
     {"do": "fault", "of": "c03", "set": {"packet_loss": 0.01}}
     {"do": "fault", "of": "gate", "clear": true, "set": {"bounce": 1}}
@@ -22,7 +22,7 @@ from typing import Any, Literal, get_args
 from drivers.errors import DeviceError
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import SimulatedCamera
-from drivers.gige_simulator.faults import Switches
+from drivers.gige_simulator.faults import FaultSwitches
 from drivers.gige_simulator.gate import SimulatedGate
 from pipeline.frames import CameraId
 
@@ -35,7 +35,7 @@ Reply = Mapping[str, Any]
 def counters_of(
     cameras: Mapping[CameraId, SimulatedCamera], gate: SimulatedGate, belt: Belt
 ) -> dict[str, Any]:
-    """What all parts of a rig counted since it was made."""
+    """Return the counters of belt, gate and cameras since the rig was made, as JSON."""
     return {
         "belt": asdict(belt.counters),
         "gate": asdict(gate.counters),
@@ -44,7 +44,7 @@ def counters_of(
 
 
 class RigRequests:
-    """Carries out requests; `ValueError` says what is wrong with one."""
+    """The requests that a rig understands, one method each; `ValueError` says what is wrong with one."""
 
     def __init__(
         self, *, cameras: Mapping[CameraId, SimulatedCamera], gate: SimulatedGate, belt: Belt
@@ -59,14 +59,16 @@ class RigRequests:
             *(self.steal_control, self.tamper, self.jump_clock, self.send_malformed),
             *(self.start, self.stop, self.pulse, self.rate),
         )
-        self._actions: dict[str, Callable[..., Reply | None]] = {each.__name__: each for each in actions}
+        self._actions: dict[str, Callable[..., Reply | None]] = {
+            action.__name__: action for action in actions
+        }
 
     def answer(self, request: Mapping[str, Any]) -> Reply:
         """Carry out one request."""
         fields = dict(request)
         name = fields.pop("do", None)
         if name not in self._actions:
-            raise ValueError(f"do: {name!r} is none of {', '.join(self._actions)}")
+            raise ValueError(f"do: must be one of {', '.join(self._actions)}, not {name!r}")
         action = self._actions[name]
         try:
             inspect.signature(action).bind(**fields)
@@ -79,14 +81,14 @@ class RigRequests:
     # --- to ask ---
 
     def help(self) -> Reply:
-        """Every request, what it takes and what it does."""
+        """List all requests with their fields and what they do."""
         return {
             name: {"takes": list(inspect.signature(action).parameters), "does": inspect.getdoc(action)}
             for name, action in self._actions.items()
         }
 
     def state(self) -> Reply:
-        """What runs, and every fault that is set."""
+        """Tell the state of belt, gate and cameras, and all their faults."""
         return {
             "belt": {
                 "is_running": self._belt.is_running,
@@ -108,20 +110,20 @@ class RigRequests:
         }
 
     def counters(self) -> Reply:
-        """What belt, gate and cameras counted."""
+        """Tell what belt, gate and cameras counted."""
         return counters_of(self._cameras, self._gate, self._belt)
 
     def log(self, of: str) -> Reply:
-        """What happened to a camera: [monotonic ns, event]."""
+        """Tell what happened to a camera: [monotonic ns, event]."""
         return {name: [[entry.at_ns, entry.event] for entry in camera.log] for name, camera in self._of(of)}
 
     # --- to break ---
 
     def fault(self, of: str, set: Mapping[str, Any] | None = None, clear: bool = False) -> Reply:
-        """Clear all faults, or none, then set some by name; the gate has others than a camera."""
+        """Set faults by name, after clearing all if `clear`; `state` lists those of cameras and gate."""
         if not isinstance(set, Mapping | None):
             raise ValueError(f"set: must be an object with faults by name, not {set!r}")
-        devices: list[tuple[str, Switches]]
+        devices: list[tuple[str, FaultSwitches]]
         if of == GATE:
             devices = [(GATE, self._gate.faults)]
         else:
@@ -134,7 +136,7 @@ class RigRequests:
         return {"faults": {name: faults.as_dict() for name, faults in devices}}
 
     def unplug(self, of: str, seconds: float | None = None) -> None:
-        """Pull the network or serial plug, for so long or until `plug`."""
+        """Pull the network or serial plug, for `seconds` or until `plug`."""
         if seconds is not None:
             _require_positive("seconds", seconds)
         if of == GATE:
@@ -154,13 +156,13 @@ class RigRequests:
     def power_cycle(
         self, of: str, seconds: float = 2.0, address: str | None = None, serial: str | None = None
     ) -> None:
-        """Cut the power for so long; a camera may come back at another address or be another."""
+        """Cut the power for `seconds`; a camera may come back at another address or with another serial number."""
         _require_positive("seconds", seconds)
         if of == GATE:
             self._gate.power_cycle(seconds)
             return
         if of == CAMERAS and (address or serial):
-            raise ValueError("of: one camera has an address and a serial number, not all")
+            raise ValueError("of: name one camera; an address or serial number is not for all")
         if address is not None:
             IPv4Address(address)
         for _, camera in self._of(of):
@@ -180,13 +182,13 @@ class RigRequests:
                 self._killed.remove(name)
 
     def steal_control(self, of: str, seconds: float = 5.0) -> None:
-        """Let another application hold a camera for so long."""
+        """Give control of a camera to another application for `seconds`."""
         _require_positive("seconds", seconds)
         for _, camera in self._of(of):
             camera.steal_control(seconds)
 
     def tamper(self, of: str, feature: str, value: float | str, bank: int = 0) -> None:
-        """Change a feature behind the host's back."""
+        """Change a feature of a camera without the host."""
         for _, camera in self._of(of):
             camera.tamper(feature, value, bank)
 
@@ -196,9 +198,9 @@ class RigRequests:
             camera.jump_clock(round(ms * 1e6))
 
     def send_malformed(self, of: str, kind: Malformed = "foreign") -> None:
-        """Send a datagram that is no packet; `abort` ends Aravis 0.8.26."""
+        """Send a datagram that is no packet: `short`, `foreign`, or `abort`, which aborts Aravis 0.8.26."""
         if kind not in get_args(Malformed):
-            raise ValueError(f"kind: {kind!r} is none of {', '.join(get_args(Malformed))}")
+            raise ValueError(f"kind: must be one of {', '.join(get_args(Malformed))}, not {kind!r}")
         for _, camera in self._of(of):
             camera.send_malformed(kind)
 
@@ -209,13 +211,13 @@ class RigRequests:
         self._belt.start()
 
     def stop(self) -> None:
-        """Let the belt stand."""
+        """Stop the belt."""
         self._belt.stop()
 
     def pulse(self) -> None:
         """Let one stone fall now."""
         if self._belt.ended.is_set():
-            raise ValueError("pulse: the recording is through; simulate it with --loop")
+            raise ValueError("pulse: all stones of the recording have fallen; simulate it with --loop")
         self._belt.drop_one()
 
     def rate(self, hz: float) -> None:
@@ -224,12 +226,12 @@ class RigRequests:
         self._belt.rate_hz = hz
 
     def _of(self, of: str, *, alive: bool = True) -> list[tuple[str, SimulatedCamera]]:
-        """The cameras that are meant; refuses a killed one that should be `alive`."""
+        """Return the named cameras; raises `ValueError` if one was killed and should be `alive`."""
         chosen = [(str(name), camera) for name, camera in self._cameras.items() if of in (name, CAMERAS)]
         if not chosen:
-            raise ValueError(f"of: {of!r} is no camera: {', '.join(self._cameras)} or {CAMERAS}")
+            raise ValueError(f"of: must be one of {', '.join(self._cameras)} or {CAMERAS}, not {of!r}")
         if alive and (killed := self._killed.intersection(name for name, _ in chosen)):
-            raise ValueError(f"of: {', '.join(sorted(killed))} is killed: revive it first")
+            raise ValueError(f"of: {', '.join(sorted(killed))} was killed: revive it first")
         return chosen
 
 

@@ -1,4 +1,4 @@
-"""The sensor of a simulated camera: edges in, exposures at their time, frames out to the stream channel."""
+"""The sensor of a simulated camera: takes trigger edges, exposes at their time, sends frames to the stream channel."""
 
 import heapq
 import threading
@@ -6,9 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
-
-import numpy as np
-from numpy.typing import NDArray
 
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.counters import SensorTally
@@ -19,15 +16,16 @@ from drivers.gige_simulator.imaging import Exposure, ImageSource, Imaging
 from drivers.gige_simulator.registers import Registers
 from drivers.gige_simulator.stream import StreamChannel
 from drivers.gige_simulator.triggering import LINE_TIME_NS, Plan, TriggerInput
+from pipeline.arrays import GreyImage
 from pipeline.frames import CameraId
 
 N_WAITING = 8
-"""Exposures that may wait for the link before triggers are ignored."""
+"""How many exposures may wait for the link before triggers are ignored."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strobe:
-    """The `ExposureActive` output of a camera."""
+    """A pulse of the `ExposureActive` output of a camera."""
 
     camera: CameraId
     line: str
@@ -122,11 +120,11 @@ class Sensor:
     # --- signals ---
 
     def level(self, bank: int) -> bool:
-        """What `LineStatus` of the line in this bank says: high or low."""
+        """Return `LineStatus` of the line in a bank: whether it is high."""
         return bank in self._high
 
     def line(self, name: str, at_ns: int, *, rising: bool) -> None:
-        """Take an electrical edge; an output does not listen."""
+        """Take an electrical edge; a line that is an output ignores it."""
         bank = self._registers.features["LineSelector"].entries[name]
         if self._registers.choice("LineMode", bank) == "Output":
             return
@@ -135,11 +133,14 @@ class Sensor:
         self.edge(name, at_ns, rising=rising)
 
     def edge(self, source: str, at_ns: int, *, rising: bool | None = None, bank: int | None = None) -> None:
-        """Take a trigger signal: `rising` only for an electrical edge, `bank` for one that means this trigger."""
+        """Take a trigger signal of `source`.
+
+        `rising` is None for signals without edges (software, action); `bank` restricts a signal to one trigger.
+        """
         with self._changed:
             banks = self._trigger.banks(source, rising=rising)
             if bank is not None:
-                banks = [each for each in banks if each == bank]
+                banks = [listening for listening in banks if listening == bank]
             bounces = rising is not None and self._trigger.bounces(source, at_ns)
             if rising is False and not banks:
                 return
@@ -214,7 +215,7 @@ class Sensor:
         return self._registers.is_acquiring and run == self._run and not self._stopping.is_set()
 
     def _expose(self, plan: Plan, run: int) -> None:
-        """Expose, read out, send: as long as all of that takes."""
+        """Expose, read out and send; takes as long as a real camera does."""
         registers, faults = self._registers, self._faults
         self._n_exposures += 1
         self._strobe(plan)
@@ -250,7 +251,7 @@ class Sensor:
             rate_bytes_s=min(
                 self._link_bytes_s,
                 registers.number("DeviceLinkThroughputLimit"),
-                image.shape[1] * 1e9 / LINE_TIME_NS,  # not before it is read out
+                image.shape[1] * 1e9 / LINE_TIME_NS,  # not faster than it is read out
             ),
             gap_ns=registers.number("GevSCPD"),
             is_wanted=lambda: self._is_current(run),
@@ -258,7 +259,7 @@ class Sensor:
         if registers.choice("AcquisitionMode") == "SingleFrame":
             self.end_acquisition()
 
-    def _block(self, plan: Plan, image: NDArray[np.uint8], *, has_extended_ids: bool) -> Block:
+    def _block(self, plan: Plan, image: GreyImage, *, has_extended_ids: bool) -> Block:
         registers = self._registers
         device_ns = self._clock.device_ns(plan.exposed_ns)
         values: dict[str, int | float] = {

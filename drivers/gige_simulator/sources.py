@@ -1,30 +1,30 @@
-"""What the simulated cameras see: the stone that is before them during an exposure, else the empty rig.
+"""The images of the simulated cameras: the stone that is in view during an exposure, else the empty rig.
 
-A stone shows where the recording has it whenever the exposure is within `SIGHT_MS` of its passing: a trigger
-delay that is wrong by more sees nothing, or another stone. Brightness follows exposure time and gain, and at
-the recording's own values the pixels are the recording's.
+A stone is in view while the exposure is within `SIGHT_MS` of its passing the middle, and always appears where it was
+recorded: with a trigger delay that is wrong by more, nothing or another stone is seen. Brightness follows exposure
+time and gain; at the values of the recording the pixels are those of the recording.
 """
 
 import threading
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.gige_simulator.camera import Exposure, ImageSource
+from pipeline.arrays import GreyImage
 from pipeline.frames import CameraId, Image
 
 SIGHT_MS = 50.0
-"""From the middle of the rig, in time; 120 mm at 2.43 m/s."""
+"""How long before and after it passes the middle a stone is seen: 120 mm at 2.43 m/s."""
 KEPT_NS = 3_000_000_000
-"""For so long after it passed a stone can be seen by a camera thread that lags behind: 250 MB at four a second."""
+"""How long a stone is kept for camera threads that lag behind: 250 MB at four stones a second."""
 
 Images = Mapping[CameraId, Image]
 GREY_LEVELS = np.arange(256)
 
 
 class Scene:
-    """The inside of the rig; thread-safe."""
+    """The stones in the rig and what each camera sees of them; thread-safe."""
 
     def __init__(
         self,
@@ -43,28 +43,28 @@ class Scene:
         self._exposure_us, self._gain_db = exposure_us, gain_db  # of the recording
         self._sight_ns = round(sight_ms * 1e6)
         self._lock = threading.Lock()
-        self._passing: list[tuple[int, Images]] = []  # (when it is in the middle, what is seen)
+        self._passing: list[tuple[int, Images]] = []  # (time of passing the middle, images)
 
     def enter(self, edge_ns: int, images: Images) -> None:
-        """Something closes the beam at `edge_ns`."""
+        """Let a stone that closes the beam at `edge_ns` be seen in `images`."""
         with self._lock:
             self._passing = [item for item in self._passing if item[0] > edge_ns - KEPT_NS]
             self._passing.append((edge_ns + self._fall_ns, images))
 
     def enter_empty(self, edge_ns: int) -> None:
-        """Nothing falls, on purpose: all cameras see the same exposure of the empty rig."""
+        """Let all cameras see the same exposure of the empty rig, for a test pulse at `edge_ns`."""
         self.enter(edge_ns, self._empty[self._n_empty % len(self._empty)])
         self._n_empty += 1
 
     def source_of(self, camera: CameraId) -> ImageSource:
-        """What one camera sees."""
+        """Return the image source of one camera."""
 
-        def see(exposure: Exposure) -> NDArray[np.uint8] | None:
+        def see(exposure: Exposure) -> GreyImage | None:
             images = self._seen(exposure)
             if (image := images.get(camera)) is None:
                 return None
             if len(self._empty) == 1 and images is self._empty[0]:
-                image = _taken_anew(image, self._seed + exposure.n)
+                image = _with_one_pixel_changed(image, self._seed + exposure.n)
             return self._lit(image, exposure)
 
         return see
@@ -77,15 +77,15 @@ class Scene:
                 return self._passing[distances_ns.index(nearest_ns)][1]
         return self._empty[exposure.n % len(self._empty)]
 
-    def _lit(self, image: Image, exposure: Exposure) -> NDArray[np.uint8]:
+    def _lit(self, image: Image, exposure: Exposure) -> GreyImage:
         gain = 10 ** ((exposure.gain_db - self._gain_db) / 20)
         factor = gain * exposure.exposure_us / self._exposure_us
         levels = np.clip(np.rint(GREY_LEVELS * factor), 0, 255).astype(np.uint8)
         return image if np.array_equal(levels, GREY_LEVELS) else levels[image]
 
 
-def _taken_anew(image: Image, n: int) -> Image:
-    """The same but for a grey level of one pixel: no sensor delivers the same image twice."""
-    other = image.copy()
-    other.flat[n % other.size] ^= 1
-    return other
+def _with_one_pixel_changed(image: Image, n: int) -> Image:
+    """Return the image with one pixel changed by a grey level: no sensor delivers the same image twice."""
+    changed = image.copy()
+    changed.flat[n % changed.size] ^= 1
+    return changed

@@ -1,4 +1,4 @@
-"""The stream channel of a camera: packets onto the wire at the link's pace, the last frames kept for resends."""
+"""The stream channel of a simulated camera: sends packets at the pace of the link, keeps frames for resends."""
 
 import random
 import socket
@@ -16,22 +16,24 @@ from drivers.gige_simulator.registers import Status
 from drivers.gige_simulator.uplink import Uplink
 
 N_KEPT = 3
-"""Frames a camera keeps for resends."""
+"""How many frames a camera keeps for resends."""
 BURST_S = 0.001
-"""The sender sleeps, then sends what would have left meanwhile: the shorter, the more it costs."""
+"""The sender sleeps so long, then sends what would have left meanwhile: shorter costs more processor time."""
 _SEND_BUFFER_BYTES = 2 << 20
 
 
 @dataclass(slots=True)
 class _Kept:
+    """A frame that is kept for resends."""
+
     packets: Sequence[Packet]
-    missing: set[int] = field(default_factory=set)  # should have left and did not
-    is_sent: bool = False  # every packet had its turn
+    missing: set[int] = field(default_factory=set)  # packets that should have left and did not
+    is_sent: bool = False  # every packet was sent or dropped
     is_whole: bool = False
 
 
 class StreamChannel:
-    """One destination; frames are sent by one thread, resends by another."""
+    """Sends to one destination; thread-safe, as frames are sent by one thread and resends by another."""
 
     def __init__(
         self,
@@ -53,7 +55,7 @@ class StreamChannel:
         self._destination: tuple[str, int] | None = None
 
     def open(self, address: str) -> int:
-        """Bind to the camera's address; the port packets come from. Raises `OSError`."""
+        """Bind to the camera's address and return the port that packets are sent from; raises `OSError`."""
         stream_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         stream_socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         try:
@@ -75,7 +77,7 @@ class StreamChannel:
                 self._socket = None
 
     def connect(self, address: str, port: int) -> None:
-        """Choose where the frames go; those kept for the last receiver are gone."""
+        """Set the destination; frames kept for the last one are dropped."""
         with self._lock:
             self._destination = (address, port)
             self._kept.clear()
@@ -94,7 +96,7 @@ class StreamChannel:
         gap_ns: int,
         is_wanted: Callable[[], bool],
     ) -> None:
-        """Send a frame at `rate_bytes_s` and with `gap_ns` between packets; it takes as long as that does."""
+        """Send a frame at `rate_bytes_s` with `gap_ns` between packets; returns when it is sent or not `is_wanted`."""
         kept = _Kept(frame)
         with self._lock:
             self._kept[block_id] = kept
@@ -108,7 +110,7 @@ class StreamChannel:
             self._settle(kept)
 
     def _send_all(self, kept: _Kept, packet_s: float, is_wanted: Callable[[], bool]) -> bool:
-        """Send a packet every `packet_s`; stop and say so when the frame is no longer wanted."""
+        """Send a packet every `packet_s`; returns False, early, when the frame is no longer wanted."""
         n_burst = max(1, int(BURST_S / packet_s))
         order = _order(len(kept.packets), reorder=self._faults.reorder)
         start_s = time.monotonic()
@@ -145,7 +147,7 @@ class StreamChannel:
                 self._put(frame[packet_id], is_lost=False)
 
     def _is_plain(self) -> bool:
-        """Whether nothing can happen to a packet: most of the time, and then bursts are cheap."""
+        """Whether no fault can affect a packet: the usual case, in which bursts are cheap."""
         faults = self._faults
         return (
             not (faults.packet_loss or faults.lost_packets or faults.duplicate)
@@ -155,7 +157,7 @@ class StreamChannel:
         )
 
     def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
-        """Send packets `first` to `last` of a kept frame again, or say for each that it is gone."""
+        """Send packets `first` to `last` of a kept frame again, or for each the answer that it is unavailable."""
         with self._lock:
             kept = self._kept.get(block_id)
             n_packets = len(kept.packets) if kept else 0
@@ -179,7 +181,7 @@ class StreamChannel:
                 self._settle(kept)
 
     def send_raw(self, datagram: bytes, destination: tuple[str, int] | None = None) -> None:
-        """Send a datagram that is no packet of a frame, uncounted."""
+        """Send a datagram that is not part of a frame, uncounted."""
         with self._lock, suppress(OSError):
             target = destination or self._destination
             if self._socket is not None and target is not None and self._is_connected():
@@ -190,7 +192,7 @@ class StreamChannel:
             return replace(self.tally)
 
     def _put(self, packet: Packet, *, is_lost: bool) -> bool:
-        """Put a packet on the wire, or count it as dropped."""
+        """Send a packet, or count it as dropped; returns whether it was sent."""
         if (
             is_lost
             or self._socket is None
@@ -200,7 +202,7 @@ class StreamChannel:
         ):
             self.tally.dropped += 1
             return False
-        with suppress(OSError):  # nobody listens there any more: a real wire does not tell
+        with suppress(OSError):  # the receiver is gone, which a real wire would not report
             self._socket.sendto(packet, self._destination)
         self.tally.packets += 1
         return True

@@ -1,6 +1,6 @@
-"""Which edges expose, and when: selectors, sources, activation, debouncer, delay, over-triggering.
+"""Decide which edges expose, and when: selectors, sources, activation, debouncer, delay, over-triggering.
 
-No clock and no thread: every call says at which moment of `time.monotonic_ns` it happens.
+No clock and no thread: every call is given its time, in `time.monotonic_ns`.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from drivers.gige_simulator.registers import Registers
 
 LINE_TIME_NS = 8_000
-"""Readout of one line of the sensor: 8.2 ms for 1024 lines."""
+"""Time to read out one line of the sensor: 8.2 ms for 1024 lines."""
 
 _FRAME, _BURST = 0, 1
 _ACTIVATIONS = {True: "RisingEdge", False: "FallingEdge"}
@@ -17,16 +17,16 @@ _ACTIVATIONS = {True: "RisingEdge", False: "FallingEdge"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """An exposure to come."""
+    """A planned exposure."""
 
-    trigger_ns: int  # the edge that caused it; the start itself when free running
+    trigger_ns: int  # time of the edge that caused it; of the start itself when free running
     exposed_ns: int
     exposure_us: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Settings:
-    """What the registers say, taken out of them once a change: an edge must be quick."""
+    """The registers that an edge depends on, read once per change: edges must be processed quickly."""
 
     version: int
     modes: tuple[bool, bool]
@@ -39,7 +39,7 @@ class _Settings:
 
 
 class TriggerInput:
-    """State of the trigger inputs; not thread safe."""
+    """The state of the trigger inputs; not thread-safe."""
 
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
@@ -49,7 +49,7 @@ class TriggerInput:
         self._is_burst_started = False
 
     def reset(self) -> None:
-        """Forget the last exposure: acquisition starts."""
+        """Forget the last exposure, as at the start of an acquisition."""
         self._last_end_ns = None
         self._is_burst_started = False
 
@@ -58,7 +58,7 @@ class TriggerInput:
         return any(self._current().modes)
 
     def banks(self, source: str, *, rising: bool | None = None) -> list[int]:
-        """Return the triggers that are on and listen to this source; `rising` is None for what has no edges."""
+        """Return the triggers that are on and listen to a source; `rising` is None for a source without edges."""
         settings = self._current()
         return [
             bank
@@ -69,20 +69,20 @@ class TriggerInput:
         ]
 
     def bounces(self, line: str, at_ns: int) -> bool:
-        """Whether the debouncer of `line` swallows this edge."""
+        """Return whether the debouncer of `line` drops this edge."""
         last_ns = self._last_edge_ns.get(line)
         self._last_edge_ns[line] = at_ns
         return last_ns is not None and at_ns - last_ns < self._current().debounce_ns[line]
 
     def starts_burst(self, banks: list[int]) -> bool:
-        """Whether these triggers only let the next frame trigger pass: with both on, one burst one frame."""
+        """Return whether these triggers only enable the next frame trigger: with both on, a burst is one frame."""
         if not all(self._current().modes) or _BURST not in banks:
             return False
         self._is_burst_started = True
         return _FRAME not in banks
 
     def accept(self, banks: list[int], at_ns: int) -> Plan | None:
-        """Return what these triggers, seen at `at_ns`, expose; nothing when the camera is not ready for one."""
+        """Return the exposure that these triggers cause at `at_ns`; None when the camera is not ready for one."""
         settings = self._current()
         if all(settings.modes) and not self._is_burst_started:
             return None
@@ -92,7 +92,7 @@ class TriggerInput:
         return plan
 
     def plan(self, trigger_ns: int, exposed_ns: int) -> Plan | None:
-        """Plan an exposure; nothing while the last one is due or exposing, or its readout would be disturbed."""
+        """Plan an exposure; None while the last one is due or exposing, or its readout would be disturbed."""
         settings = self._current()
         end_ns = exposed_ns + round(settings.exposure_us * 1000)
         last_end_ns = self._last_end_ns

@@ -1,4 +1,4 @@
-"""The rig's geometry from balls that fall through it."""
+"""Geometric calibration of the rig from balls, or stones, that fall through it."""
 
 from pipeline.calibration.ball_outline import observe_ball
 from pipeline.calibration.calibration import calibrate

@@ -1,7 +1,7 @@
-"""How large the balls look: which of two sizes fell, and whether the entered diameters can be true.
+"""Apparent diameters of the balls: which of two sizes fell, and whether the entered diameters can be true.
 
-In a rig known to a degree and a few millimetres only, the apparent diameter is some percent off, by the same
-factor for all balls: ratios of sizes are ten times better than sizes.
+In a rig known only to a degree and a few millimetres, apparent diameters are wrong by some percent, but by the same
+factor for all balls: ratios of sizes are ten times as accurate as sizes.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,13 @@ from pipeline.errors import CalibrationError, Problem, ProblemCode
 from pipeline.rig.cameras import RigCalibration
 
 MAX_SCATTER = 0.03
-"""Of the apparent sizes of one ball in a rough rig; balls that differ by less cannot be told apart."""
+"""Relative scatter of one ball's apparent diameters in a rough rig; balls that differ by less cannot be told apart."""
 
 
 def apparent_diameter_mm(drop: BallDrop, rig: RigCalibration) -> float | None:
-    """Median over the views of the diameter that a ball at this place would have in `rig`.
+    """Return the ball's diameter as `rig` has it, the median over the views; `None` with fewer than two views.
 
-    The cone that touches the ball has half the angle asin(D / 2 distance). `None` from fewer than two views.
+    The tangent cone of a ball of diameter D has the half-angle asin(D / 2 distance).
     """
     center_mm = ball_center_mm(drop, rig)
     if center_mm is None:
@@ -37,10 +37,10 @@ def apparent_diameter_mm(drop: BallDrop, rig: RigCalibration) -> float | None:
 def with_diameters(
     drops: Sequence[BallDrop], rig: RigCalibration, diameters_mm: Sequence[float]
 ) -> tuple[BallDrop, ...]:
-    """The drops with the diameter of the ball that each one is, told from its apparent size.
+    """Return the drops, each with that of the entered diameters to which its apparent size belongs.
 
-    With two diameters the drops fall into two groups; that the diameters are right is not needed for this, only
-    that they differ by more than the apparent sizes scatter.
+    With two diameters the drops fall into two groups. For this the diameters need not be right, they only have to
+    differ by more than the apparent sizes scatter.
 
     Raises
     ------
@@ -73,16 +73,16 @@ def with_diameters(
 
 
 def ratio_per_edge_px(small_mm: float, large_mm: float, rig: RigCalibration) -> float:
-    """Relative change of the ratio of two balls' apparent sizes when all outlines are one pixel too far out.
+    """Return the relative change of the ratio of two balls' apparent sizes per pixel by which outlines are too large.
 
-    Both radii grow by the same, that of the smaller ball by the larger factor.
+    Both radii grow by the same amount, that of the smaller ball by the larger factor.
     """
     px_per_mm = np.mean([camera.focal_px / np.linalg.norm(camera.center_mm) for camera in rig.cameras])
     return float((2 / small_mm - 2 / large_mm) / px_per_mm)
 
 
 def either_wrong(small_mm: float, large_mm: float, relative: float) -> str:
-    """What may be true when the ratio of two entered diameters must be multiplied by `relative`."""
+    """Describe the two explanations if the ratio of two entered diameters must be multiplied by `relative`."""
     return (
         f"either the {small_mm:g} mm ball is {small_mm * relative:.2f} mm, "
         f"or the {large_mm:g} mm ball is {large_mm / relative:.2f} mm"

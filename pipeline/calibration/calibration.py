@@ -1,4 +1,4 @@
-"""From drops to a calibrated rig and the evidence for it."""
+"""Calibrate a rig from ball drops, and report the evidence for the result."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -6,8 +6,8 @@ from statistics import mode
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Matrix33, PointsMM, Values
 from pipeline.calibration import paper
 from pipeline.calibration.bundle_adjustment import Solution, Tolerances, linearized
 from pipeline.calibration.diagnosis import diagnose_after, diagnose_before
@@ -15,7 +15,7 @@ from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.gravity import fall_of, upright
 from pipeline.calibration.held_out import held_out_px, located_offsets_px, rms_by_camera
 from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource, Uncertainty
-from pipeline.calibration.robust import Adjusted, adjust
+from pipeline.calibration.robust_adjustment import Adjusted, adjust
 from pipeline.calibration.sphere_image import view_offsets_px
 from pipeline.calibration.uncertainty import (
     camera_uncertainties,
@@ -27,8 +27,6 @@ from pipeline.errors import CalibrationError, Problem, ProblemCode, RigError
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
-Array = NDArray[np.float64]
-
 
 def calibrate(
     drops: Sequence[BallDrop],
@@ -38,7 +36,7 @@ def calibrate(
     created_at: str,
     name: str,
 ) -> CalibrationReport:
-    """The rig that explains the drops; what is doubtful about it is among its problems.
+    """Calibrate the rig by one of two methods; the report's problems say what is doubtful about the result.
 
     Raises
     ------
@@ -64,7 +62,13 @@ def by_bundle_adjustment(
     name: str,
     tolerances: Tolerances | None = None,
 ) -> CalibrationReport:
-    """Joint adjustment of all cameras and balls, undiagnosed."""
+    """Adjust all cameras and balls together; the report has no problems yet.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than three drops agree with one another.
+    """
     tolerances = tolerances or Tolerances()
     adjusted = adjust(drops, initial, tolerances)
     solution, sightings = adjusted.solution, adjusted.sightings
@@ -83,7 +87,7 @@ def by_bundle_adjustment(
     diameters_mm = [drop.diameter_mm for drop in adjusted.drops if drop.diameter_mm is not None]
     fall = fall_of(solution.centers_mm, [drop.fall_ns for drop in adjusted.drops])
     R = np.eye(3) if fall is None else upright(fall).as_matrix()
-    cameras = tuple(_turned(camera, R, after_px.get(camera.id)) for camera in solution.cameras)
+    cameras = tuple(_rotated(camera, R, after_px.get(camera.id)) for camera in solution.cameras)
     return CalibrationReport(
         rig=RigCalibration(
             name=name,
@@ -116,7 +120,7 @@ def by_bundle_adjustment(
 def by_paper(
     drops: Sequence[BallDrop], initial: RigCalibration, *, created_at: str, name: str
 ) -> CalibrationReport:
-    """The paper's Algorithm 1, undiagnosed.
+    """Calibrate by the paper's Algorithm 1; the report has no problems yet.
 
     Raises
     ------
@@ -127,12 +131,12 @@ def by_paper(
     problems = [
         Problem(
             code=ProblemCode.CAMERA_SAW_TOO_FEW,
-            detail=f"camera {camera} saw {n} drops whole, the paper's method needs {paper.LEAST_DROPS}: "
+            detail=f"camera {camera} saw {n} drops whole, the paper's method needs {paper.MIN_DROPS}: "
             "drop more balls",
             camera=camera,
         )
         for camera in initial.camera_ids
-        if (n := sum(camera in drop.views for drop in used)) < paper.LEAST_DROPS
+        if (n := sum(camera in drop.views for drop in used)) < paper.MIN_DROPS
     ]
     if problems:
         raise CalibrationError(problems)
@@ -153,7 +157,9 @@ def by_paper(
                 ]
             ) from err
     after_px = paper.residuals_px(used, points_mm, cameras)
-    now, then = (np.array([camera.center_mm for camera in those]) for those in (cameras, initial.cameras))
+    centers_mm, initial_mm = (
+        np.array([camera.center_mm for camera in rig_cameras]) for rig_cameras in (cameras, initial.cameras)
+    )
     diameters_mm = [drop.diameter_mm for drop in used if drop.diameter_mm is not None]
     return CalibrationReport(
         rig=RigCalibration(
@@ -175,8 +181,8 @@ def by_paper(
         scale=ScaleSource.NOT_OBSERVABLE,
         edge_offset_px=None,
         ball_centers_mm=_named(used, points_mm),
-        distance_factor=_spread(np.linalg.norm(now, axis=1) / np.linalg.norm(then, axis=1)),
-        focal_factor=_spread(
+        distance_factor=_mean(np.linalg.norm(centers_mm, axis=1) / np.linalg.norm(initial_mm, axis=1)),
+        focal_factor=_mean(
             np.array([new.focal_px / old.focal_px for new, old in zip(cameras, initial.cameras, strict=True)])
         ),
         fall=None,
@@ -184,18 +190,18 @@ def by_paper(
     )
 
 
-def _turned(camera: CameraCalibration, R: Array, rms_px: float | None) -> CameraCalibration:
-    """The camera in the world turned by R."""
+def _rotated(camera: CameraCalibration, R: Matrix33, rms_px: float | None) -> CameraCalibration:
+    """Return the camera in the world frame rotated by R."""
     return replace(camera, R=camera.R @ R.T, rms_px=rms_px)
 
 
 def _all_left_out(drops: Sequence[BallDrop], adjusted: Adjusted) -> Mapping[str, Mapping[CameraId, str]]:
-    """What was refused in the images and what contradicted the solution."""
+    """Return the views refused in the images together with those that contradict the solution, with the reasons."""
     both = {drop.name: {**drop.refused, **adjusted.views_left_out.get(drop.name, {})} for drop in drops}
     return {name: views for name, views in both.items() if views}
 
 
-def _named(drops: Sequence[BallDrop], centers_mm: Array) -> dict[str, tuple[float, float, float]]:
+def _named(drops: Sequence[BallDrop], centers_mm: PointsMM) -> dict[str, tuple[float, float, float]]:
     return {
         drop.name: (float(x), float(y), float(z)) for drop, (x, y, z) in zip(drops, centers_mm, strict=True)
     }
@@ -205,6 +211,6 @@ def _names(drops: Sequence[BallDrop]) -> set[str]:
     return {drop.name for drop in drops}
 
 
-def _spread(factors: Array) -> Estimate:
-    """Of cameras that were solved one by one."""
+def _mean(factors: Values) -> Estimate:
+    """Return the mean over cameras that were solved one by one, with its standard error."""
     return Estimate(value=float(factors.mean()), sd=float(factors.std(ddof=1) / np.sqrt(len(factors))))

@@ -1,45 +1,46 @@
-"""Which camera took which images: cameras exchanged in the rig file or at their plugs.
+"""Find cameras that are exchanged in the rig file or at their plugs.
 
-A camera that stands a degree from its place sees every ball shifted by the same hundred pixels; the *pattern*
-that the balls form around their mean stays within a few pixels of what its place in the design predicts. From
-another place the same balls form another pattern. So each camera's image offset is left free and images are
-assigned to the places whose patterns they fit.
+A camera that is a degree off its pose sees every ball shifted by the same hundred pixels; the *pattern* that the
+balls form around their mean stays within a few pixels of the prediction for its place in the design. From another
+place the same balls form another pattern. So each camera's image offset is left free, and images are assigned to
+the places whose patterns they fit best.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # what is used of it is imported then
-from numpy.typing import NDArray
+import scipy  # imports its submodules on use
 
+from pipeline.arrays import Floats, PointsMM
 from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
-Array = NDArray[np.float64]
-
 N_REWEIGHTINGS = 20
 N_ASSIGNMENTS = 4
+"""Largest number of rounds of assigning images to places."""
 MIN_MISFIT_PX = 1.0
-"""Below it a view is no better than another: weights stay finite."""
+"""Floor of the misfits in the weights, which stay finite."""
 MIN_DROPS = 3
-"""Two points fit many places."""
+"""Least number of balls in a pattern; two points fit many places."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraOrder:
-    """Whose place the images of each camera show; misfits are medians over the balls of a pattern."""
+    """The place in the rig that each camera's images show; misfits are medians over the balls of a pattern."""
 
-    place_of: Mapping[CameraId, CameraId]  # images of -> place in the rig
-    own_misfit_px: Mapping[CameraId, float]  # to the place that the rig file says
-    misfit_px: Mapping[CameraId, float]  # to `place_of`
+    place_of: Mapping[
+        CameraId, CameraId
+    ]  # camera that took the images -> camera of the rig file at that place
+    own_misfit_px: Mapping[CameraId, float]  # of its images at the place that the rig file gives it
+    misfit_px: Mapping[CameraId, float]  # of its images at `place_of`
 
 
 def camera_order(drops: Sequence[BallDrop], rig: RigCalibration) -> CameraOrder | None:
-    """The assignment of images to places that fits best; `None` when too few drops show a pattern.
+    """Return the best assignment of images to places; `None` if too few drops show a pattern.
 
-    The rig need not be accurate: poses a few degrees off do not matter.
+    The rig need not be accurate: errors of a few degrees do not matter.
     """
     patterns_uv = np.full((len(rig.cameras), len(drops), 2), np.nan)
     for i, camera in enumerate(rig.cameras):
@@ -67,17 +68,18 @@ def camera_order(drops: Sequence[BallDrop], rig: RigCalibration) -> CameraOrder 
     )
 
 
-def _px_per_mm(camera: CameraCalibration) -> Array:
-    """Image of a small step at the origin, (2, 3)."""
+def _px_per_mm(camera: CameraCalibration) -> Floats:
+    """Return the derivative (2, 3) of the image point by the world point, at the origin."""
     steps_mm = np.concatenate([np.eye(3), -np.eye(3)])
     pixels_uv, _ = camera.project(steps_mm)
     return np.asarray((pixels_uv[:3] - pixels_uv[3:]).T / 2)
 
 
-def _ball_offsets_mm(patterns_uv: Array, scales: Array) -> Array:
-    """Where the balls are (N, 3), but for a common shift, from patterns (C, N, 2) seen under scales (C, 2, 3).
+def _ball_offsets_mm(patterns_uv: Floats, scales: Floats) -> PointsMM:
+    """Return the balls' places (N, 3), up to a common shift, from patterns (C, N, 2) seen under scales (C, 2, 3).
 
-    Least sum of distances, not of their squares: a few cameras or views that show something else do not matter.
+    The sum of distances is minimised, not of their squares: a few cameras or views that show something else do not
+    matter.
     """
     n_cameras, n_drops = patterns_uv.shape[:2]
     cameras, drops = np.nonzero(np.isfinite(patterns_uv[..., 0]))
@@ -98,8 +100,8 @@ def _ball_offsets_mm(patterns_uv: Array, scales: Array) -> Array:
     return np.asarray(solution[: 3 * n_drops].reshape(-1, 3))
 
 
-def _misfits_px(patterns_uv: Array, scales: Array, offsets_mm: Array) -> Array:
-    """Median difference (C, C) of the pattern that a camera saw (row) from that of a place (column)."""
+def _misfits_px(patterns_uv: Floats, scales: Floats, offsets_mm: PointsMM) -> Floats:
+    """Return the median distance (C, C) between the pattern of a camera (row) and that of a place (column)."""
     predicted_uv = np.einsum("pij,nj->pni", scales, offsets_mm)
     difference_uv = patterns_uv[:, None] - predicted_uv[None]
     difference_uv -= np.nanmedian(difference_uv, axis=2, keepdims=True)

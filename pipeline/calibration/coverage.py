@@ -1,51 +1,52 @@
-"""How well ball drops fill the measuring volume and the images: what a calibration can know, it has seen."""
+"""How well ball drops fill the measuring volume and the images, and what to drop next."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import PointsMM, Vector
 from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
 from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
-Array = NDArray[np.float64]
-
 CELL_PX = 32
-"""Edge of the cells in which the share of an image that showed a ball is counted."""
+"""Edge of the image cells by which the share of an image that showed a ball is counted."""
 DIRECTIONS = {"+x": (0, 1), "-x": (0, -1), "+y": (1, 1), "-y": (1, -1), "+z": (2, 1), "-z": (2, -1)}
+"""Axis and sign of the six directions of the world frame, by name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoverageGoals:
-    """What is sufficient; chosen so that eight balls dropped at random within 9 mm mostly are."""
+    """Sufficient coverage; eight balls dropped at random within 9 mm mostly reach it."""
 
-    n_drops: int = 8  # the paper's number; from there on twice the drops only help by the root of two
-    n_drops_per_camera: int = 5  # three fix the pose, the others check it
-    reach_mm: float = (
-        4.0  # in each direction: half of a stone of 8 mm, so that no length is extrapolated twofold
+    n_drops: int = (
+        8  # the paper's number; beyond it, twice the drops reduce the error by the root of two only
     )
+    n_drops_per_camera: int = 5  # three determine the pose, two more check it
+    reach_mm: float = 4.0
+    """Of the ball centres in each of the six directions: half a stone of 8 mm; lengths are extrapolated less than
+    twofold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCoverage:
-    """What one camera saw of the drops."""
+    """Coverage of one camera's image."""
 
-    n_drops: int
-    field_share: float  # of the image that showed a ball in some drop, 0..1
+    n_drops: int  # that it saw whole
+    field_share: float  # share of the image that showed a ball in some drop, 0..1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How the drops fill the volume and the images; world frame."""
+    """Coverage of the measuring volume, in the world frame, and of the images."""
 
-    n_drops: int  # located: seen by two cameras or more
-    extent_mm: tuple[float, float, float]  # from the least to the greatest ball centre along x, y, z
-    spread_mm: tuple[float, float, float]  # sd of the centres along their principal axes, greatest first
+    n_drops: int  # seen by at least two cameras
+    extent_mm: tuple[float, float, float]  # range of the ball centres along x, y, z
+    spread_mm: tuple[float, float, float]  # standard deviations along the principal axes, greatest first
     cameras: Mapping[CameraId, CameraCoverage]
-    missing: str | None  # in words, what to drop next
+    missing: str | None  # what to drop next, in words; `None`: the coverage is sufficient
 
     @property
     def is_sufficient(self) -> bool:
@@ -53,7 +54,7 @@ class Coverage:
 
 
 def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoals | None = None) -> Coverage:
-    """How well these drops fill the measuring volume of `rig`, be it only roughly calibrated."""
+    """Return how well these drops fill the measuring volume of `rig`, which may be roughly calibrated."""
     goals = goals or CoverageGoals()
     located = [center for drop in drops if (center := ball_center_mm(drop, rig)) is not None]
     centers_mm = np.array(located).reshape(-1, 3)
@@ -67,8 +68,8 @@ def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoal
     )
 
 
-def ball_center_mm(drop: BallDrop, rig: RigCalibration) -> Array | None:
-    """The point (3,) nearest to all viewing rays through the ball's centre; `None` from fewer than two views."""
+def ball_center_mm(drop: BallDrop, rig: RigCalibration) -> Vector | None:
+    """Return the point nearest to all viewing rays through the ball's centre; `None` with fewer than two views."""
     seen = [camera for camera in rig.cameras if camera.id in drop.views]
     if len(seen) < 2:
         return None
@@ -89,8 +90,8 @@ def _camera_coverage(drops: Sequence[BallDrop], camera: CameraCalibration) -> Ca
     return CameraCoverage(n_drops=len(views), field_share=float(is_seen.mean()))
 
 
-def _principal_sd_mm(centers_mm: Array) -> Array:
-    """Standard deviations (3,) of points (N, 3) along their principal axes, greatest first."""
+def _principal_sd_mm(centers_mm: PointsMM) -> Vector:
+    """Return the standard deviations of points along their principal axes, greatest first."""
     if len(centers_mm) < 2:
         return np.zeros(3)
     variances = np.linalg.eigvalsh(np.cov(centers_mm, rowvar=False))
@@ -98,9 +99,9 @@ def _principal_sd_mm(centers_mm: Array) -> Array:
 
 
 def _missing(
-    centers_mm: Array, cameras: Mapping[CameraId, CameraCoverage], goals: CoverageGoals
+    centers_mm: PointsMM, cameras: Mapping[CameraId, CameraCoverage], goals: CoverageGoals
 ) -> str | None:
-    """What to drop next, the most wanting first; `None` when the goals are reached."""
+    """Return in words what to drop next, the most important first; `None` if the goals are reached."""
     wanted = []
     if len(centers_mm) < goals.n_drops:
         wanted.append(f"{goals.n_drops - len(centers_mm)} more drops")
@@ -111,9 +112,9 @@ def _missing(
     if short:
         wanted.append(f"drops further than {goals.reach_mm:g} mm towards {', '.join(short)}")
     blind = [
-        f"{camera} ({each.n_drops})"
-        for camera, each in cameras.items()
-        if each.n_drops < min(goals.n_drops_per_camera, len(centers_mm))
+        f"{camera} ({seen.n_drops})"
+        for camera, seen in cameras.items()
+        if seen.n_drops < min(goals.n_drops_per_camera, len(centers_mm))
     ]
     if blind:
         wanted.append(
@@ -122,6 +123,6 @@ def _missing(
     return "; ".join(wanted) or None
 
 
-def _triple(values: Array) -> tuple[float, float, float]:
+def _triple(values: Vector) -> tuple[float, float, float]:
     x, y, z = values
     return float(x), float(y), float(z)

@@ -1,8 +1,7 @@
-"""What may be wrong with a calibration, before it is solved and after: each finding with the remedy.
+"""Problems of a calibration, found before it is solved and after, each with the remedy.
 
-A low residual is no evidence of accuracy: balls of a wrong diameter, or too few of them in a thin column, are
-reproduced perfectly by a wrong rig. So the drops are judged first, then the solution against what is known of the
-rig's design.
+A low residual is no evidence of accuracy: a wrong rig reproduces balls of a wrong diameter, or a few of them in a
+thin column, perfectly. So the drops are judged first, then the solution against the rig's known design.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,14 +17,14 @@ from pipeline.rig.cameras import RigCalibration
 def diagnose_before(
     drops: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits | None = None
 ) -> tuple[Problem, ...]:
-    """What the drops alone show, in the light of the initial rig."""
+    """Return the problems of the drops, judged with the initial rig."""
     limits = limits or AcceptanceLimits()
     usable = [drop for drop in drops if len(drop.views) >= limits.min_views]
     if len(usable) < limits.min_drops:
-        return (drop_checks.too_few(usable, drops, limits),)
+        return (drop_checks.too_few_drops(usable, drops, limits),)
     order = tuple(drop_checks.order_problems(usable, initial, limits))
     if order:
-        return order  # everything else would be judged in the wrong images
+        return order  # every other check would look at the wrong images
     return (
         *drop_checks.number_problems(usable, initial, limits),
         *drop_checks.size_problems(usable, initial, limits),
@@ -36,10 +35,13 @@ def diagnose_before(
 def diagnose_after(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits | None = None
 ) -> tuple[Problem, ...]:
-    """What the solution shows. The paper's method is judged mildly: its residuals are what it is compared by."""
+    """Return the problems of a solution.
+
+    Large residuals do not make a result of the paper's method fatal: that method is kept to compare residuals with.
+    """
     limits = limits or AcceptanceLimits()
     if causes := tuple(_causes(report, drops, limits)):
-        return causes  # large residuals would only be their consequence
+        return causes  # large residuals would only be a consequence
     return (
         *solution_checks.scale_problems(report, drops, limits),
         *solution_checks.left_out_problems(report, drops, limits),

@@ -1,4 +1,4 @@
-"""What the drops alone show: enough of them, spread out, of the right cameras, of sizes that can be true."""
+"""Checks of the drops before anything is solved: number, spread, camera order, sizes of the balls."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,8 @@ from pipeline.errors import Problem, ProblemCode
 from pipeline.rig.cameras import RigCalibration
 
 
-def too_few(usable: Sequence[BallDrop], drops: Sequence[BallDrop], limits: AcceptanceLimits) -> Problem:
+def too_few_drops(usable: Sequence[BallDrop], drops: Sequence[BallDrop], limits: AcceptanceLimits) -> Problem:
+    """Return the problem that fewer drops than needed are usable."""
     reasons = Counter(reason for drop in drops for reason in drop.refused.values())
     why = "".join(f"; views were refused as {reason} ({n})" for reason, n in reasons.most_common(2))
     return Problem(
@@ -26,6 +27,7 @@ def too_few(usable: Sequence[BallDrop], drops: Sequence[BallDrop], limits: Accep
 def number_problems(
     usable: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits
 ) -> Iterator[Problem]:
+    """Yield problems of few drops, in all or in one camera."""
     if len(usable) < limits.good_drops:
         yield Problem(
             code=ProblemCode.FEW_DROPS,
@@ -50,6 +52,7 @@ def number_problems(
 def order_problems(
     usable: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits
 ) -> Iterator[Problem]:
+    """Yield cameras whose images show another camera's place, or none."""
     order = camera_order(usable, initial)
     if order is None:
         return
@@ -92,6 +95,7 @@ def order_problems(
 def size_problems(
     usable: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits
 ) -> Iterator[Problem]:
+    """Yield problems of apparent sizes that differ among drops of one ball, or from the entered diameters."""
     groups: dict[float, dict[str, float]] = {}
     for drop in usable:
         size_mm = apparent_diameter_mm(drop, initial)
@@ -130,10 +134,11 @@ def size_problems(
 def column_problems(
     usable: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits
 ) -> Iterator[Problem]:
+    """Yield the problem that the drops fill a thin column only."""
     seen = coverage(usable, initial)
     width_mm = seen.spread_mm[1]
     if width_mm < limits.good_column_mm:
-        extent = " x ".join(f"{each:.0f}" for each in seen.extent_mm)
+        extent = " x ".join(f"{mm:.0f}" for mm in seen.extent_mm)
         yield Problem(
             code=ProblemCode.THIN_COLUMN,
             detail=f"the drops fill only {extent} mm (x, y, z; {width_mm:.1f} mm standard deviation across, "

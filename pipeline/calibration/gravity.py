@@ -1,63 +1,63 @@
-"""The direction in which balls fall, from exposures at different times after the light gate.
+"""Direction of gravity, from balls exposed at different times after the light gate.
 
-A ball that is exposed later is further down. Over the few milliseconds that the cameras' image allows, the fall is
-straight and nearly uniform: p = p0 + d (v t + g t^2 / 2), and the places of the drops regress on their times.
-Where balls were let go differs from drop to drop, so the direction is taken only when it is sharply determined.
+A ball that is exposed later is further down. Over the few milliseconds while it is in the image, the fall is
+straight and nearly uniform: p = p0 + d (v t + g t^2 / 2), a regression of the drops' places on their times.
+Since balls are released at different places, the direction is used only if it is sharply determined.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline.arrays import PointsMM, Values, Vector
 from pipeline.calibration.report import Fall
 from pipeline.fall import GRAVITY_MM_S2
 
-Array = NDArray[np.float64]
-
-LEAST_SPAN_NS = 500_000
-"""Exposures that differ by less are one, with jitter."""
-GREATEST_SPAN_NS = 40_000_000
-"""Further from the median than this, the clocks were set in between: a ball is in the image for 20 ms."""
+MIN_SPAN_NS = 500_000
+"""Least range of the times; a smaller one is the jitter of one delay."""
+MAX_SPAN_NS = 40_000_000
+"""Largest deviation from the median time. A ball is in the image for 20 ms: beyond, a clock was set between drops."""
 SPEED_MM_S = (500.0, 5000.0)
-GREATEST_SD_DEG = 0.3
+"""Plausible range of the speed of fall."""
+MAX_SD_DEG = 0.3
+"""Largest standard deviation of a direction that is used."""
 N_REWEIGHTINGS = 20
-LEAST_DROPS = 4
+MIN_DROPS = 4
 
 
-def fall_of(centers_mm: Array, fall_ns: Sequence[int | None]) -> Fall | None:
-    """The fall that places (D, 3) at these times show; `None` when they do not show it to 0.3 degrees."""
+def fall_of(centers_mm: PointsMM, fall_ns: Sequence[int | None]) -> Fall | None:
+    """Return the fall that D places at these times show, or `None` if it is not determined to 0.3 degrees."""
     is_timed = np.array([time is not None for time in fall_ns])
     times_ns = np.array([time for time in fall_ns if time is not None], dtype=np.int64)
-    if len(times_ns) < LEAST_DROPS:
+    if len(times_ns) < MIN_DROPS:
         return None
     relative_ns = times_ns - np.sort(times_ns)[len(times_ns) // 2]
-    is_near = np.abs(relative_ns) < GREATEST_SPAN_NS
+    is_near = np.abs(relative_ns) < MAX_SPAN_NS
     time_s, places_mm = relative_ns[is_near] * 1e-9, centers_mm[is_timed][is_near]
-    if len(time_s) < LEAST_DROPS or np.ptp(time_s) < LEAST_SPAN_NS * 1e-9:
+    if len(time_s) < MIN_DROPS or np.ptp(time_s) < MIN_SPAN_NS * 1e-9:
         return None
     velocity, sd = _regressed(time_s, places_mm)
     speed_mm_s = float(np.linalg.norm(velocity))
     if not SPEED_MM_S[0] < speed_mm_s < SPEED_MM_S[1]:
         return None
     sd_deg = float(np.rad2deg(sd / speed_mm_s))
-    if sd_deg > GREATEST_SD_DEG:
+    if sd_deg > MAX_SD_DEG:
         return None
     x, y, z = (float(value) for value in velocity / speed_mm_s)
     return Fall(direction=(x, y, z), speed_mm_s=speed_mm_s, sd_deg=sd_deg)
 
 
 def upright(fall: Fall) -> Rotation:
-    """The smallest turn of the world after which the fall is along -z."""
+    """Return the smallest rotation of the world after which the fall is along -z."""
     down = np.array([0.0, 0.0, -1.0])
     axis = np.cross(fall.direction, down)
     sine, cosine = float(np.linalg.norm(axis)), float(down @ fall.direction)
     return Rotation.from_rotvec(axis / sine * np.arctan2(sine, cosine) if sine > 0 else np.zeros(3))
 
 
-def _regressed(time_s: Array, places_mm: Array) -> tuple[Array, float]:
-    """Velocity (3,) in mm/s at time 0, and the sd of each of its components; least sum of distances."""
+def _regressed(time_s: Values, places_mm: PointsMM) -> tuple[Vector, float]:
+    """Return the velocity in mm/s at time 0 and the standard deviation of its components; robust regression."""
     velocity, weights = np.array([0.0, 0.0, -2426.0]), np.ones(len(time_s))
     for _ in range(N_REWEIGHTINGS):
         # free fall: v t + g t^2 / 2 along the direction of v

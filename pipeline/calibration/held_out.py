@@ -1,15 +1,15 @@
-"""Balls against a rig: where each view shows a ball's centre, beside where all views together have it.
+"""Reprojection errors of balls, of drops in the fit and of drops held out of it.
 
-The *offset* of a view is that of the axis of the cone of viewing rays that touch the ball from the projection of the
-ball's centre, which is fitted to all views of the same drop with the cameras held: the reprojection error of a ball.
+The reprojection error of a ball in a view is the offset between the axis of the cone of viewing rays that touch it
+and the projection of its centre, which is fitted to all views of the same drop with the cameras fixed.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, PointsUV
 from pipeline.calibration.bundle_adjustment import (
     Noise,
     Solution,
@@ -18,20 +18,20 @@ from pipeline.calibration.bundle_adjustment import (
     solve,
     triangulated,
 )
-from pipeline.calibration.robust import Adjusted
+from pipeline.calibration.robust_adjustment import Adjusted
 from pipeline.calibration.sphere_image import Sightings, view_offsets_px
 from pipeline.frames import CameraId
 
-Array = NDArray[np.float64]
-
 QUADRATIC = Noise(point_px=1e-3, wide_px=1e6)
-"""Every view counts, and only the balls are free: the scale of the noise does not matter."""
+"""Least squares without outliers; with the cameras fixed, the scale of the noise does not matter."""
 N_FOLDS = 4
-LEAST_FOLD_DROPS = 4
+"""Number of parts of which each is held out once."""
+MIN_FOLD_DROPS = 4
+"""Least number of drops to calibrate with."""
 
 
-def located_offsets_px(solution: Solution, sightings: Sightings) -> Array:
-    """Offsets (V, 2) px, in each view, of balls that are located with the cameras of `solution` held."""
+def located_offsets_px(solution: Solution, sightings: Sightings) -> PointsUV:
+    """Return the reprojection errors (V, 2) of balls that are located with the cameras of `solution` fixed."""
     n_drops = int(sightings.drop.max()) + 1
     start = replace(solution, centers_mm=triangulated(solution.cameras, sightings, n_drops))
     found = solve(start, sightings, noise=QUADRATIC, tolerances=Tolerances(), free_cameras=False)
@@ -39,12 +39,12 @@ def located_offsets_px(solution: Solution, sightings: Sightings) -> Array:
 
 
 def held_out_px(adjusted: Adjusted, tolerances: Tolerances) -> float | None:
-    """Rms distance of ball centres from where a rig has them that was calibrated without these drops."""
+    """Return the rms reprojection error of drops with a rig calibrated without them; `None` with too few drops."""
     drops, solution = np.arange(len(adjusted.drops)), adjusted.solution
     n_folds = min(N_FOLDS, len(drops))
-    if n_folds == 0 or len(drops) - int(np.ceil(len(drops) / n_folds)) < LEAST_FOLD_DROPS:
+    if n_folds == 0 or len(drops) - int(np.ceil(len(drops) / n_folds)) < MIN_FOLD_DROPS:
         return None
-    squares: list[Array] = []
+    squares: list[Floats] = []
     for k in range(n_folds):
         is_held = drops % n_folds == k
         fitted = solve(
@@ -61,9 +61,9 @@ def held_out_px(adjusted: Adjusted, tolerances: Tolerances) -> float | None:
 
 
 def rms_by_camera(
-    sightings: Sightings, offsets_px: Array, camera_ids: Sequence[CameraId]
+    sightings: Sightings, offsets_px: PointsUV, camera_ids: Sequence[CameraId]
 ) -> Mapping[CameraId, float]:
-    """Rms distance in px of the offsets (V, 2) of each camera that has any."""
+    """Return for each camera that has any the rms length of its offsets (V, 2), px."""
     squares = (offsets_px**2).sum(axis=1)
     return {
         camera: float(np.sqrt(squares[sightings.camera == index].mean()))

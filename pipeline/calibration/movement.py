@@ -1,43 +1,41 @@
-"""Which camera does not stand where the initial rig has it, and which one moved while the balls fell."""
+"""Find cameras that are not where the initial rig has them, and cameras that moved between the drops."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import PointsUV, Vector, Vector2
 from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
-Array = NDArray[np.float64]
-
 HALF_VOLUME_MM = 8.0
-"""Points that far from the origin along each axis stand for the measuring volume."""
+"""Half the edge of the cube of points that stands for the measuring volume."""
 SMALL_MM = 0.01
 """Step of the numerical derivatives."""
 N_REWEIGHTINGS = 30
-LEAST_SHIFT_PX = 0.02
-"""Below it a camera is no better than another: weights stay finite."""
+MIN_SHIFT_PX = 0.02
+"""Floor of the shifts in the weights, which stay finite."""
 MIN_SIDE = 2
-"""Fewer drops before or after say nothing about a step."""
+"""Least number of drops before and after a step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A camera's images shifted between two drops and stayed so."""
+    """A lasting shift of a camera's images between two drops."""
 
-    after: str  # name of the last drop before
+    after: str  # name of the last drop before it
     shift_px: float
     significance: float  # the shift in standard deviations of itself
 
 
 def image_changes_px(rig: RigCalibration, initial: RigCalibration) -> Mapping[CameraId, float]:
-    """Rms difference between the images of the measuring volume in two rigs, for each camera.
+    """Return for each camera the rms difference between its images of the measuring volume in two rigs.
 
-    A camera's turn, place, focal length and principal point trade against one another; what they do to the image
-    does not. Nor does it matter where the rig as a whole is, and how large: the similarity that explains the shifts
-    of most cameras (least sum of their rms) is taken out.
+    Rotation, place, focal length and principal point of a camera compensate one another, their effect on the image is
+    unique. Place and size of the rig as a whole do not count: the similarity that explains the shifts of most cameras
+    (least sum of their rms) is subtracted.
     """
     axis_mm = np.array([-HALF_VOLUME_MM, 0.0, HALF_VOLUME_MM])
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)
@@ -57,7 +55,7 @@ def image_changes_px(rig: RigCalibration, initial: RigCalibration) -> Mapping[Ca
             (motions_uv * root[..., None]).reshape(-1, len(moved_mm)), (shifts_uv * root).ravel(), rcond=None
         )
         own_px = np.sqrt(((shifts_uv - motions_uv @ common) ** 2).sum(axis=2).mean(axis=1))
-        weights = 1 / np.maximum(own_px, LEAST_SHIFT_PX)
+        weights = 1 / np.maximum(own_px, MIN_SHIFT_PX)
     return {camera.id: float(own_px[index]) for index, camera in enumerate(rig.cameras)}
 
 
@@ -66,7 +64,7 @@ def steps(
     rig: RigCalibration,
     ball_centers_mm: Mapping[str, tuple[float, float, float]],
 ) -> Mapping[CameraId, Step]:
-    """For each camera the most significant step of its residuals, the drops taken in order of time."""
+    """Return for each camera the most significant step of its residuals over the drops, which are in order of time."""
     found = {}
     for camera in rig.cameras:
         names, residuals_uv = [], []
@@ -75,16 +73,16 @@ def steps(
                 names.append(drop.name)
                 center_mm = np.array(ball_centers_mm[drop.name])
                 residuals_uv.append(_residual_uv(camera, drop.views[camera.id].outline_uv, center_mm))
-        if (step := _greatest_step(names, np.array(residuals_uv))) is not None:
+        if (step := _most_significant_step(names, np.array(residuals_uv))) is not None:
             found[camera.id] = step
     return found
 
 
-def _residual_uv(camera: CameraCalibration, outline_uv: Array, ball_mm: Array) -> Array:
-    """Seen minus predicted image (2,) of a ball's centre.
+def _residual_uv(camera: CameraCalibration, outline_uv: PointsUV, ball_mm: Vector) -> Vector2:
+    """Return the observed minus the predicted image of a ball's centre.
 
-    Seen is the axis of the cone of viewing rays that touch the ball: their unit vectors lie in a plane, its normal
-    is the axis.
+    Observed is the axis of the cone of viewing rays that touch the ball: the ends of their unit vectors lie in a
+    plane, whose normal is the axis.
     """
     normal, *_ = np.linalg.lstsq(camera.rays(outline_uv), np.ones(len(outline_uv)), rcond=None)
     seen_uv, _ = camera.project((camera.center_mm + normal / np.linalg.norm(normal))[None])
@@ -92,7 +90,7 @@ def _residual_uv(camera: CameraCalibration, outline_uv: Array, ball_mm: Array) -
     return np.asarray(seen_uv[0] - predicted_uv[0])
 
 
-def _greatest_step(names: Sequence[str], residuals_uv: Array) -> Step | None:
+def _most_significant_step(names: Sequence[str], residuals_uv: PointsUV) -> Step | None:
     n_drops = len(names)
     best: Step | None = None
     for n_before in range(MIN_SIDE, n_drops - MIN_SIDE + 1):

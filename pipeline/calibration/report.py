@@ -1,4 +1,4 @@
-"""What a calibration found, and how far it can be trusted."""
+"""Result of a calibration, with the evidence of how far it can be trusted."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -28,7 +28,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraUncertainty:
-    """Standard deviations of one camera's parameters in the rig's own frame, the largest of their components."""
+    """Standard deviations of one camera's parameters in the rig's own frame; of vectors the largest component."""
 
     rotation_deg: float
     center_mm: float
@@ -39,18 +39,18 @@ class CameraUncertainty:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uncertainty:
-    """Predicted from the normal equations at the solution."""
+    """Uncertainty predicted from the normal equations at the solution."""
 
     cameras: Mapping[CameraId, CameraUncertainty]
-    length_sd_percent: float  # of a length in the measuring volume; the tolerance of the ball is part of it
-    observation_px: float  # sd of a ball's centre in one view, as the residuals show it
+    length_sd_percent: float  # of a length in the measuring volume, including the tolerance of the ball
+    observation_px: float  # standard deviation of a ball's centre in one view, from the residuals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fall:
-    """Direction in which the balls fall, in the frame of the initial rig."""
+    """Direction and speed of the balls' fall, in the frame of the initial rig."""
 
-    direction: tuple[float, float, float]  # unit
+    direction: tuple[float, float, float]  # unit vector
     speed_mm_s: float
     sd_deg: float
 
@@ -59,8 +59,8 @@ class Fall:
 class CalibrationReport:
     """A calibrated rig with the evidence for it.
 
-    A *residual* is the distance in px, in the image, between the centre of a ball as its outline shows it (the
-    axis of the cone of viewing rays that touch it) and the projection of its fitted place; rms over the drops.
+    A *residual* is the rms over the drops of the reprojection error in px: the distance between the centre of a ball as
+    its outline shows it (the axis of the cone of viewing rays that touch it) and the projection of its fitted centre.
     """
 
     rig: RigCalibration
@@ -70,14 +70,14 @@ class CalibrationReport:
     views_left_out: Mapping[str, Mapping[CameraId, str]]  # of the drops, with the reason
     residuals_before_px: Mapping[CameraId, float]
     residuals_after_px: Mapping[CameraId, float]
-    held_out_px: float | None  # rms residual of drops that were not used in the fit
+    held_out_px: float | None  # residual of drops that were held out of the fit
     scale: ScaleSource
-    edge_offset_px: float | None  # how much too large outlines are; known from balls of two sizes only
+    edge_offset_px: float | None  # by how much outlines are too large; found with balls of two sizes only
     ball_centers_mm: Mapping[str, tuple[float, float, float]]
-    distance_factor: Estimate  # of all cameras' distances from the origin against the initial rig
-    focal_factor: Estimate  # of all focal lengths
-    fall: Fall | None  # `None`: the drops do not show it, the vertical is the initial rig's
-    uncertainty: Uncertainty | None  # the paper's method has none
+    distance_factor: Estimate  # mean ratio of the cameras' distances from the origin to the initial ones
+    focal_factor: Estimate  # mean ratio of the focal lengths to the initial ones
+    fall: Fall | None  # `None`: the drops do not determine it, the vertical is the initial rig's
+    uncertainty: Uncertainty | None  # `None` of the paper's method
     problems: tuple[Problem, ...] = ()
 
     @property
@@ -87,7 +87,7 @@ class CalibrationReport:
 
 
 def report_document(report: CalibrationReport) -> dict[str, Any]:
-    """The report as JSON-ready values."""
+    """Return the report as JSON-ready values."""
     document = {
         name: getattr(report, name)
         for name in (

@@ -1,4 +1,4 @@
-"""What a solution shows: against the initial rig, in its residuals, in what it claims to know."""
+"""Checks of a solution: against the initial rig, by its residuals, and by its uncertainty."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,17 +10,18 @@ from pipeline.calibration.bundle_adjustment import Tolerances
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.movement import image_changes_px, steps
 from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource
-from pipeline.calibration.robust import adjust
+from pipeline.calibration.robust_adjustment import adjust
 from pipeline.calibration.uncertainty import common_factors, covariance
 from pipeline.errors import Problem, ProblemCode, RigError
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.rig.document import rig_from_document
 
 UNKNOWN_DISTANCE_MM = 30.0
-"""Tolerance of the cameras' places when only the balls shall tell their distance."""
+"""Prior of the cameras' places where only the balls are to determine their distance."""
 
 
 def plausibility_problems(report: CalibrationReport) -> Iterator[Problem]:
+    """Yield the problem that the solution is no valid rig document."""
     try:
         rig_from_document(rig_to_document(report.rig))
     except RigError as err:
@@ -32,7 +33,7 @@ def plausibility_problems(report: CalibrationReport) -> Iterator[Problem]:
         )
         yield Problem(
             code=ProblemCode.IMPLAUSIBLE_RIG,
-            detail=f"the drops lead to a rig that cannot be ({err}): {remedy}",
+            detail=f"the drops lead to an impossible rig ({err}): {remedy}",
             camera=camera,
         )
 
@@ -40,7 +41,7 @@ def plausibility_problems(report: CalibrationReport) -> Iterator[Problem]:
 def left_out_problems(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
-    """Drops that contradict the others, if too few remain or many do."""
+    """Yield the problem that too few drops remain, or that many contradict the others."""
     n_used, n_left_out = len(report.drops_used), len(report.drops_left_out)
     is_fatal = n_used < limits.min_drops
     if is_fatal or n_left_out > limits.good_left_out_share * len(drops):
@@ -55,13 +56,14 @@ def left_out_problems(
 def step_problems(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
+    """Yield cameras whose images shifted between two drops."""
     focal_px = {camera.id: camera.focal_px for camera in report.rig.cameras}
     for camera, step in steps(drops, report.rig, report.ball_centers_mm).items():
         if step.shift_px > limits.step_px and step.significance > limits.step_significance:
             yield Problem(
                 code=ProblemCode.CAMERA_MOVED_DURING_DROPS,
                 detail=f"camera {camera} moved while the balls fell: after {step.after} its images are shifted by "
-                f"{step.shift_px:.1f} px ({_as_turn(step.shift_px, focal_px[camera])}): fasten it and drop again",
+                f"{step.shift_px:.1f} px ({_as_rotation(step.shift_px, focal_px[camera])}): fasten it and drop again",
                 camera=camera,
             )
 
@@ -69,7 +71,7 @@ def step_problems(
 def contradiction_problems(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
-    """Cameras most of whose views were left out since they contradict the others'."""
+    """Yield cameras most of whose views contradict the others' and were left out."""
     for camera in report.rig.camera_ids:
         seen = [drop.name for drop in drops if camera in drop.views and drop.name in report.drops_used]
         n_against = sum(camera in report.views_left_out.get(name, {}) for name in seen)
@@ -83,6 +85,7 @@ def contradiction_problems(
 
 
 def moved_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
+    """Yield cameras that are not where the initial rig has them."""
     shifts_px = image_changes_px(report.rig, report.initial)
     median_px = float(np.median(list(shifts_px.values())))
     focal_px = {camera.id: camera.focal_px for camera in report.rig.cameras}
@@ -91,7 +94,7 @@ def moved_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Itera
             yield Problem(
                 code=ProblemCode.CAMERA_MOVED,
                 detail=f"camera {camera} does not stand where the initial rig has it: its image is shifted by "
-                f"{shift_px:.1f} px ({_as_turn(shift_px, focal_px[camera])}), the others' by {median_px:.1f} px; "
+                f"{shift_px:.1f} px ({_as_rotation(shift_px, focal_px[camera])}), the others' by {median_px:.1f} px; "
                 "the new calibration corrects it, see that it is fastened",
                 camera=camera,
                 is_fatal=False,
@@ -101,10 +104,10 @@ def moved_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Itera
 def scale_problems(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
-    """Whether the solution keeps the rig's design, which knows distances well and focal lengths roughly.
+    """Yield problems of scale: deviations from the design, which has distances accurately and focal lengths roughly.
 
-    A ball entered 5 percent too large makes the whole rig 5 percent larger, a longer lens only enlarges its images:
-    perspective tells one from the other.
+    A ball entered 5 percent too large makes the whole rig 5 percent larger, a longer focal length only enlarges its
+    images: perspective tells one from the other.
     """
     if report.scale is not ScaleSource.BALL_DIAMETER:
         yield Problem(
@@ -150,9 +153,9 @@ def scale_problems(
 
 
 def factors_by_balls(drops: Sequence[BallDrop], initial: RigCalibration) -> tuple[Estimate, Estimate]:
-    """Common factors of the distances and of the focal lengths against the initial rig, as the balls alone show them.
+    """Return the common factors of distances and of focal lengths to the initial rig's, as the balls alone show them.
 
-    For this the drops are adjusted once more, without believing the initial distances.
+    The drops are adjusted once more for this, almost without a prior on the distances.
     """
     tolerances = Tolerances(center_mm=UNKNOWN_DISTANCE_MM)
     adjusted = adjust(drops, initial, tolerances)
@@ -169,6 +172,7 @@ def factors_by_balls(drops: Sequence[BallDrop], initial: RigCalibration) -> tupl
 
 
 def _odd_lenses(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
+    """Yield cameras whose focal length deviates from the other cameras'."""
     for camera, initial in zip(report.rig.cameras, report.initial.cameras, strict=True):
         percent = 100 * (camera.focal_px / initial.focal_px / report.focal_factor.value - 1)
         if abs(percent) > limits.focal_percent:
@@ -182,14 +186,15 @@ def _odd_lenses(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator
 
 
 def residual_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
-    # what the paper's method leaves is what it is compared by, no fault of the drops
+    """Yield cameras with large residuals, and a large residual of the drops held out."""
+    # large residuals of the paper's method are no fault of the drops
     is_strict = report.rig.method != "paper"
     for camera, residual_px in report.residuals_after_px.items():
         if residual_px > limits.good_residual_px:
             yield Problem(
                 code=ProblemCode.LARGE_RESIDUAL,
                 detail=f"camera {camera} sees the balls {residual_px:.2f} px (rms) beside where the solution has them, "
-                f"{limits.good_residual_px:g} is sound: look for a loose camera, a wet lens, bodies that are no balls",
+                f"{limits.good_residual_px:g} is sound: look for a loose camera, a wet lens, bodies besides the ball",
                 camera=camera,
                 is_fatal=is_strict and residual_px > limits.max_residual_px,
             )
@@ -203,6 +208,7 @@ def residual_problems(report: CalibrationReport, limits: AcceptanceLimits) -> It
 
 
 def uncertainty_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
+    """Yield the problem that lengths are too uncertain."""
     if report.uncertainty is not None:
         percent = report.uncertainty.length_sd_percent
         if report.scale is ScaleSource.BALL_DIAMETER and percent > limits.good_length_percent:
@@ -217,6 +223,7 @@ def uncertainty_problems(report: CalibrationReport, limits: AcceptanceLimits) ->
 def edge_problems(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
 ) -> Iterator[Problem]:
+    """Yield the problem of a large offset of all outlines, as balls of two sizes show it."""
     offset_px = report.edge_offset_px
     if offset_px is not None and abs(offset_px) > limits.good_edge_px:
         diameters_mm = [drop.diameter_mm for drop in drops if drop.diameter_mm is not None]
@@ -231,5 +238,5 @@ def edge_problems(
         )
 
 
-def _as_turn(shift_px: float, focal_px: float) -> str:
+def _as_rotation(shift_px: float, focal_px: float) -> str:
     return f"as if turned by {np.rad2deg(shift_px / focal_px):.2g} degrees"

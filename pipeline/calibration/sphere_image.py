@@ -1,50 +1,48 @@
-"""How a ball of known place and size must appear: the cone of viewing rays that touch it.
+"""Model of a ball's image, the cone of viewing rays that touch it, and the residuals of observed outlines.
 
 The rays from an optical centre c that touch a sphere of radius r about C make the angle asin(r / |C - c|) with the
 direction to C. A point of the outline is therefore wrong by
 
     e = f (angle between its ray and C - c  -  asin(r / |C - c|))
 
-in px, whatever the shape of the image is and however the lens distorts it. That the centroid of the outline is not
-the image of the centre (0.06 px for a ball of 10 mm 10 mm beside the axis) needs no correction: it is never used.
+in px, whatever the shape of the image and the distortion of the lens. The centroid of the outline, which is not the
+image of the centre (0.06 px off for a ball of 10 mm 10 mm beside the axis), is never used.
 
-All points of an outline are gathered into means over sectors: nothing is lost, as the misfit of a wrong camera or
-ball changes slowly along the outline.
+The points of an outline are averaged over sectors. This loses nothing, as the residual that a wrong camera or ball
+causes varies slowly along the outline.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Indices, PointsMM, Values
 from pipeline.calibration.drops import BallDrop, BallView
 from pipeline.calibration.ellipse import harmonics, polar
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-
 N_SECTORS = 24
+"""Number of sectors of an outline."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
-    """All views of all drops: V of them, S = `N_SECTORS` points each."""
+    """All V views of all drops, with S = `N_SECTORS` points each."""
 
-    camera: Indices  # (V,) index into the rig
+    camera: Indices  # (V,) index of the camera in the rig
     drop: Indices  # (V,)
-    points_uv: Array  # (V, S, 2)
-    angles: Array  # (V, S) rad, of the points about the middle of the outline
-    weights: Array  # (V, S) share of the sector's outline that was seen, 0..1
-    radii_mm: Array  # (V,) of the ball, NaN when unknown
+    points_uv: Floats  # (V, S, 2)
+    angles: Floats  # (V, S) rad, direction of each point from the centre of the outline
+    weights: Floats  # (V, S) share of the sector's outline that was seen, 0..1
+    radii_mm: Values  # (V,) radius of the ball; NaN: unknown
 
     def __len__(self) -> int:
         return len(self.camera)
 
     def of_drops(self, chosen: Indices) -> "Sightings":
-        """Only these drops, numbered anew in their order."""
+        """Return the sightings of some drops, which are renumbered in their order."""
         number = np.full(max(int(self.drop.max()), int(chosen.max())) + 1, -1)
         number[chosen] = np.arange(len(chosen))
         mask = number[self.drop] >= 0
@@ -59,7 +57,7 @@ class Sightings:
 
 
 def sightings_of(drops: Sequence[BallDrop], camera_ids: Sequence[CameraId]) -> Sightings:
-    """The drops' views by these cameras, in order."""
+    """Return the drops' views by these cameras, drop by drop in the order of the cameras."""
     camera, drop, points_uv, angles, weights, radii_mm = [], [], [], [], [], []
     for d, ball in enumerate(drops):
         for c, camera_id in enumerate(camera_ids):
@@ -82,10 +80,10 @@ def sightings_of(drops: Sequence[BallDrop], camera_ids: Sequence[CameraId]) -> S
     )
 
 
-def sector_means(view: BallView) -> tuple[Array, Array, Array]:
-    """Points (S, 2) on the outline, their angles (S,), and how much of it (S,) 0..1 each of them stands for.
+def sector_means(view: BallView) -> tuple[Floats, Values, Values]:
+    """Return a mean point (S, 2) of each sector of the outline, its angle (S,), and the share (S,) that was seen, 0..1.
 
-    Averaged are the distances from the outline's own ellipse, lest the arc's curvature draws the mean inwards.
+    The distances from the outline's own ellipse are averaged, since the mean of an arc's points lies inside it.
     """
     angles, radii_px = polar(view.outline_uv, view.center_uv)
     design = harmonics(angles, 2)
@@ -104,16 +102,16 @@ def sector_means(view: BallView) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Misfit:
-    """Residuals of sightings, and how they change."""
+    """Residuals of sightings, and their derivatives."""
 
-    residuals_px: Array
-    """(V, S); of a ball of unknown size the angle itself, from which its mean must be taken."""
-    by_center: Array  # (V, S, 3) px per mm of the ball's centre; of the camera's, the negative
-    by_ray: Array  # (V, S, 3) px per unit of change of the ray's unit direction, world frame
+    residuals_px: Floats
+    """(V, S); of a ball of unknown size the angle itself, from which the view's mean must be subtracted."""
+    by_center: Floats  # (V, S, 3) px per mm of the ball's centre; by the camera's centre, the negative
+    by_ray: Floats  # (V, S, 3) px per unit of the ray's unit vector, world frame
 
 
-def rays_of(sightings: Sightings, cameras: Sequence[CameraCalibration]) -> Array:
-    """Unit viewing rays (V, S, 3) through all points, in the world frame."""
+def rays_of(sightings: Sightings, cameras: Sequence[CameraCalibration]) -> Floats:
+    """Return the unit viewing rays (V, S, 3) through all points, in the world frame."""
     rays = np.zeros((*sightings.points_uv.shape[:2], 3))
     for index, camera in enumerate(cameras):
         own = sightings.camera == index
@@ -123,9 +121,9 @@ def rays_of(sightings: Sightings, cameras: Sequence[CameraCalibration]) -> Array
 
 
 def misfit(
-    sightings: Sightings, cameras: Sequence[CameraCalibration], rays: Array, centers_mm: Array
+    sightings: Sightings, cameras: Sequence[CameraCalibration], rays: Floats, centers_mm: PointsMM
 ) -> Misfit:
-    """Of balls at `centers_mm` (D, 3), seen along `rays` (V, S, 3)."""
+    """Return the residuals of balls at `centers_mm` (D, 3) whose outlines are seen along `rays` (V, S, 3)."""
     optical_mm = np.array([camera.center_mm for camera in cameras])[sightings.camera]
     focal_px = np.array([camera.focal_px for camera in cameras])[sightings.camera][:, None]
     to_ball_mm = centers_mm[sightings.drop] - optical_mm
@@ -133,7 +131,7 @@ def misfit(
     toward = (to_ball_mm / distance_mm)[:, None, :]
     cosine = (rays * toward).sum(axis=2)
     sine = np.maximum(np.linalg.norm(np.cross(rays, toward), axis=2), 1e-9)
-    # unit vectors in the plane of ray and axis: square to the axis, and to the ray
+    # unit vectors in the plane of ray and axis, perpendicular to the axis and to the ray
     off_axis = (rays - cosine[..., None] * toward) / sine[..., None]
     off_ray = (toward - cosine[..., None] * rays) / sine[..., None]
     expected = np.arcsin(np.clip(np.nan_to_num(sightings.radii_mm)[:, None] / distance_mm, 0, 0.99))
@@ -145,10 +143,10 @@ def misfit(
     )
 
 
-def view_offsets_px(sightings: Sightings, residuals_px: Array) -> Array:
-    """(V, 3): by how much each ball appears larger in radius, and further in u and in v, than expected.
+def view_offsets_px(sightings: Sightings, residuals_px: Floats) -> Floats:
+    """Return for each view (V, 3) the observed minus the expected radius of the ball, and offset in u and in v.
 
-    The two last are the distance of the axis of the observed cone of rays from the expected one.
+    The offset is that between the axes of the observed and of the expected cone of rays.
     """
     design = np.stack(
         [np.ones_like(sightings.angles), np.cos(sightings.angles), np.sin(sightings.angles)], axis=2

@@ -1,22 +1,22 @@
-"""How well the drops determine a rig, from the normal equations at the solution.
+"""Uncertainty of a calibration, from the normal equations at the solution.
 
-The covariance of all unknowns is the inverse of their normal matrix, in which the noise is that of the residuals. A
-motion of the rig as a whole is nobody's uncertainty: it is projected out. What the residuals cannot show is added:
-the tolerance of the ball's diameter, and, as long as only one size of ball was dropped, an offset of all outlines.
+The covariance of all unknowns is the inverse of their normal matrix, with the noise that the residuals show. Motions
+of the rig as a whole change no measurement and are projected out. Added is what the residuals cannot show: the
+tolerance of the ball's diameter, and, if balls of only one size were dropped, an offset of all outlines.
 """
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, PointsMM
 from pipeline.calibration.bundle_adjustment import (
     FOCAL,
     K1,
     N_CAMERA,
     PRINCIPAL,
+    ROTATION,
     SHIFT,
-    TURN,
     Noise,
     Solution,
     Tolerances,
@@ -28,22 +28,20 @@ from pipeline.calibration.report import CameraUncertainty, Estimate
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings
 from pipeline.frames import CameraId
 
-Array = NDArray[np.float64]
-
 UNSEEN_EDGE_PX = 0.05
-"""Standard deviation of the outlines' offset when it cannot be observed: what segmentations differ by."""
+"""Standard deviation of the outlines' offset where it is not observable: the difference between segmentations."""
 BALL_TOLERANCE_MM = 0.001
 """Standard deviation of a bearing ball's diameter (grade 40 and better)."""
 HALF_LENGTH_MM = 10.0
-"""Lengths whose uncertainty is predicted reach so far to both sides of the origin."""
+"""Half of the length whose uncertainty is predicted; its middle is the origin."""
 MARK_PX = 20.0
-"""Radius of the round marks at their ends; without noise any size gives the same."""
+"""Radius of the circular marks at its ends; as they are seen without noise, any size gives the same."""
 
 
 def covariance(
     solution: Solution, sightings: Sightings, *, noise: Noise, tolerances: Tolerances, free_edge: bool
-) -> Array:
-    """(P, P) of the unknowns of `solution`, without motions of the rig as a whole."""
+) -> Floats:
+    """Return the covariance (P, P) of the unknowns of `solution`, without motions of the rig as a whole."""
     blocks = linearized(solution, sightings)
     precision = prior_precision(len(solution.initial), len(solution.centers_mm), tolerances)
     normal, _ = blocks.normal_equations(point_weights(blocks, sightings, noise), len(precision))
@@ -60,32 +58,32 @@ def covariance(
     return fixing @ found @ fixing.T
 
 
-def _without_motion(solution: Solution, precision: Array) -> Array:
-    """(P, P) projection that takes from a change of the unknowns the rigid motion that is closest to it."""
+def _without_motion(solution: Solution, precision: Floats) -> Floats:
+    """Return the projection (P, P) that subtracts from a change of the unknowns the closest rigid motion."""
     motions = np.zeros((len(precision), 6))
     centers_mm = np.array([camera.center_mm for camera in solution.cameras])
     n_cameras = len(centers_mm)
     of_cameras = motions[: n_cameras * N_CAMERA].reshape(n_cameras, N_CAMERA, 6)
     of_balls = motions[n_cameras * N_CAMERA : -1].reshape(-1, 3, 6)
-    of_cameras[:, TURN, :3] = np.eye(3)
+    of_cameras[:, ROTATION, :3] = np.eye(3)
     of_cameras[:, SHIFT, 3:] = np.eye(3)
     of_balls[:, :, 3:] = np.eye(3)
     for axis, unit in enumerate(np.eye(3)):
         of_cameras[:, SHIFT, axis] = np.cross(unit, centers_mm)
         of_balls[:, :, axis] = np.cross(unit, solution.centers_mm)
-    weighted = precision @ motions  # nothing is known of the balls: only the cameras count
+    weighted = precision @ motions  # balls have no prior: only the cameras count
     return np.eye(len(precision)) - motions @ np.linalg.solve(weighted.T @ motions, weighted.T)
 
 
 def camera_uncertainties(
-    camera_ids: Sequence[CameraId], solution: Solution, covariance: Array
+    camera_ids: Sequence[CameraId], solution: Solution, covariance: Floats
 ) -> Mapping[CameraId, CameraUncertainty]:
-    """The largest standard deviation of each kind of parameter."""
+    """Return for each camera the largest standard deviation of each kind of parameter."""
     n = len(camera_ids)
     sd = np.sqrt(np.diag(covariance)[: n * N_CAMERA]).reshape(n, N_CAMERA)
     return {
         camera: CameraUncertainty(
-            rotation_deg=float(np.rad2deg(row[TURN].max())),
+            rotation_deg=float(np.rad2deg(row[ROTATION].max())),
             center_mm=float(row[SHIFT].max()),
             focal_percent=float(100 * row[FOCAL]),
             principal_point_px=float(row[PRINCIPAL].max()),
@@ -95,8 +93,8 @@ def camera_uncertainties(
     }
 
 
-def common_factors(solution: Solution, covariance: Array) -> tuple[Estimate, Estimate]:
-    """By how much all cameras are further away, and all focal lengths longer, than in the initial rig."""
+def common_factors(solution: Solution, covariance: Floats) -> tuple[Estimate, Estimate]:
+    """Return the mean ratios of the cameras' distances and of the focal lengths to those of the initial rig."""
     initial_mm = np.array([camera.center_mm for camera in solution.initial])
     distances_mm = np.linalg.norm(initial_mm, axis=1, keepdims=True)
     now_mm = np.linalg.norm(initial_mm + solution.parameters[:, SHIFT], axis=1, keepdims=True)
@@ -113,8 +111,11 @@ def common_factors(solution: Solution, covariance: Array) -> tuple[Estimate, Est
     )
 
 
-def length_sd_percent(solution: Solution, covariance: Array, diameters_mm: Sequence[float]) -> float:
-    """Of a length of 20 mm about the origin, seen by all cameras without noise: rms over directions."""
+def length_sd_percent(solution: Solution, covariance: Floats, diameters_mm: Sequence[float]) -> float:
+    """Return the standard deviation of a length of 20 mm about the origin, rms over directions.
+
+    It is that of the calibration alone: all cameras see the ends of the length without noise.
+    """
     directions = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], float)
     directions = directions[directions @ [9, 3, 1] > 0]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -128,8 +129,8 @@ def length_sd_percent(solution: Solution, covariance: Array, diameters_mm: Seque
     return float(100 * np.sqrt(variances.mean() + tolerance**2))
 
 
-def _by_unknowns(solution: Solution, points_mm: Array) -> Array:
-    """(N, 3, cameras' unknowns): how points (N, 3) that are located with these cameras move with them."""
+def _by_unknowns(solution: Solution, points_mm: PointsMM) -> Floats:
+    """Return the derivatives (N, 3, U) of points located with these cameras by the U unknowns of the cameras."""
     cameras = solution.cameras
     angles = np.linspace(0, 2 * np.pi, N_SECTORS, endpoint=False)
     circle_uv = MARK_PX * np.column_stack([np.cos(angles), np.sin(angles)])

@@ -28,6 +28,7 @@ class CarvingParameters:
 
     @property
     def pitch_mm(self) -> float:
+        """Spacing of the samples."""
         return self.size_mm / self.n
 
 

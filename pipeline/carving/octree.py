@@ -53,7 +53,7 @@ class Octree:
 
 
 class _Judgement(NamedTuple):
-    """What V views tell of the octants of B blocks."""
+    """The judgement of V views on the octants of B blocks."""
 
     within: OctantBits  # (B, V) those that lie within each view
     excluded: OctantBits  # (M, B) in row m those that more than m views exclude

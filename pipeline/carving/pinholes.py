@@ -1,7 +1,6 @@
-"""The cameras of the views that carve, as compiled loops take them, and the projection of the parts of cubes.
+"""The cameras of the views that carve, as compiled loops take them, and the projection of cubes' octants.
 
-A cube of the octree is split into eight octants. So many cubes at once, `CHUNK`, are projected that what is known of
-them stays in the cache.
+`CHUNK` cubes are projected at a time, so that what is computed of them stays in the cache.
 """
 
 from typing import Annotated, NamedTuple
@@ -19,7 +18,7 @@ OCTANTS = 8
 CORNERS = np.array([[1, j, k] for j in (-1, 1) for k in (-1, 1)], np.float64)
 """The corners of a cube around the origin that are not opposite to another."""
 CHUNK = 64
-"""Cubes that are projected at a time. The arrays for them are made where they are filled: of others the compiler knows
+"""Number of cubes projected at a time. The arrays for them are made where they are filled: of others the compiler knows
 neither the strides nor that they do not overlap, and takes one cube at a time."""
 
 

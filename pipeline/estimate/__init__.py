@@ -1,6 +1,5 @@
-"""A better body than the visual hull, from the same silhouettes."""
+"""An estimate of the body that is nearer to it than the visual hull, from the same silhouettes."""
 
-from pipeline.estimate.body import BodyEstimate, estimate_body
-from pipeline.estimate.warming import warm_up
+from pipeline.estimate.body import BodyEstimate, estimate_body, warm_up
 
 __all__ = ["BodyEstimate", "estimate_body", "warm_up"]

@@ -1,11 +1,11 @@
 """The most likely body between the largest and a smallest one that explain the silhouettes.
 
 The surface passes through the corners of the inner body, and there its tangent planes are known. Between
-corners the inner body has a face. Of a body with corners the face is the surface. Of a smooth one the
+corners the inner body has a face. On a body with corners the face is the surface. On a smooth one the
 surface bulges: let h_i be the heights of the tangent planes of a face's corners above a point of the face,
 and l_i its barycentric coordinates; for any quadratic surface the bulge is exactly sum(l_i h_i) / 2 (above
 x, h_i is the bulge and a quadratic form of x - corner i; the weighted mean of these forms is the bulge
-again). How smooth a place is, `smoothness` says; that share of the bulge is kept, of what the hull leaves.
+again). The share of the bulge that is kept, of what the hull leaves, is how smooth the body is there (`smoothness`).
 
 The hull's vertices are moved along the rays from a common centre. On each ray the map increases strictly,
 and it is continuous from ray to ray: it bends space without folding it, so that a closed mesh without
@@ -25,8 +25,11 @@ from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
 from pipeline.estimate.surface import InnerSurface, inner_surface
 from pipeline.geometry.bounds import bounds
+from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
-from pipeline.views.prepared import PreparedViews
+from pipeline.rig.design import nominal_rig
+from pipeline.segmentation.ball_silhouettes import RADIUS_MM, ball_silhouettes
+from pipeline.views.prepared import PreparedViews, prepare_views
 
 PULL = 0.999
 """Share of the way to the estimated surface that points are moved: below 1, or the map would fold."""
@@ -72,6 +75,14 @@ def estimate_body(hull: ParticleMesh, views: PreparedViews) -> BodyEstimate:
         hull_volume_mm3=hull_volume_mm3,
         hull_area_mm2=hull_area_mm2,
     )
+
+
+def warm_up() -> BodyEstimate:
+    """Estimate a made-up ball, which compiles all that the first stone would wait for."""
+    rig = nominal_rig()
+    directions, faces = icosphere(subdivisions=2)
+    hull = ParticleMesh(RADIUS_MM * directions, faces)
+    return estimate_body(hull, prepare_views(ball_silhouettes(rig), rig))
 
 
 @compiled

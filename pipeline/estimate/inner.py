@@ -1,17 +1,17 @@
-"""A smallest body that explains all silhouettes: convex, and touching every tangent ray.
+"""The inner body: a smallest body that explains all silhouettes, convex, and touching every tangent ray.
 
-The visual hull is the largest body behind the silhouettes; the body itself lies between the two. Points
-of short segments are known points of the surface, and so is their convex hull within the body's own. For
-longer and longer segments it is extended, where it does not touch them yet, to the point nearest to it.
-Of a body with corners and flat faces this leaves its convex hull; of a smooth one the chords, too small.
+The visual hull is the largest body behind the silhouettes; the body itself lies between the two. Where segments are
+short, a point of the surface is known, and the convex hull of these points is within the body's own. Batch by batch
+of longer segments it is extended, where it does not touch them yet, to the point nearest to it. For a body with
+corners and flat faces the result is its convex hull; for a smooth one it has chords, so that it is too small.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.spatial
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import Tangents
 from pipeline.geometry.bounds import bounds
@@ -27,36 +27,34 @@ from pipeline.geometry.growing_hull import (
 )
 from pipeline.geometry.quickhull import restart_by_qhull
 
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
-Indices = NDArray[np.int32]
-
-SHARES = (0.1, 0.3, 0.55, 0.8)
-"""Of the segments, by length: the first are points, the others are added batch by batch."""
+BATCH_ENDS = (0.1, 0.3, 0.55, 0.8)
+"""Ends of the batches, as shares of the segments by length: the first batch counts as points, the last ends with 1."""
 TOUCH_MM = 0.01
 """Distance at which a segment counts as touched: a fifth of a pixel."""
-CUTS = 4
+N_CUTS = 4
+"""Cutting planes after the first two, by which the least height above the body is searched."""
 TOLERANCE = 1e-8
-"""Points so little above the body, as a share of its extent, are no corners of it."""
+"""Height above the body, as a share of its extent, up to which points are no corners of it."""
 FALLING, RISING, T, BEST_T = 0, 2, 4, 5
+"""Columns of the state of `_descend`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InnerBody:
     """A convex polyhedron, relative to the centre of the tangents."""
 
-    points_mm: Array  # (N, 3) of each tangent; at the corners, where it touches
+    points_mm: PointsMM  # (N, 3) a point of each tangent ray; at the corners, where it touches
     facets: Facets  # their corners are tangents
-    solvers: Array  # (F, 3, 3) turn a direction into its weights, up to scale, of a facet's corners
+    solvers: Floats  # (F, 3, 3) turn a direction into its weights, up to scale, of a facet's corners
     volume_mm3: float
 
 
 def inner_body(tangents: Tangents) -> InnerBody | None:
-    """The convex body that touches all segments; `None` when they do not span one."""
+    """Return the convex body that touches all segments; `None` when they do not span one."""
     lines = np.column_stack([tangents.points_mm, tangents.directions, tangents.low_mm, tangents.high_mm])
     points_mm = lines[:, :3] + lines[:, 6:].mean(axis=1, keepdims=True) * lines[:, 3:6]
     order = np.argsort(tangents.lengths_mm).astype(np.int32)
-    first, *batches = np.split(order, (np.array(SHARES) * len(order)).astype(int))
+    first, *batches = np.split(order, (np.array(BATCH_ENDS) * len(order)).astype(int))
     if len(first) == 0:
         return None
     low_mm, high_mm = bounds(points_mm[first])
@@ -77,8 +75,8 @@ def inner_body(tangents: Tangents) -> InnerBody | None:
     return InnerBody(points_mm=points_mm, facets=facets, solvers=solvers, volume_mm3=volume_mm3)
 
 
-def _approach(lines: Array, rays: Indices, growth: Growth, points_mm: Array) -> Indices:
-    """Those of some rays that a convex body does not touch; their points nearest to it wait above its facets.
+def _approach(lines: Floats, rays: Indices32, growth: Growth, points_mm: PointsMM) -> Indices32:
+    """Return those of the rays that a convex body does not touch, with their points nearest to it listed above facets.
 
     `lines` (N, 8) are points, directions, and ends of the segments; the points found are put into `points_mm`.
     """
@@ -96,23 +94,23 @@ def _approach(lines: Array, rays: Indices, growth: Growth, points_mm: Array) -> 
 
 @compiled
 def _descend(
-    lines: Array,
-    rays: Indices,
+    lines: Floats,
+    rays: Indices32,
     growth: Growth,
-    points_mm: Array,
-    state: Array,
-    least_mm: Array,
-    search: tuple[Single, Single, Indices, Indices],
+    points_mm: PointsMM,
+    state: Floats,
+    least_mm: Values,
+    search: tuple[Singles, Singles, Indices32, Indices32],
 ) -> None:
-    """Find the least heights (R,) of rays above a convex body, and have the points of those that miss it wait.
+    """Find the least heights (R,) of rays above a convex body, and list the points of those that miss it.
 
     Along a ray the greatest height above a facet is convex and piecewise linear: two planes, one rising and one
     falling, meet below its minimum, and each step replaces one of them by the plane that is greatest there
     (Kelley's cutting planes in one dimension). Columns of the `state` (R, 6) are slopes of the FALLING and of the
-    RISING plane, each with its height where t is 0; T; and the best of all T so far.
+    RISING plane, each with its height where t is 0; T; and the best of all T so far. `search` is scratch.
     """
     planes, (at_mm, highest_mm, facets, best) = growth.planes, search
-    for step in range(2 + CUTS):
+    for step in range(2 + N_CUTS):
         for i in range(len(rays)):
             ray = rays[i]
             t_mm = lines[ray, 7] if step == 1 or (step > 1 and state[i, RISING] <= 0) else lines[ray, 6]
@@ -132,8 +130,8 @@ def _descend(
                 slope += planes[facet, k] * lines[ray, 3 + k]
                 height_mm += planes[facet, k] * lines[ray, k]
             height_mm += planes[facet, 3]
-            which = RISING if step == 1 or (step > 1 and slope > 0) else FALLING
-            state[i, which], state[i, which + 1] = slope, height_mm
+            column = RISING if step == 1 or (step > 1 and slope > 0) else FALLING
+            state[i, column], state[i, column + 1] = slope, height_mm
             if step > 1 and height_mm + t_mm * slope < least_mm[i]:
                 least_mm[i], state[i, BEST_T] = height_mm + t_mm * slope, t_mm
                 best[i] = facet
@@ -145,8 +143,8 @@ def _descend(
 
 
 @compiled_within
-def _find_highest(points_mm: Single, growth: Growth, highest_mm: Single, index: Indices) -> None:
-    """The greatest height (R,) of points (3, R) above a facet, and which it is; in vectors, as the points are last."""
+def _find_highest(points_mm: Singles, growth: Growth, highest_mm: Singles, index: Indices32) -> None:
+    """Find the greatest height (R,) of points (3, R) above a facet, and its index; in vectors, as points are last."""
     planes = growth.planes
     highest_mm[:] = -np.inf
     for facet in range(growth.counts[0]):
@@ -162,8 +160,8 @@ def _find_highest(points_mm: Single, growth: Growth, highest_mm: Single, index: 
 
 
 @compiled
-def _solve(points_mm: Array, corners: Indices, solvers: Array) -> float:
-    """Fill in `InnerBody.solvers`: the cross products of a facet's corners; returns the volume in mm3."""
+def _solve(points_mm: PointsMM, corners: Indices32, solvers: Floats) -> float:
+    """Fill in `InnerBody.solvers`, the cross products of each facet's corners; return the volume in mm3."""
     sixfold_mm3 = 0.0
     for facet in range(len(corners)):
         for k in range(3):

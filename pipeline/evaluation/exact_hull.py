@@ -1,6 +1,6 @@
-"""The best any silhouette method can do: the exact visual hull of a known body.
+"""The exact visual hull of a known body: the best that any silhouette method can do.
 
-No voxels, no images and nothing of the pipeline's carving: a body's silhouette in a camera is a cone of
+It needs no voxels, no images and nothing of the pipeline's carving: a body's silhouette in a camera is a cone of
 rays from the camera's centre, whatever lens and sensor draw it (distortion moves pixels, not rays). So
 the hull is the intersection of the cones around the body from the camera centres alone.
 """
@@ -8,21 +8,19 @@ the hull is the intersection of the cones around the body from the camera centre
 import numpy as np
 import scipy.optimize
 import trimesh
-from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, Floats, Values, Vector
 from pipeline.rig.cameras import RigCalibration
-
-Array = NDArray[np.float64]
 
 N_ANGLES = 8192
 """Angles of an outline; a corner of a silhouette is met within 0.4 thousandths of its radius."""
 
 
-def star_center_mm(body: trimesh.Trimesh) -> Array | None:
-    """The point (3,) from which all of a closed surface is seen most easily, `None` if there is no such point.
+def star_center_mm(body: trimesh.Trimesh) -> Vector | None:
+    """Return the point deepest in the kernel of a closed surface, `None` if it is not star-shaped.
 
-    The points that see a whole surface from within are behind all of its faces' planes (its kernel): a
-    linear programme finds the one deepest behind them.
+    The kernel is what sees the whole surface from within, behind the planes of all faces: a linear programme finds
+    the point deepest behind them.
     """
     normals = np.asarray(body.face_normals)
     offsets_mm = np.einsum("ij,ij->i", normals, body.triangles[:, 0])
@@ -36,11 +34,11 @@ def star_center_mm(body: trimesh.Trimesh) -> Array | None:
 
 
 def exact_hull_mesh(
-    body: trimesh.Trimesh, center_mm: Array, rig: RigCalibration, subdivisions: int = 6
+    body: trimesh.Trimesh, center_mm: Vector, rig: RigCalibration, subdivisions: int = 6
 ) -> trimesh.Trimesh:
-    """Visual hull, in the world frame, of a closed body seen by all cameras of the rig.
+    """Return the visual hull, in the world frame, of a closed body seen by all cameras of the rig.
 
-    The body must be star-shaped about `center_mm` (3,): then its silhouettes and its hull are, and the
+    The body must be star-shaped about `center_mm`: then its silhouettes and its hull are, and the
     hull's radius along each of 10 * 4^subdivisions + 2 directions is the least of the cones' radii.
     """
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions)
@@ -53,8 +51,10 @@ def exact_hull_mesh(
     return trimesh.Trimesh(center_mm + radii_mm[:, None] * directions, sphere.faces, process=False)
 
 
-def cone_radii_mm(body: trimesh.Trimesh, center_mm: Array, camera_mm: Array, directions: Array) -> Array:
-    """Distances (N,) from the centre along unit directions (N, 3) to the cone of the body's silhouette.
+def cone_radii_mm(
+    body: trimesh.Trimesh, center_mm: Vector, camera_mm: Vector, directions: Directions
+) -> Values:
+    """Return the distances (N,) from the centre along directions (N, 3) to the cone of the body's silhouette.
 
     In the plane at distance 1 normal to the line from the camera to the centre, `center + r u` lies at
     the polar angle of u and the radius r sin(psi) / (d + r cos(psi)), psi between u and the line.
@@ -73,20 +73,26 @@ def cone_radii_mm(body: trimesh.Trimesh, center_mm: Array, camera_mm: Array, dir
         return np.where(opening > 0, limit * distance_mm / opening, np.inf)
 
 
-def _silhouette_edges(body: trimesh.Trimesh, camera_mm: Array) -> Array:
-    """End points (E, 2, 3) of the edges between a face that looks at the camera and one that does not."""
+def _silhouette_edges(body: trimesh.Trimesh, camera_mm: Vector) -> Floats:
+    """Return the end points (E, 2, 3) of the edges between a face that faces the camera and one that does not."""
     towards = np.einsum("ij,ij->i", body.face_normals, camera_mm - body.triangles_center) > 0
     first, second = body.face_adjacency.T
     return np.asarray(body.vertices[body.face_adjacency_edges[towards[first] != towards[second]]])
 
 
-def _plane(points: Array, axis: Array, right: Array, down: Array) -> Array:
-    """Coordinates (..., 2) in the plane at distance 1 of points (..., 3) relative to the camera."""
+def _plane(points: Floats, axis: Vector, right: Vector, down: Vector) -> Floats:
+    """Return the coordinates (..., 2), in the plane at distance 1, of points (..., 3) relative to the camera."""
     return np.stack([points @ right, points @ down], axis=-1) / (points @ axis)[..., None]
 
 
-def polar_outline(segments: Array) -> Array:
-    """Greatest radius at which segments (E, 2, 2) meet the ray at each of `N_ANGLES` angles from 0."""
+def polar_outline(segments: Floats) -> Values:
+    """Return the greatest radius at which segments (E, 2, 2) meet the ray at each of `N_ANGLES` angles from 0.
+
+    Raises
+    ------
+    ValueError
+        The segments do not enclose the origin.
+    """
     a, b = segments[:, 0], segments[:, 1]
     turn = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     a, b = np.where(turn[:, None] < 0, b, a), np.where(turn[:, None] < 0, a, b)  # all turn to the left

@@ -1,7 +1,7 @@
 """Views that are hard to segment, with the truth beside them: one camera of a rig with deviations.
 
-All is random from the seed: rig, camera, housing, stone, pose and how bad the trouble is, within the ranges
-below. The background is what the camera saw of the empty rig before the trouble began.
+Everything is random from the seed: rig, camera, housing, stone, pose and the strength of the disturbance, within the
+ranges below. The background is what the camera saw of the empty rig before the disturbance began.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import FloatImage, GreyImage, Vector
 from pipeline.frames import CameraId, Frame
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
@@ -24,12 +24,10 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.exposure import FloatImage, expose
+from pipeline.synthesis.exposure import expose
 from pipeline.synthesis.placement import drop_across, tumble
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminated, view_of
+from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminate, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
-
-Array = NDArray[np.float64]
 
 DARK_GREY = (12.0, 60.0)  # of the stone across an aperture; the aperture itself is at about 16
 BRIGHT_GREY = (130.0, 230.0)
@@ -44,14 +42,15 @@ N_BODIES = (2, 3)
 N_FRAGMENTS = (2, 6)
 FRAGMENT_MM = (1.0, 4.0)
 VISIBLE_SHARE = 1e-3
-"""Coverage below this is rounding."""
-SPREAD_MM = (18.0, 18.0, 14.0)
-"""Where further bodies are, about the centre."""
+"""Least coverage that counts; below is rounding."""
+NEIGHBOUR_SPREAD_MM = (18.0, 18.0, 14.0)
+"""Greatest offset of further bodies from the centre along each axis."""
 N_EMPTY = 3
+"""Exposures of the empty rig that the background is learnt from."""
 
 
 class HardCase(StrEnum):
-    """What is hard about a view."""
+    """What makes a view hard to segment."""
 
     CLEAN = "clean"
     APERTURE = "aperture"
@@ -71,19 +70,19 @@ class HardCase(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HardView:
-    """A frame, what was known of the empty view, and the truth."""
+    """A frame, the background known for it, and the truth."""
 
     case: HardCase
     frame: Frame
     background: BackgroundModel  # of this camera; empty if none is known
     coverage: FloatImage  # (H, W) share of the pixel covered by bodies
     contrast: FloatImage
-    """(H, W) |body - behind| in grey levels, without noise; 0 far from any body. Where it is small, no edge is seen."""
+    """|body - background| in grey levels, without noise; 0 far from any body. No edge is seen where it is low."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Scene:
-    """One camera before a housing, and what falls past it."""
+    """One camera in a housing, and the bodies that fall past it."""
 
     rig: RigCalibration
     simulated: SimulatedRig  # of that camera alone
@@ -98,7 +97,7 @@ class _Scene:
 def hard_view(
     case: HardCase, seed: int, *, with_background: bool = True, size_mm: float | None = None
 ) -> HardView:
-    """The view number `seed` of a case; `size_mm` is the stone's greatest diameter, else random."""
+    """Return view number `seed` of a case; `size_mm` is the stone's greatest diameter, else random."""
     rng = np.random.default_rng([seed, list(HardCase).index(case)])
     rig = as_built(nominal_rig(), int(rng.integers(2**31)))
     camera = rig.cameras[int(rng.integers(len(rig.cameras)))]
@@ -107,7 +106,7 @@ def hard_view(
     body = stone(form, drawn_mm if size_mm is None else size_mm, rng)
     alone = rig.subset([camera.id])
     placed = tumble(body, alone, rng)
-    simulated = _simulate(rig, camera, _aperture_behind(placed, rig, camera, rng, case), rng)
+    simulated = _simulate(rig, camera, _aperture_at_edge(placed, rig, camera, rng, case), rng)
     scene = SPOIL[case](_Scene(rig=rig, simulated=simulated, bodies=[placed]), rng)
 
     background: BackgroundModel = {}
@@ -115,7 +114,7 @@ def hard_view(
         empty = expose(simulated.backgrounds[camera.id].radiance, simulated.parameters, rng)
         background = learn_background(background, {camera.id: _frame(camera.id, empty)})
     view = view_of(
-        [illuminated(each, rng) for each in scene.bodies], camera, scene.simulated, scene.disturbance
+        [illuminate(placed, rng) for placed in scene.bodies], camera, scene.simulated, scene.disturbance
     )
     flash = 1 + simulated.parameters.flash_sd * float(np.clip(rng.normal(), -3, 3))
     image = expose(view.radiance(flash), view.parameters, rng)
@@ -130,26 +129,28 @@ def hard_view(
 
 
 def truth_of_view(view: View) -> tuple[FloatImage, FloatImage]:
-    """Share (H, W) covered by any body, and the contrast (H, W) of the nearest body to what lies behind it."""
+    """Return the share (H, W) covered by any body, and the contrast (H, W) of the nearest body to its background."""
     free = np.ones_like(view.wall)
     contrast = np.zeros_like(view.wall)
-    behind = view.wall.copy()
+    background_grey = view.wall.copy()
     for layer in view.layers:
-        place = layer.rows, layer.columns
-        near = layer.coverage > VISIBLE_SHARE
-        contrast[place] = np.where(near, np.abs(layer.radiance - behind[place]), contrast[place])
-        behind[place] += layer.coverage * (layer.radiance - behind[place])
-        free[place] *= 1 - layer.coverage
+        window = layer.rows, layer.columns
+        is_visible = layer.coverage > VISIBLE_SHARE
+        contrast[window] = np.where(
+            is_visible, np.abs(layer.radiance - background_grey[window]), contrast[window]
+        )
+        background_grey[window] += layer.coverage * (layer.radiance - background_grey[window])
+        free[window] *= 1 - layer.coverage
     return 1 - free, np.asarray(contrast * view.disturbance.transmission, dtype=np.float32)
 
 
 def _simulate(
     rig: RigCalibration,
     camera: CameraCalibration,
-    aperture_direction: Array | None,
+    aperture_direction: Vector | None,
     rng: np.random.Generator,
 ) -> SimulatedRig:
-    """The camera before a random housing of the whole rig, with one more aperture if asked for."""
+    """Return the camera in a random housing of the whole rig, with one more aperture if a direction is given."""
     wall = build_wall(rig, rng)
     if aperture_direction is not None:
         wall = replace(
@@ -162,14 +163,14 @@ def _simulate(
     return SimulatedRig(rig=alone, backgrounds=render_backgrounds(alone, wall, rng))
 
 
-def _aperture_behind(
+def _aperture_at_edge(
     placed: PlacedBody,
     rig: RigCalibration,
     camera: CameraCalibration,
     rng: np.random.Generator,
     case: HardCase,
-) -> Array | None:
-    """Where on the wall an aperture lies behind the edge of the body."""
+) -> Vector | None:
+    """Return the direction in which an aperture lies behind the body's edge, `None` in cases without one."""
     if case is not HardCase.APERTURE:
         return None
     vertices_mm = placed.body.mesh.vertices @ placed.R.T + placed.offset_mm
@@ -181,35 +182,35 @@ def _aperture_behind(
     return wall_directions(camera, edge_uv[None], radius_mm)[0]
 
 
-def _frame(camera: CameraId, image: NDArray[np.uint8]) -> Frame:
+def _frame(camera: CameraId, image: GreyImage) -> Frame:
     return Frame(camera=camera, image=image, frame_id=1, device_ns=0, received_ns=0)
 
 
-def _looking(scene: _Scene, grey: float, contrast: float | None = None, gloss: float = 0.0) -> _Scene:
-    """The first body looks differently."""
+def _with_appearance(scene: _Scene, grey: float, contrast: float | None = None, gloss: float = 0.0) -> _Scene:
+    """Return the scene with another appearance of the first body."""
     first, *others = scene.bodies
     kept = first.body.contrast if contrast is None else contrast
     body = replace(first.body, grey=grey, contrast=kept, gloss=gloss)
     return replace(scene, bodies=[replace(first, body=body), *others])
 
 
-def _across_aperture(scene: _Scene, rng: np.random.Generator) -> _Scene:
-    return _looking(scene, rng.uniform(*DARK_GREY))
+def _spoil_aperture(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _with_appearance(scene, rng.uniform(*DARK_GREY))
 
 
-def _bright(scene: _Scene, rng: np.random.Generator) -> _Scene:
-    return _looking(scene, rng.uniform(*BRIGHT_GREY), contrast=rng.uniform(0.05, 0.25))
+def _spoil_bright(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _with_appearance(scene, rng.uniform(*BRIGHT_GREY), contrast=rng.uniform(0.05, 0.25))
 
 
-def _wet(scene: _Scene, rng: np.random.Generator) -> _Scene:
-    return _looking(scene, rng.uniform(*WET_GREY), gloss=rng.uniform(*WET_GLOSS))
+def _spoil_wet(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _with_appearance(scene, rng.uniform(*WET_GREY), gloss=rng.uniform(*WET_GLOSS))
 
 
-def _dusty(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_dust(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(scene, disturbance=dust(rng.uniform(*DUST_STRENGTH), rng, scene.camera.image_size_px))
 
 
-def _dimmed(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_dimmed(scene: _Scene, rng: np.random.Generator) -> _Scene:
     axis = scene.camera.center_mm / np.linalg.norm(scene.camera.center_mm)
     side = 1 if rng.random() < 0.3 else -1  # -1: in sight
     direction = side * axis + rng.normal(0, 0.45, size=3)
@@ -217,47 +218,47 @@ def _dimmed(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(scene, disturbance=dimmed_sector(scene.rig, scene.camera, strength, direction))
 
 
-def _flickering(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_flicker(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(scene, disturbance=flicker(rng.uniform(*FLICKER_FACTOR)))
 
 
-def _shadowed(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_shadow(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(
         scene,
         disturbance=cast_shadow(rng.uniform(*SHADOW_STRENGTH), rng, scene.camera.image_size_px),
     )
 
 
-def _moving(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_motion(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(scene, disturbance=Disturbance(exposure_us=rng.uniform(*LONG_EXPOSURE_US)))
 
 
-def _noisy(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_noise(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(scene, disturbance=Disturbance(read_noise=rng.uniform(*STRONG_NOISE)))
 
 
-def _several(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_several(scene: _Scene, rng: np.random.Generator) -> _Scene:
     n_more = int(rng.integers(N_BODIES[0] - 1, N_BODIES[1]))
-    return _joined(scene, [float(rng.uniform(5, 15)) for _ in range(n_more)], rng)
+    return _with_stones(scene, [float(rng.uniform(5, 15)) for _ in range(n_more)], rng)
 
 
-def _fragmented(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_fragments(scene: _Scene, rng: np.random.Generator) -> _Scene:
     n_more = int(rng.integers(N_FRAGMENTS[0], N_FRAGMENTS[1] + 1))
-    return _joined(scene, [float(rng.uniform(*FRAGMENT_MM)) for _ in range(n_more)], rng)
+    return _with_stones(scene, [float(rng.uniform(*FRAGMENT_MM)) for _ in range(n_more)], rng)
 
 
-def _joined(scene: _Scene, sizes_mm: list[float], rng: np.random.Generator) -> _Scene:
-    """Further stones of these sizes, not inside the first one."""
+def _with_stones(scene: _Scene, sizes_mm: list[float], rng: np.random.Generator) -> _Scene:
+    """Return the scene with further stones of these sizes, as far from the others as the best of a few draws."""
     bodies = list(scene.bodies)
     for size_mm in sizes_mm:
         body = stone(str(rng.choice(list(STONE_FORMS))), size_mm, rng)
-        candidates = [drop_across(body, scene.simulated.rig, rng, SPREAD_MM) for _ in range(6)]
-        bodies.append(max(candidates, key=lambda each: _clearance_mm(each, bodies)))
+        candidates = [drop_across(body, scene.simulated.rig, rng, NEIGHBOUR_SPREAD_MM) for _ in range(6)]
+        bodies.append(max(candidates, key=lambda candidate: _clearance_mm(candidate, bodies)))
     return replace(scene, bodies=bodies)
 
 
 def _clearance_mm(candidate: PlacedBody, others: list[PlacedBody]) -> float:
-    """Distance between the spheres around the bodies; negative where they overlap."""
+    """Return the least distance between the spheres around the bodies; negative where they overlap."""
     return min(
         float(np.linalg.norm(candidate.offset_mm - other.offset_mm))
         - candidate.body.radius_mm
@@ -266,21 +267,21 @@ def _clearance_mm(candidate: PlacedBody, others: list[PlacedBody]) -> float:
     )
 
 
-def _unspoilt(scene: _Scene, rng: np.random.Generator) -> _Scene:
+def _spoil_nothing(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return scene
 
 
 SPOIL: dict[HardCase, Callable[[_Scene, np.random.Generator], _Scene]] = {
-    HardCase.CLEAN: _unspoilt,
-    HardCase.APERTURE: _across_aperture,
-    HardCase.BRIGHT: _bright,
-    HardCase.WET: _wet,
-    HardCase.DUST: _dusty,
-    HardCase.DIMMED: _dimmed,
-    HardCase.FLICKER: _flickering,
-    HardCase.SHADOW: _shadowed,
-    HardCase.MOTION: _moving,
-    HardCase.NOISE: _noisy,
-    HardCase.SEVERAL: _several,
-    HardCase.FRAGMENTS: _fragmented,
+    HardCase.CLEAN: _spoil_nothing,
+    HardCase.APERTURE: _spoil_aperture,
+    HardCase.BRIGHT: _spoil_bright,
+    HardCase.WET: _spoil_wet,
+    HardCase.DUST: _spoil_dust,
+    HardCase.DIMMED: _spoil_dimmed,
+    HardCase.FLICKER: _spoil_flicker,
+    HardCase.SHADOW: _spoil_shadow,
+    HardCase.MOTION: _spoil_motion,
+    HardCase.NOISE: _spoil_noise,
+    HardCase.SEVERAL: _spoil_several,
+    HardCase.FRAGMENTS: _spoil_fragments,
 }

@@ -1,11 +1,11 @@
-"""A rig as a workshop would build it, ready to photograph, and the balls that calibrate it."""
+"""A simulated rig with manufacturing deviations, ready to render bodies, and the balls that calibrate it."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline.arrays import Matrix33, Vector
 from pipeline.calibration import BallDrop, observe_ball
 from pipeline.frames import FrameBundle
 from pipeline.rig.camera_arrays import nearest_point
@@ -19,18 +19,17 @@ from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
 
-Array = NDArray[np.float64]
-
 HOUSING, EMPTY, BALL, BODY = range(4)
 """Keys of a scene's random streams: what one exposure shows does not depend on the others."""
 N_EMPTY = 4
+"""Exposures of the empty rig that the background is learnt from."""
 COMPARED_MM = 12.0
 """Half the edge of the cube in which two rigs are compared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A rig with deviations in its housing, and what the empty rig looks like."""
+    """A rig with deviations in its housing, and its background model."""
 
     seed: int
     simulated: SimulatedRig
@@ -45,7 +44,7 @@ class Scene:
 
 
 def build_scene(seed: int, design: RigCalibration | None = None) -> Scene:
-    """The rig's design, or another, built with the deviations of `as_built`; its background is learnt from images."""
+    """Build the nominal rig, or another design, with the deviations of `as_built`, and learn its background."""
     simulated = simulate_rig(as_built(design or nominal_rig(), seed), stream(seed, HOUSING))
     background: BackgroundModel = {}
     for number in range(N_EMPTY):
@@ -55,7 +54,7 @@ def build_scene(seed: int, design: RigCalibration | None = None) -> Scene:
 
 
 def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
-    """What the cameras see of the ball that is dropped for the n-th time."""
+    """Return what the cameras see of the ball's drop number `number`, segmented."""
     rng = stream(scene.seed, BALL, number)
     placed = drop_across(ball(diameter_mm), scene.true_rig, rng)
     bundle = scene.photograph(placed, rng, f"ball-{number}")
@@ -64,20 +63,20 @@ def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigDifference:
-    """How a calibrated rig differs from the true one: x_true = R @ x + t, and what is left of the distances."""
+    """The difference of a calibrated rig from the true one: x_true = R @ x + t, and the residuals after that."""
 
-    R: Array  # (3, 3)
-    t_mm: Array  # (3,)
+    R: Matrix33
+    t_mm: Vector
     rms_mm: float  # of points within +-12 mm, after the rigid motion
     scale_percent: float  # of lengths, on average
     length_percent: float  # greatest relative error of a length, over all directions
 
 
 def rig_error(rig: RigCalibration, true_rig: RigCalibration) -> RigDifference:
-    """Points in the measuring volume as `true_rig` images them and `rig` finds them again.
+    """Compare points in the measuring volume with their triangulation by `rig` from images by `true_rig`.
 
-    Found where their rays pass nearest, and brought back by least squares (Kabsch 1976): a calibration has no
-    absolute place, and particles do not feel it.
+    They are triangulated where their rays pass nearest, and aligned by a rigid motion in least squares (Kabsch 1976):
+    a calibration has no absolute pose, and particles do not depend on it.
     """
     axis_mm = np.linspace(-COMPARED_MM, COMPARED_MM, 5)
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)

@@ -1,20 +1,19 @@
-"""How far a measured surface lies from the true one, there and back.
+"""Distances between a measured and a true surface, in both directions.
 
-Distances are exact, from points spread evenly over one surface to the triangles of the other. Measured to
-true says how wrong what was measured is; true to measured also finds what the measured surface lacks.
+Distances are exact, from points spread evenly over one surface to the triangles of the other. Those from measured to
+true say how wrong the measured surface is; those from true to measured also find what it lacks.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from pipeline.arrays import Floats, PointsMM, Values
 
 N_SAMPLES = 2_000
-"""Points a surface; a mean of distances about 0.1 mm is then known within 1 um, as they are spread evenly."""
+"""Points on each surface; spread evenly, they give a mean of distances about 0.1 mm within 1 um."""
 MAX_EDGE_SHARE = 0.05
 """Longest edge of the triangles that are searched, relative to the extent of the surface."""
 ROUNDING_MM = 1e-9
@@ -34,7 +33,7 @@ class SurfaceDistances:
 def surface_distances(
     measured: trimesh.Trimesh, truth: "Surface", rng: np.random.Generator, n_samples: int = N_SAMPLES
 ) -> SurfaceDistances:
-    """Distances over `n_samples` points spread evenly over each of two surfaces; of the greatest also over vertices."""
+    """Return the distances at `n_samples` points spread evenly over each surface; the greatest also at all vertices."""
     surface = Surface(measured)
     there_mm = truth.signed_distances_mm(even_samples(measured, n_samples, rng))
     back_mm = surface.signed_distances_mm(even_samples(truth.mesh, n_samples, rng))
@@ -47,8 +46,8 @@ def surface_distances(
     )
 
 
-def even_samples(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3), evenly distributed over the surface: one for each n-th of its area, face after face."""
+def even_samples(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> PointsMM:
+    """Return points (n, 3), evenly distributed over the surface: one for each n-th of its area, face after face."""
     area_mm2 = np.cumsum(mesh.area_faces)
     faces = np.searchsorted(area_mm2, (np.arange(n) + rng.uniform()) / n * area_mm2[-1])
     a, b = np.sort(rng.uniform(size=(2, n)), axis=0)
@@ -57,13 +56,13 @@ def even_samples(mesh: trimesh.Trimesh, n: int, rng: np.random.Generator) -> Arr
 
 
 class Surface:
-    """A closed mesh to which distances are asked: its triangles, cut small, with a tree of their centres."""
+    """A closed mesh that answers distance queries: its triangles, subdivided, and a k-d tree of their centres."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self.mesh = mesh
         longest_mm = MAX_EDGE_SHARE * float(np.max(mesh.extents))
         triangles, normals = np.asarray(mesh.triangles), np.asarray(mesh.face_normals)
-        done: list[tuple[Array, Array]] = []
+        done: list[tuple[Floats, Floats]] = []
         while len(triangles):
             sides_mm = _lengths(np.roll(triangles, -1, axis=1) - triangles)
             long = sides_mm.max(axis=1) > longest_mm
@@ -80,8 +79,8 @@ class Surface:
         self._reach_mm = _lengths(self._triangles - centers_mm[:, None]).max(axis=1)
         self._tree = cKDTree(centers_mm, compact_nodes=False, balanced_tree=False)
 
-    def signed_distances_mm(self, points_mm: Array) -> Array:
-        """Exact distances (N,) of points (N, 3) to the surface, positive outside."""
+    def signed_distances_mm(self, points_mm: PointsMM) -> Values:
+        """Return the exact distances (N,) of points (N, 3) to the surface, positive outside."""
         _, first = self._tree.query(points_mm)
         nearest_mm = trimesh.triangles.closest_point(self._triangles[first], points_mm)
         bound_mm = _lengths(points_mm - nearest_mm) + ROUNDING_MM
@@ -97,13 +96,13 @@ class Surface:
         gaps_mm = points_mm[point] - nearest_mm
         distance_mm = _lengths(gaps_mm)
         height_mm = np.einsum("ij,ij->i", gaps_mm, self._normals[triangle])
-        # on a shared edge or corner the face that looks most at the point knows its side
+        # on a shared edge or corner the face that most faces the point decides on its side
         best = np.lexsort((-np.abs(height_mm), np.round(distance_mm, 9), point))
         best = best[np.unique(point[best], return_index=True)[1]]
         return np.copysign(distance_mm, height_mm)[best]
 
-    def greatest_distance_mm(self, points_mm: Array) -> float:
-        """The greatest distance of any of the points (N, 3) to the surface, exactly."""
+    def greatest_distance_mm(self, points_mm: PointsMM) -> float:
+        """Return the exact greatest distance of any of the points (N, 3) to the surface."""
         apart_mm, first = self._tree.query(points_mm)
         # the distance is at most that to a centre, and less than it by the triangle's reach at most
         may_be_greatest = apart_mm >= apart_mm.max() - self._reach_mm.max()
@@ -115,6 +114,6 @@ class Surface:
         return float(np.abs(self.signed_distances_mm(points_mm)).max())
 
 
-def _lengths(vectors: Array) -> Array:
-    """Of vectors along the last axis; several times as fast as numpy's general norm."""
+def _lengths(vectors: Floats) -> Floats:
+    """Return the lengths of vectors along the last axis; several times as fast as numpy's general norm."""
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))

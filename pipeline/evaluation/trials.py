@@ -1,4 +1,4 @@
-"""One known body in one random pose, photographed once and measured in every way that is to be compared."""
+"""Accuracy trials: a known body in a random pose, rendered once and measured by every method that is compared."""
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError
@@ -24,18 +23,16 @@ from pipeline.segmentation import SilhouetteSet, segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
 from pipeline.synthesis.bundles import stream
-from pipeline.synthesis.irregular_bodies import irregular
+from pipeline.synthesis.irregular_bodies import irregular_body
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from pipeline.views.prepared import prepare_views
 
-Array = NDArray[np.float64]
-
 Method = Literal["paper's field", "hull", "estimate", "exact hull"]
 METHODS: tuple[Method, ...] = ("paper's field", "hull", "estimate")
-"""What is measured: the paper's carving, ours, the body that the whole chain returns by default.
+"""What is measured: the paper's carving, ours, and the body that the whole chain returns by default.
 
-The exact hull is not measured but computed from the body: the floor of the other hulls.
+The exact hull is not measured but computed from the body: the lower bound of the other hulls' errors.
 """
 STANDARDS: Mapping[str, Callable[[], Body]] = {"sphere": sphere, "cylinder": cylinder, "cube": cube}
 SIZES_MM = (10.0, 36.0)
@@ -44,7 +41,7 @@ SIZES_MM = (10.0, 36.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeErrors:
-    """Measured less true."""
+    """Errors of the shape: measured less true."""
 
     mesh_volume_percent: float  # of the mesh
     volume_percent: float  # of the reported volume, which is corrected where the chain corrects it
@@ -57,7 +54,7 @@ class ShapeErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """How well one body in one pose was measured with one rig by one method."""
+    """The accuracy of one body in one pose, with one rig and one method."""
 
     body: str
     number: int
@@ -70,19 +67,19 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured:
-    """A surface in the true rig's frame."""
+    """A measured surface in the true rig's frame."""
 
     mesh: trimesh.Trimesh
     volume_mm3: float  # as reported
 
 
 def random_body(name: str, number: int, seed: int) -> Body:
-    """The n-th body of a name: standards are always the same, all others of random form and size."""
+    """Return body number `number` of a name: standards are always the same, others of random form and size."""
     rng = _stream(seed, name, number, 0)
     if name in STANDARDS:
         return STANDARDS[name]()
     size_mm = float(rng.uniform(*SIZES_MM))
-    return stone(name, size_mm, rng) if name in STONE_FORMS else irregular(name, size_mm, rng)
+    return stone(name, size_mm, rng) if name in STONE_FORMS else irregular_body(name, size_mm, rng)
 
 
 def try_body(
@@ -92,11 +89,11 @@ def try_body(
     rigs: Mapping[str, tuple[RigCalibration, Sequence[Method]]],
     on_measured: Callable[[Trial, Measured, trimesh.Trimesh], None] = lambda trial, measured, truth: None,
 ) -> list[Trial]:
-    """Photograph a body in its n-th random pose; measure it with every rig by each of its methods.
+    """Render a body in its random pose `number`, and measure it with every rig by each of its methods.
 
-    A rig's frame is brought to the true rig's by the one rigid motion between the two, not body by body.
-    Where the body allows it, the exact hull in the same pose, seen by the true rig, comes first.
-    `on_measured` is given each trial that gave a body, with the measured and the true surface.
+    Measurements are brought to the true rig's frame by the one rigid motion between the two rigs, not body by body.
+    If the body is star-shaped, the exact hull in the same pose, seen by the true rig, comes first.
+    `on_measured` is called for each trial that gave a body, with the measured and the true surface.
     """
     rng = _stream(scene.seed, body.name, number, 1)
     placed = tumble(body, scene.true_rig, rng)
@@ -121,7 +118,7 @@ def try_body(
     trials = []
     if (center_mm := star_center_mm(truth.mesh)) is not None:
         floor = exact_hull_mesh(truth.mesh, center_mm, scene.true_rig)
-        trials.append(judged("true", "exact hull", _as_it_is(floor)))
+        trials.append(judged("true", "exact hull", _uncorrected(floor)))
     for name, (rig, methods) in rigs.items():
         motion = rig_error(rig, scene.true_rig)
         for method in methods:
@@ -137,7 +134,7 @@ def try_body(
 def _measure(
     bundle: FrameBundle, silhouettes: SilhouetteSet, rig: RigCalibration, method: Method
 ) -> Measured | str:
-    """What a method makes of the silhouettes, or why nothing."""
+    """Measure the body with one method; return why there is none if that fails."""
     if method == "estimate":
         # the whole chain but for the segmentation, which is done
         result = measure_bundle(
@@ -150,10 +147,10 @@ def _measure(
     hull = mesh_hull(carve(prepare_views(silhouettes, rig), parameters))
     if hull is None:
         return "the silhouettes have no common body"
-    return _as_it_is(_trimesh(hull))
+    return _uncorrected(_trimesh(hull))
 
 
-def _as_it_is(mesh: trimesh.Trimesh) -> Measured:
+def _uncorrected(mesh: trimesh.Trimesh) -> Measured:
     return Measured(mesh=mesh, volume_mm3=solid_of(mesh.vertices, mesh.faces).volume_mm3)
 
 
@@ -175,5 +172,5 @@ def _trimesh(mesh: ParticleMesh) -> trimesh.Trimesh:
 
 
 def _stream(seed: int, name: str, number: int, purpose: int) -> np.random.Generator:
-    """The same whatever other bodies are tried."""
+    """Return the random stream of one purpose, independent of the other bodies that are tried."""
     return stream(seed, BODY, zlib.crc32(name.encode()), number, purpose)

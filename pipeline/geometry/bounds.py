@@ -1,4 +1,4 @@
-"""The box around points."""
+"""The axis-parallel box around points."""
 
 from typing import TypeVar
 
@@ -9,7 +9,7 @@ Coordinate = TypeVar("Coordinate", np.float64, np.int32)
 
 
 def bounds(points: NDArray[Coordinate]) -> tuple[NDArray[Coordinate], NDArray[Coordinate]]:
-    """The least and the greatest coordinates (D,) of points (N, D), N > 0.
+    """Return the least and the greatest coordinates (D,) of points (N, D), N > 0.
 
     Column by column: with `axis=0` numpy takes ten times as long for few columns.
     """

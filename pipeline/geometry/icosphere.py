@@ -1,22 +1,20 @@
-"""Nearly uniform triangles on the unit sphere: an icosahedron's, split into four again and again."""
+"""Nearly uniform triangles on the unit sphere: those of an icosahedron, each split into four repeatedly."""
 
 from itertools import product
 
 import numpy as np
 import scipy.spatial
-from numpy.typing import NDArray
 
-Vertices = NDArray[np.float64]
-Triangles = NDArray[np.int64]
+from pipeline.arrays import Directions, Faces, Floats
 
 
-def icosphere(subdivisions: int) -> tuple[Vertices, Triangles]:
-    """Unit vectors (N, 3) and triangles (20 4^s, 3), counter-clockwise seen from outside."""
+def icosphere(subdivisions: int) -> tuple[Directions, Faces]:
+    """Return unit vectors (N, 3) and triangles (20 4^s, 3), counter-clockwise seen from outside."""
     return subdivided(*icosahedron(), subdivisions)
 
 
-def icosahedron() -> tuple[Vertices, Triangles]:
-    """Unit vectors (12, 3) and triangles (20, 3), counter-clockwise seen from outside."""
+def icosahedron() -> tuple[Directions, Faces]:
+    """Return unit vectors (12, 3) and triangles (20, 3), counter-clockwise seen from outside."""
     golden = (1 + np.sqrt(5)) / 2
     rectangle = [(0.0, one, long) for one, long in product((-1.0, 1.0), (-golden, golden))]
     vertices = np.array([np.roll(corner, turn) for turn in range(3) for corner in rectangle])
@@ -26,8 +24,8 @@ def icosahedron() -> tuple[Vertices, Triangles]:
     return _unit(vertices), triangles
 
 
-def subdivided(vertices: Vertices, triangles: Triangles, times: int) -> tuple[Vertices, Triangles]:
-    """Triangles on the unit sphere, each split into 4^times; new vertices come after those given."""
+def subdivided(vertices: Directions, triangles: Faces, times: int) -> tuple[Directions, Faces]:
+    """Split each triangle on the unit sphere into 4^times; new vertices come after those given."""
     for _ in range(times):
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
         edges, edge_of = np.unique(sides, axis=0, return_inverse=True)
@@ -37,5 +35,5 @@ def subdivided(vertices: Vertices, triangles: Triangles, times: int) -> tuple[Ve
     return vertices, triangles
 
 
-def _unit(vectors: Vertices) -> Vertices:
+def _unit(vectors: Floats) -> Directions:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -42,7 +42,7 @@ def camera_arrays(cameras: Sequence[CameraCalibration]) -> CameraArrays:
     if not cameras:
         return CameraArrays(np.empty((0, 3, 3)), np.empty((0, 5)), np.empty((0, 3, 3)), np.empty((0, 3)))
     calibrations = [(camera.K, camera.distortion, camera.R, camera.t_mm) for camera in cameras]
-    # several times as fast as np.array, which looks at every element
+    # several times as fast as np.array, which inspects every element
     K, distortion, R, t_mm = (np.concatenate(arrays) for arrays in zip(*calibrations, strict=True))
     return CameraArrays(
         K.reshape(-1, 3, 3), distortion.reshape(-1, 5), R.reshape(-1, 3, 3), t_mm.reshape(-1, 3)

@@ -8,9 +8,9 @@ principal point (640, 480) does not fit that sensor; ours is the image centre (6
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pipeline.arrays import Matrix33, Vector
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
@@ -22,7 +22,7 @@ IMAGE_SIZE_PX = (1280, 1024)
 
 
 def nominal_rig(created_at: str = "1970-01-01T00:00:00Z") -> RigCalibration:
-    """The design; cameras `c01`...`c16` layer by layer from the lowest, counter-clockwise from +x."""
+    """Return the rig as designed: cameras `c01`...`c16` layer by layer from the lowest, counter-clockwise from +x."""
     width_px, height_px = IMAGE_SIZE_PX
     focal_px = FOCAL_MM / PIXEL_MM
     K = np.array([[focal_px, 0, (width_px - 1) / 2], [0, focal_px, (height_px - 1) / 2], [0, 0, 1]])
@@ -51,15 +51,15 @@ def nominal_rig(created_at: str = "1970-01-01T00:00:00Z") -> RigCalibration:
     return RigCalibration(name="nominal", method="nominal", created_at=created_at, cameras=tuple(cameras))
 
 
-def looking_along(direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World-to-camera rotation (3, 3) of an upright camera that looks along a unit direction (3,)."""
+def looking_along(direction: Vector) -> Matrix33:
+    """Return the world-to-camera rotation of an upright camera that looks along a unit direction."""
     right = np.cross(direction, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(direction, right), direction])
 
 
 def as_built(rig: RigCalibration, seed: int, name: str = "true") -> RigCalibration:
-    """The rig with the deviations of a workshop, seeded.
+    """Return the rig with the deviations of a workshop, seeded.
 
     Each camera is turned by 1 degree about a random axis and shifted by 2 mm in a random direction;
     its focal length varies by 1 % (sd), its principal point by up to 15 px, k1 is -0.10 +- 0.05
@@ -86,6 +86,6 @@ def as_built(rig: RigCalibration, seed: int, name: str = "true") -> RigCalibrati
     return replace(rig, name=name, method="imported", cameras=cameras)
 
 
-def _unit(rng: np.random.Generator) -> NDArray[np.float64]:
+def _unit(rng: np.random.Generator) -> Vector:
     vector = rng.normal(size=3)
     return np.asarray(vector / np.linalg.norm(vector))

@@ -1,4 +1,4 @@
-"""The rig document as it is read: every defect is named by its member."""
+"""Reading the rig document, with every defect named by its member."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -6,22 +6,20 @@ from typing import Any, get_args
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from pipeline.arrays import Floats, Matrix33, Vector
 from pipeline.errors import RigError
 from pipeline.frames import CAMERA_ID, CameraId
 from pipeline.rig.cameras import FORMAT, CameraCalibration, Method, RigCalibration, checksum_of
 
 FIELD_AT_ORIGIN_MM = (20.0, 250.0)
-"""Plausible width of the image at the origin; outside it a focal length is given in the wrong unit."""
+"""Plausible range of the image's width at the origin; outside it a focal length is in the wrong unit."""
 MAX_MISS_MM = 10.0
 """Largest plausible distance between the origin and the ray through the centre of the image."""
 
-Array = NDArray[np.float64]
-
 
 def rig_from_document(document: Any) -> RigCalibration:
-    """The rig described by parsed JSON.
+    """Return the rig that parsed JSON describes.
 
     Raises
     ------
@@ -96,7 +94,7 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
         if not (np.allclose(K[2], [0, 0, 1]) and K[1, 0] == 0):
             raise RigError(f"{path}.K", "must be upper triangular with last row [0, 0, 1]")
     else:
-        K, R, t_mm = decomposed(_numbers(members, "projection", (3, 4), path), path)
+        K, R, t_mm = decompose_projection(_numbers(members, "projection", (3, 4), path), path)
     serial, rms_px = members.get("serial"), members.get("rms_px")
     if rms_px is not None and (
         isinstance(rms_px, bool) or not isinstance(rms_px, int | float) or not 0 <= rms_px < 1e6
@@ -139,7 +137,7 @@ def _require_plausible(camera: CameraCalibration, path: str) -> None:
         raise RigError(f"{path}.R", f"camera {camera.id} {where}")
 
 
-def _require_agreement(camera: CameraCalibration, projection: Array, path: str) -> None:
+def _require_agreement(camera: CameraCalibration, projection: Floats, path: str) -> None:
     axis_mm = np.array([-20.0, 0.0, 20.0])
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), axis=-1).reshape(-1, 3)
     homogeneous = np.column_stack([points_mm, np.ones(len(points_mm))])
@@ -150,13 +148,13 @@ def _require_agreement(camera: CameraCalibration, projection: Array, path: str) 
         raise RigError(f"{path}.projection", f"contradicts K, R and t_mm by {difference_px:.3g} px")
 
 
-def decomposed(projection: Array, path: str) -> tuple[Array, Array, Array]:
-    """K, R, t of a bare 3x4 matrix, up to whose scale and sign it is given; `path` names it in the error.
+def decompose_projection(projection: Floats, path: str) -> tuple[Matrix33, Matrix33, Vector]:
+    """Return K, R and t in mm of a projection matrix (3, 4) of any scale and sign; `path` names it in the error.
 
     Raises
     ------
     RigError
-        The matrix is no camera's.
+        The matrix has no optical centre.
     """
     M = projection[:, :3]
     if not abs(np.linalg.det(M)) > 1e-12 * np.linalg.norm(M) ** 3:
@@ -169,7 +167,7 @@ def decomposed(projection: Array, path: str) -> tuple[Array, Array, Array]:
     return K / K[2, 2], R, t_mm
 
 
-def _rotation(R: Array, path: str) -> Array:
+def _rotation(R: Matrix33, path: str) -> Matrix33:
     if not (np.abs(R @ R.T - np.eye(3)).max() < 1e-4 and np.linalg.det(R) > 0):
         raise RigError(f"{path}.R", "is not a rotation matrix")
     if np.abs(R @ R.T - np.eye(3)).max() < 1e-12:
@@ -192,7 +190,7 @@ def _member(members: Mapping[str, Any], key: str, kind: type[Any], path: str) ->
     return value
 
 
-def _numbers(members: Mapping[str, Any], key: str, shape: tuple[int, ...], path: str) -> Array:
+def _numbers(members: Mapping[str, Any], key: str, shape: tuple[int, ...], path: str) -> Floats:
     where = f"{path}.{key}"
     if members.get(key) is None:
         raise RigError(where, "is missing")

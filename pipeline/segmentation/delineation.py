@@ -47,7 +47,7 @@ class Delineation:
 
     labels: GreyImage  # (h, w) OUTSIDE, UNKNOWN or INSIDE
     edge: SubpixelEdge | None
-    """Of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
+    """The edge of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
 
 
 def delineate(

@@ -60,15 +60,6 @@ class NetworkKind(StrEnum):
     U2NET = "u2net"
 
 
-class NetworkTrouble(StrEnum):
-    """How a network fails: the words by which these reasons are told from others in a view's `fallback`."""
-
-    ON_CPU = "the CPU computes"
-    """A provider failed, and the network runs on the CPU instead."""
-    CANNOT_RUN = "cannot be run"
-    """The network does not run at all."""
-
-
 class Session(Protocol):
     """The part of an `onnxruntime.InferenceSession` that is used."""
 
@@ -150,8 +141,8 @@ class Network:
         except RUNTIME_ERRORS as err:
             provider = session.get_providers()[0]
             if provider == CPU:
-                raise ModelError(f"model {self.name}: {NetworkTrouble.CANNOT_RUN}: {_line(err)}") from err
-            self.fallback = f"{provider} failed, {NetworkTrouble.ON_CPU}: {_line(err)}"
+                raise ModelError(f"model {self.name}: cannot be run: {_line(err)}") from err
+            self.fallback = f"{provider} failed, the CPU computes: {_line(err)}"
             self._session = self._start(self._model, (CPU,))
             return self._run(view)
         return np.asarray(found[0][0, 0], np.float32)
@@ -221,7 +212,7 @@ def _first_session(model: bytes, providers: Sequence[str], start: StartSession) 
         raise ModelError(
             f"expected an ONNX model, found {len(model)} bytes that are none: {_line(err)}"
         ) from err
-    return session, f"{', '.join(problems)}, {NetworkTrouble.ON_CPU}" if problems else None
+    return session, f"{', '.join(problems)}, the CPU computes" if problems else None
 
 
 def _sizes_px(

@@ -66,7 +66,7 @@ class NetworkSegmenter:
         """Return the silhouette of the one body in the frame; its `fallback` is the network's own."""
         found = self._segment(frame, background)
         fallback = self.network.fallback  # asked afterwards: a provider may have failed just now
-        return found if fallback is None else replace(found, fallback=fallback)
+        return found if fallback is None else replace(found, fallback=fallback, network_trouble=fallback)
 
     def _segment(self, frame: Frame, background: BackgroundModel) -> Silhouette:
         network, image = self.network, frame.image

@@ -46,6 +46,14 @@ class ChoiceParameters:
     max_dark_share: float = 0.001  # of a view with a greater one: a stone of 2 mm before an aperture
 
 
+@dataclass(frozen=True, slots=True)
+class _Refusal:
+    """Why the network gives no silhouette, and whether that is trouble of its own."""
+
+    reason: str
+    network_trouble: str | None = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChoosingSegmenter:
     """The `Segmenter` that asks one of two, view by view.
@@ -73,33 +81,37 @@ class ChoosingSegmenter:
             lacks_network = self.network is None and self.wanted == "auto"
             return replace(found, fallback=self.no_network) if lacks_network else found
         by_network = self._ask_network(frame, background)
-        if isinstance(by_network, str):
-            refusal = by_network
+        if isinstance(by_network, _Refusal):
+            refusal = by_network.reason
         elif not by_network.is_usable and found.status is not ViewStatus.NO_BACKGROUND:
             refusal = f"network: {by_network.status}"
         elif is_occluded and unresolved_share(by_network) >= unresolved_share(found):
             refusal = "the network sees no more"
         else:
             return replace(by_network, fallback="; ".join(filter(None, (doubt, by_network.fallback))))
-        return replace(found, fallback=f"{doubt}; {refusal}")
+        return replace(found, fallback=f"{doubt}; {refusal}", network_trouble=by_network.network_trouble)
 
     def _ask_network_first(self, frame: Frame, background: BackgroundModel) -> Silhouette:
         by_network = self._ask_network(frame, background)
-        if isinstance(by_network, str):
-            return replace(self.classical(frame, background), fallback=by_network)
+        if isinstance(by_network, _Refusal):
+            found = self.classical(frame, background)
+            return replace(found, fallback=by_network.reason, network_trouble=by_network.network_trouble)
         if by_network.is_usable:
             return by_network
         found = self.classical(frame, background)
-        return replace(found, fallback=f"network: {by_network.status}") if found.is_usable else by_network
+        if not found.is_usable:
+            return by_network
+        reason = f"network: {by_network.status}"
+        return replace(found, fallback=reason, network_trouble=by_network.network_trouble)
 
-    def _ask_network(self, frame: Frame, background: BackgroundModel) -> Silhouette | str:
-        """Return the network's silhouette, or why it cannot be asked."""
+    def _ask_network(self, frame: Frame, background: BackgroundModel) -> Silhouette | _Refusal:
+        """Return the network's silhouette, or why there is none."""
         if self.network is None:
-            return self.no_network
+            return _Refusal(self.no_network)
         try:
             return self.network(frame, background)
         except ModelError as err:
-            return str(err)
+            return _Refusal(str(err), network_trouble=str(err))
 
     def _find_doubt(
         self, frame: Frame, background: BackgroundModel, found: Silhouette, compared: ComparedView | None

@@ -90,6 +90,8 @@ class Silhouette:
     found_by: FoundBy = FoundBy.BACKGROUND
     fallback: str | None = None
     """Why it is not by the segmenter that was asked first; reasons joined by "; "."""
+    network_trouble: str | None = None
+    """Why the network does not run as it should; None if it does, or was not asked."""
 
     @cached_property
     def coarse_px(self) -> FloatImage:

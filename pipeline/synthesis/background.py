@@ -11,13 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, FloatImage, Floats, PointsUV, Values
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
-from pipeline.synthesis.exposure import FloatImage
-
-Array = NDArray[np.float64]
 
 APERTURE_RADIUS_MM = 12.0
 HOLE_RADIUS_MM = 40.0
@@ -30,20 +27,20 @@ WALL_GREY = 205.0
 N_DOTS = 210  # about two in a field of view
 DOT_RADIUS_MM = (1.2, 2.8)  # 12 to 29 px at the far side of the wall
 DEFOCUS_PX = 8.0
-"""Standard deviation of the blur disc of the far wall at about F8, focused on the centre."""
+"""Standard deviation of the far wall's blur disc at about F8, focused on the centre."""
 COARSE_PX = 4
-"""The wall is computed on every fourth pixel: it is blurred over more than that."""
+"""Pixel step on which the wall is computed: it is blurred over more than that."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Wall:
-    """What is on the wall, in the world frame."""
+    """The wall's discs and panels, in the world frame."""
 
     radius_mm: float
-    disc_directions: Array  # (N, 3) unit vectors to dots, apertures and holes
-    disc_radii_mm: Array  # (N,)
-    disc_reflectances: Array  # (N,) relative to the wall
-    panel_reflectances: Array  # (parallels, meridians)
+    disc_directions: Directions  # from the origin to dots, apertures and holes
+    disc_radii_mm: Values
+    disc_reflectances: Values  # relative to the wall
+    panel_reflectances: Floats  # (parallels, meridians)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,7 +52,7 @@ class Background:
 
 
 def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
-    """A wall with random dots and panels, and the apertures of the rig's cameras."""
+    """Return a wall with random dots and panels, and the apertures of the rig's cameras."""
     dots = _scattered_directions(N_DOTS, rng)
     apertures = np.array([camera.center_mm for camera in rig.cameras])
     poles = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -85,13 +82,13 @@ def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
 def render_backgrounds(
     rig: RigCalibration, wall: Wall, rng: np.random.Generator
 ) -> Mapping[CameraId, Background]:
-    """The empty view of every camera."""
+    """Return the empty view of every camera."""
     return {camera.id: _render_background(camera, wall, rng) for camera in rig.cameras}
 
 
 def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Generator) -> Background:
     width, height = camera.image_size_px
-    # two cells of margin: the blur must not see the border
+    # two cells of margin, so that the blur does not reach the border
     u = (np.arange(-2, -(-width // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
     v = (np.arange(-2, -(-height // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1)
@@ -112,8 +109,8 @@ def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Gen
     return Background(radiance=radiance, gain=gain)
 
 
-def wall_directions(camera: CameraCalibration, pixels_uv: Array, radius_mm: float) -> Array:
-    """Unit vectors (N, 3) from the origin to where the viewing rays meet the far side of a spherical wall."""
+def wall_directions(camera: CameraCalibration, pixels_uv: PointsUV, radius_mm: float) -> Directions:
+    """Return the directions (N, 3) from the origin to where the rays of pixels (N, 2) meet the far side of the wall."""
     center, rays = camera.center_mm, camera.rays(pixels_uv)
     # |c + s d| = r, the larger s
     half = rays @ center
@@ -122,8 +119,8 @@ def wall_directions(camera: CameraCalibration, pixels_uv: Array, radius_mm: floa
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
-def _reflectance(directions: Array, wall: Wall) -> Array:
-    """Reflectance (N,) of the wall in directions (N, 3) from the origin."""
+def _reflectance(directions: Directions, wall: Wall) -> Values:
+    """Return the reflectance (N,) of the wall in directions (N, 3) from the origin."""
     elevation_deg = np.rad2deg(np.arcsin(np.clip(directions[:, 2], -1, 1))) + 90
     azimuth_deg = np.rad2deg(np.arctan2(directions[:, 1], directions[:, 0])) % 360
     rows, columns = elevation_deg / SEAM_SPACING_DEG, azimuth_deg / SEAM_SPACING_DEG
@@ -136,7 +133,7 @@ def _reflectance(directions: Array, wall: Wall) -> Array:
     to_seam_mm = np.minimum(
         np.abs(rows - np.round(rows)) * mm_per_spacing, np.abs(columns - np.round(columns)) * parallel_mm
     )
-    # a soft border of a cell's size, lest the coarse grid shows as steps
+    # a soft border of a cell's size, so that the coarse grid does not show as steps
     depth = np.clip((SEAM_WIDTH_MM / 2 - to_seam_mm) / SEAM_SOFTNESS_MM + 0.5, 0, 1)
     result = result * (1 - SEAM_DEPTH * depth)
     middle = directions.mean(axis=0)
@@ -150,8 +147,8 @@ def _reflectance(directions: Array, wall: Wall) -> Array:
     return np.asarray(result)
 
 
-def _scattered_directions(count: int, rng: np.random.Generator) -> Array:
-    """Directions (count, 3) spread evenly (a Fibonacci spiral) and shaken by half their spacing."""
+def _scattered_directions(count: int, rng: np.random.Generator) -> Directions:
+    """Return directions (count, 3) spread evenly (a Fibonacci spiral) and displaced by half their spacing."""
     index = np.arange(count) + 0.5
     z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
     spiral = np.column_stack([np.sqrt(1 - z**2) * np.cos(azimuth), np.sqrt(1 - z**2) * np.sin(azimuth), z])

@@ -16,14 +16,14 @@ from pipeline.measuring.solid import solid_of
 SPHERE_SUBDIVISIONS = 5  # 20 480 faces; sagitta 0.0015 mm at r = 7.5 mm
 CYLINDER_SECTIONS = 360  # sagitta 0.0003 mm at r = 7.5 mm
 PITCH_MM = 0.5
-"""Edge length of flat faces: they are cut up to carry the texture."""
+"""Longest edge of flat faces, which are subdivided to carry the texture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Body:
     """A closed surface and how it looks."""
 
-    name: str  # of its kind: `sphere`, `flaky`; part of the names of its bundles
+    name: str  # its form: `sphere`, `flaky`; part of the names of its bundles
     mesh: trimesh.Trimesh  # mm, origin at the centre of mass
     kind: BundleKind = BundleKind.PARTICLE
     grey: float = 60.0  # mean grey level on a background of about 205
@@ -32,12 +32,12 @@ class Body:
 
     @property
     def radius_mm(self) -> float:
-        """Largest distance of the surface from the centre of mass."""
+        """The largest distance of the surface from the centre of mass."""
         return float(np.linalg.norm(self.mesh.vertices, axis=1).max())
 
 
 def ball(diameter_mm: float = 10.0) -> Body:
-    """The matte calibration ball."""
+    """Return the matte calibration ball."""
     mesh = sphere_mesh(diameter_mm)
     return Body(name="ball", mesh=mesh, kind=BundleKind.BALL, grey=55.0, contrast=0.04)
 
@@ -47,7 +47,7 @@ def sphere(diameter_mm: float = 15.0) -> Body:
 
 
 def cylinder(diameter_mm: float = 15.0, height_mm: float = 15.0) -> Body:
-    """Upright in the body frame."""
+    """Return a cylinder, upright in the body frame."""
     # a polygon's area is below its circle's by sin(x)/x
     angle = 2 * np.pi / CYLINDER_SECTIONS
     radius_mm = diameter_mm / 2 * np.sqrt(angle / np.sin(angle))
@@ -72,7 +72,7 @@ def cube(edge_mm: float = 15.0) -> Body:
 
 
 def body_from_mesh(name: str, mesh: trimesh.Trimesh) -> Body:
-    """Any closed mesh in mm, moved to its centre of mass.
+    """Return the body of any closed mesh in mm, moved to its centre of mass.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def body_from_mesh(name: str, mesh: trimesh.Trimesh) -> Body:
 
 
 def sphere_mesh(diameter_mm: float) -> trimesh.Trimesh:
-    """An icosphere of the ideal sphere's volume."""
+    """Return an icosphere of the ideal sphere's volume."""
     unit = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
     scale = np.cbrt(np.pi / 6 * diameter_mm**3 / unit.volume)
     return trimesh.Trimesh(scale * unit.vertices, unit.faces, process=False)

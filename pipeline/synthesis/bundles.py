@@ -1,4 +1,4 @@
-"""Exposures as bundles: counters and clocks as the devices of a rig would stamp them.
+"""Rendered exposures as bundles, with counters and clocks as the devices of a rig stamp them.
 
 The gate fires, the cameras wait for the stone to fall to the centre, expose together and transfer.
 Each camera's counter starts somewhere in its 16 bits and goes on after 65535 with 1; each device's
@@ -30,7 +30,7 @@ LAST_FRAME_ID = 65535
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random numbers of one thing in a recording, whatever else is in it."""
+    """Return the random stream of one item of a recording, independent of what else is in it."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
@@ -46,7 +46,7 @@ def render_bundle(
     delay_ns: int = TRIGGER_DELAY_NS,
     disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> FrameBundle:
-    """The bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`.
+    """Return bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`.
 
     The cameras expose `delay_ns` after the gate.
     """
@@ -65,7 +65,7 @@ def render_bundle(
     exposure_ns = round(simulated.parameters.exposure_us * 1000)
     frames = {}
     for position, (camera, image) in enumerate(images.items()):
-        clock_ns, first_frame_id = _zeros_of(position)
+        clock_ns, first_frame_id = _clock_zero_and_first_id(position)
         jitter_ns = int(rng.uniform(-TRANSFER_JITTER_NS, TRANSFER_JITTER_NS))
         frames[camera] = Frame(
             camera=camera,
@@ -85,7 +85,7 @@ def render_empty(
     period_ns: int = PERIOD_NS,
     disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> FrameBundle:
-    """The empty rig, exposed on purpose."""
+    """Return a bundle of kind `background`: the empty rig, exposed on purpose."""
     return render_bundle(
         [],
         simulated,
@@ -98,7 +98,7 @@ def render_empty(
 
 
 def without_views(bundle: FrameBundle, cameras: Sequence[CameraId], reason: str) -> FrameBundle:
-    """The bundle as it is when these cameras delivered nothing."""
+    """Return the bundle as it is when these cameras delivered nothing."""
     lost = set(cameras)
     return FrameBundle(
         trigger=bundle.trigger,
@@ -108,8 +108,8 @@ def without_views(bundle: FrameBundle, cameras: Sequence[CameraId], reason: str)
 
 
 def _pulse_width_ns(bodies: Sequence[PlacedBody], rng: np.random.Generator) -> int | None:
-    """For how long the bodies, let go together at the beam and turned as photographed, close it; never by none."""
-    # of this range because the images of known seeds depend on all that is drawn
+    """Return for how long bodies dropped together through the beam, oriented as photographed, close it."""
+    # drawn from this range and without bodies too: the images of known seeds depend on all that is drawn
     jitter = PULSE_WIDTH_JITTER * (int(rng.integers(5_000_000)) / 2_500_000 - 1)
     if not bodies:
         return None
@@ -117,6 +117,6 @@ def _pulse_width_ns(bodies: Sequence[PlacedBody], rng: np.random.Generator) -> i
     return round(pulse_width_ns(float(np.ptp(heights_mm))) * (1 + jitter))
 
 
-def _zeros_of(position: int) -> tuple[int, int]:
-    """Clock and first frame id of the camera at a place of the rig; some wrap early."""
+def _clock_zero_and_first_id(position: int) -> tuple[int, int]:
+    """Return the clock's zero and the first frame id of the camera at a position in the rig; some ids wrap early."""
     return 7_000_000_000 * (position + 1), 1 + (65_401 + 4_099 * position) % LAST_FRAME_ID

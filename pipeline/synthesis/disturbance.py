@@ -1,41 +1,38 @@
-"""What spoils one camera's view: dust on the lens, failing light, shadows, noise, a long exposure.
+"""Disturbances of one camera's view: dust on the lens, failing light, shadows, noise, a long exposure.
 
-Grey levels are linear in light, so each trouble is a factor or a summand, and several of them make a product.
-All is fixed to the camera and stays out of focus; nothing moves with the wall or with the body.
+Grey levels are linear in light, so each disturbance is a factor or a summand, and several of them multiply.
+All are fixed to the camera and out of focus; none moves with the wall or with the body.
 """
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from pipeline.arrays import FloatImage, Floats, Vector
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis.background import WALL_GREY, wall_directions
-from pipeline.synthesis.exposure import FloatImage
-
-Array = NDArray[np.float64]
 
 DENSEST_DUST = 0.6
-"""Share of the light that dust of strength 1 keeps from the sensor, on average over the image."""
+"""Share of the light that dust of strength 1 absorbs, on average over the image."""
 VEIL_SHARE = 0.3
-"""Part of the light kept away that comes back scattered, from everywhere: a veil."""
+"""Part of the absorbed light that returns as stray light from everywhere: a veil."""
 CLOUD_PX, SPECK_PX = (140.0, 320.0), (12.0, 30.0)
 """Standard deviations of patches of dust on the lens, and of single specks nearer to the sensor."""
 PANEL_DEG, PANEL_SOFTNESS_DEG = 40.0, 12.0
 """Half the width of a panel of the dome as seen from the centre, and of its border."""
 PANEL_SHARE = 0.5
-"""Part of its light that a matte surface looking at a panel has from it."""
+"""Part of its light that a matte surface facing a panel receives from it."""
 COARSE_PX = 8
-"""Light and dust vary slowly: they are computed on every eighth pixel."""
+"""Pixel step on which light and dust are computed: they vary slowly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Disturbance:
-    """What is wrong with one camera's view in one exposure; arrays are (H, W), the defaults change nothing."""
+    """Disturbances of one camera's view in one exposure; arrays are (H, W), the defaults change nothing."""
 
-    wall_light: FloatImage | float = 1.0  # factor on the light of what lies behind
+    wall_light: FloatImage | float = 1.0  # factor on the light of the wall
     body_light: FloatImage | float = 1.0  # factor on the light of bodies, where they are seen
     transmission: FloatImage | float = 1.0  # of lens and window
     veil: FloatImage | float = 0.0  # grey levels of stray light
@@ -47,7 +44,7 @@ UNDISTURBED = Disturbance()
 
 
 def dust(strength: float, rng: np.random.Generator, image_size_px: tuple[int, int]) -> Disturbance:
-    """Dust on the lens: the mean transmission is `1 - DENSEST_DUST * strength`, patchy, under a veil of stray light.
+    """Return patchy dust on the lens, of mean transmission `1 - DENSEST_DUST * strength`, with a veil of stray light.
 
     Raises
     ------
@@ -59,12 +56,12 @@ def dust(strength: float, rng: np.random.Generator, image_size_px: tuple[int, in
     clouds = _blobs(12, CLOUD_PX, rng, image_size_px)
     specks = _blobs(int(rng.integers(0, 8)), SPECK_PX, rng, image_size_px)
     density = 0.2 + clouds / max(float(clouds.mean()), 1e-6) + specks
-    kept = DENSEST_DUST * strength
+    absorbed = DENSEST_DUST * strength
 
     def excess(depth: float) -> float:
-        return float(np.exp(-depth * density).mean()) - (1 - kept)
+        return float(np.exp(-depth * density).mean()) - (1 - absorbed)
 
-    depth = brentq(excess, 0.0, 50.0) if kept > 0 else 0.0
+    depth = brentq(excess, 0.0, 50.0) if absorbed > 0 else 0.0
     transmission = _fine(np.exp(-depth * density), width, height)
     return Disturbance(
         transmission=transmission, veil=np.float32(VEIL_SHARE * WALL_GREY) * (1 - transmission)
@@ -72,11 +69,11 @@ def dust(strength: float, rng: np.random.Generator, image_size_px: tuple[int, in
 
 
 def dimmed_sector(
-    rig: RigCalibration, camera: CameraCalibration, strength: float, direction: Array
+    rig: RigCalibration, camera: CameraCalibration, strength: float, direction: Vector
 ) -> Disturbance:
-    """What `camera` sees when the panel of the dome in a `direction` (3,) from the centre is `strength` weaker.
+    """Return what `camera` sees when the panel of the dome in a `direction` from the centre is weaker by a share.
 
-    The wall is dark where the panel itself is in sight; a body is dark on the side that looks at the panel.
+    The wall is dark where the panel itself is in sight; a body is dark on the side that faces the panel.
     """
     _require_share("strength", strength)
     toward_panel = direction / np.linalg.norm(direction)
@@ -87,7 +84,7 @@ def dimmed_sector(
     on_wall = wall_directions(camera, pixels_uv.reshape(-1, 2), radius_mm)
     from_panel_deg = np.rad2deg(np.arccos(np.clip(on_wall @ toward_panel, -1, 1)))
     is_panel = 1 / (1 + np.exp((from_panel_deg - PANEL_DEG) / (PANEL_SOFTNESS_DEG / 2)))
-    # a body in the middle, taken for a ball that fills half of the image: its normals there
+    # normals of a body in the middle, taken for a ball that fills half of the image
     toward_camera = camera.center_mm / np.linalg.norm(camera.center_mm)
     across = (pixels_uv - camera.K[:2, 2]) / (height / 2)
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1)
@@ -101,14 +98,14 @@ def dimmed_sector(
 
 
 def flicker(factor: float) -> Disturbance:
-    """A flash of `factor` times the usual energy for all that this camera sees."""
+    """Return a flash of `factor` times the usual energy, for wall and body alike."""
     if not factor > 0:
         raise ValueError(f"factor must be positive, not {factor:g}")
     return Disturbance(wall_light=factor, body_light=factor)
 
 
 def cast_shadow(strength: float, rng: np.random.Generator, image_size_px: tuple[int, int]) -> Disturbance:
-    """A soft shadow on the wall, somewhere near the middle, that takes up to `strength` of its light."""
+    """Return a soft shadow on the wall, somewhere near the middle, that takes up to `strength` of its light."""
     _require_share("strength", strength)
     width, height = image_size_px
     pixels_uv = _coarse_grid(width, height)
@@ -126,8 +123,8 @@ def _blobs(
     sigma_px: tuple[float, float],
     rng: np.random.Generator,
     image_size_px: tuple[int, int],
-) -> Array:
-    """Sum of `count` Gaussian patches of random place, width and weight, on the coarse grid."""
+) -> Floats:
+    """Return the sum of `count` Gaussian patches of random place, width and weight, on the coarse grid."""
     width, height = image_size_px
     pixels_uv = _coarse_grid(width, height)
     # patches are as large relative to any image as they are to the design's
@@ -141,15 +138,15 @@ def _blobs(
     return total
 
 
-def _coarse_grid(width: int, height: int) -> Array:
-    """Pixel coordinates (rows, columns, 2) in the middle of blocks of `COARSE_PX`."""
+def _coarse_grid(width: int, height: int) -> Floats:
+    """Return the pixel coordinates (rows, columns, 2) of the centres of blocks of `COARSE_PX`."""
     u = (np.arange(-(-width // COARSE_PX)) + 0.5) * COARSE_PX - 0.5
     v = (np.arange(-(-height // COARSE_PX)) + 0.5) * COARSE_PX - 0.5
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
-def _fine(coarse: Array, width: int, height: int) -> FloatImage:
-    """A coarse field at full size (H, W)."""
+def _fine(coarse: Floats, width: int, height: int) -> FloatImage:
+    """Interpolate a coarse image to full size (H, W)."""
     rows, columns = coarse.shape
     fine = cv2.resize(
         coarse.astype(np.float32), (columns * COARSE_PX, rows * COARSE_PX), interpolation=cv2.INTER_LINEAR

@@ -1,16 +1,14 @@
-"""What lens, motion, light and sensor make of a scene; grey levels are linear in light."""
+"""A simulated exposure: blur by lens and motion, flash, sensor noise. Grey levels are linear in light."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from pipeline.arrays import FloatImage, Values
 from pipeline.compiled import compiled
 from pipeline.frames import Image
-
-FloatImage = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +19,7 @@ class ExposureParameters:
     fall_speed_mm_s: float = 2430.0
     blur_px: float = 0.7  # sigma of the lens
     flash_sd: float = 0.01  # of the strobe's energy, from flash to flash
-    camera_flash_sd: float = 0.002  # what each camera sees on top of it
+    camera_flash_sd: float = 0.002  # of each camera's own light, on top of it
     read_noise: float = 0.8  # grey levels
     shot_noise: float = 0.016  # variance per grey level: sigma 2 at 200
 
@@ -32,8 +30,8 @@ class ExposureParameters:
             raise ValueError(f"blur_px must be 0.3..10, not {self.blur_px:g}")
 
 
-def blur_kernel(sigma_px: float, motion_uv: NDArray[np.float64]) -> FloatImage:
-    """Point spread function (K, K), K odd: a Gaussian swept evenly along `motion_uv` (2,) px.
+def blur_kernel(sigma_px: float, motion_uv: Values) -> FloatImage:
+    """Return the point spread function (K, K), K odd: a Gaussian swept evenly along `motion_uv` (2,) px.
 
     Along the motion of length L the profile is (ndtr((s + L/2) / sigma) - ndtr((s - L/2) / sigma)) / L,
     across it Gaussian; the kernel is centred on the middle of the motion.
@@ -52,12 +50,12 @@ def blur_kernel(sigma_px: float, motion_uv: NDArray[np.float64]) -> FloatImage:
 
 
 def blurred(image: FloatImage, kernel: FloatImage) -> FloatImage:
-    """The image convolved with a (symmetric) kernel; the border is continued."""
+    """Return the image convolved with a (symmetric) kernel; its border is replicated."""
     return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
 def expose(radiance: FloatImage, parameters: ExposureParameters, rng: np.random.Generator) -> Image:
-    """The sensor's 8-bit image of a radiance (H, W) in grey levels: shot and read noise, rounding."""
+    """Return the sensor's 8-bit image of a radiance (H, W) in grey levels, with shot noise, read noise and rounding."""
     unit_noise: FloatImage = rng.standard_normal(radiance.shape, dtype=np.float32)
     return np.asarray(
         _noisy(radiance, unit_noise, np.float32(parameters.shot_noise), np.float32(parameters.read_noise**2))

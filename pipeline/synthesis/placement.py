@@ -1,31 +1,31 @@
-"""Where a falling body is in the middle of the exposure."""
+"""Random poses of falling bodies at the middle of the exposure."""
 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from pipeline.arrays import PointsMM, Vector
 from pipeline.rig.cameras import RigCalibration
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.renderer import PlacedBody
 
-Array = NDArray[np.float64]
-
 OFFSET_SD_MM = 1.5
+"""Standard deviation of a body's offset from the centre along each axis."""
 MAX_OFFSET_SD = 3.0
 HALF_VOLUME_MM = 24.5
 """Half the edge of the reconstructed cube, less a margin."""
 SPREAD_MM = (9.0, 9.0, 9.0)
-"""How far from the centre, along each axis, calibration balls are dropped: where stones are measured."""
+"""Greatest offset of calibration balls from the centre along each axis: the volume that stones are measured in."""
 BORDER_PX = 8.0
+"""Margin that a body keeps to the border of each image."""
 PX_PER_MM = 20.0  # in the middle of the design
 N_TRIES = 60
 
 
 def tumble(body: Body, rig: RigCalibration, rng: np.random.Generator) -> PlacedBody:
-    """The body in a random pose, near the centre, whole in every view and inside the volume.
+    """Place the body in a random pose near the centre, whole in every view and inside the volume.
 
     A body too large for that anywhere near the centre is placed where least of it is cut off.
     """
@@ -41,16 +41,16 @@ def drop_across(
     spread_mm: tuple[float, float, float] = SPREAD_MM,
     fallen_mm: float = 0.0,
 ) -> PlacedBody:
-    """The body anywhere within `spread_mm` of the centre along x, y and z, and `fallen_mm` below that.
+    """Place the body as `tumble` does, anywhere within `spread_mm` of the centre along x, y and z.
 
-    Otherwise as `tumble` places it.
+    It is `fallen_mm` further down.
     """
     below_mm = np.array([0.0, 0.0, fallen_mm])
     return _placed(body, rig, rng, lambda: np.array(spread_mm) * rng.uniform(-1, 1, size=3) - below_mm)
 
 
 def _placed(
-    body: Body, rig: RigCalibration, rng: np.random.Generator, draw_offset_mm: Callable[[], Array]
+    body: Body, rig: RigCalibration, rng: np.random.Generator, draw_offset_mm: Callable[[], Vector]
 ) -> PlacedBody:
     hull_mm = body.mesh.vertices[ConvexHull(body.mesh.vertices).vertices]
     placements = []
@@ -64,8 +64,8 @@ def _placed(
     return min(placements, key=lambda placement: placement[0])[1]
 
 
-def _cut_off_px(points_world_mm: Array, rig: RigCalibration) -> float:
-    """How far the points reach beyond images or volume; at most 0 when they are inside."""
+def _cut_off_px(points_world_mm: PointsMM, rig: RigCalibration) -> float:
+    """Return how far the points reach beyond images or volume; at most 0 if they are inside."""
     beyond = [float(np.abs(points_world_mm).max() - HALF_VOLUME_MM) * PX_PER_MM]
     for camera in rig.cameras:
         pixels_uv, _ = camera.project(points_world_mm)

@@ -1,4 +1,4 @@
-"""Photographs of known bodies by a known rig.
+"""Rendered images of known bodies in a known rig.
 
 Every random number comes from the generator that is passed in; one exposure is one call.
 """
@@ -10,27 +10,25 @@ from types import MappingProxyType
 import numpy as np
 import trimesh
 from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, FloatImage, Matrix33, PointsMM, Values, Vector
 from pipeline.frames import CameraId, Image
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis import pixel_coverage, shading
 from pipeline.synthesis.background import Background, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
-from pipeline.synthesis.exposure import ExposureParameters, FloatImage, blur_kernel, blurred, expose
+from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, blurred, expose
 from pipeline.synthesis.pixel_coverage import Window
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedBody:
-    """A body where it is in the middle of the exposure: x_world = R @ x_body + offset."""
+    """A body and its pose in the middle of the exposure: x_world = R @ x_body + offset."""
 
     body: Body
-    R: Array  # (3, 3)
-    offset_mm: Array  # (3,) of the centre of mass
+    R: Matrix33
+    offset_mm: Vector  # of the centre of mass
 
     @property
     def world_mesh(self) -> trimesh.Trimesh:
@@ -40,7 +38,7 @@ class PlacedBody:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedRig:
-    """What stays the same between exposures: cameras, housing, light."""
+    """The parts of a rig that stay the same between exposures: cameras, housing, light."""
 
     rig: RigCalibration
     backgrounds: Mapping[CameraId, Background]
@@ -50,7 +48,7 @@ class SimulatedRig:
 def simulate_rig(
     rig: RigCalibration, rng: np.random.Generator, parameters: ExposureParameters | None = None
 ) -> SimulatedRig:
-    """A rig in a randomly built housing."""
+    """Return a rig in a random housing."""
     backgrounds = render_backgrounds(rig, build_wall(rig, rng), rng)
     return SimulatedRig(rig=rig, backgrounds=backgrounds, parameters=parameters or ExposureParameters())
 
@@ -61,8 +59,8 @@ def photograph(
     rng: np.random.Generator,
     disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> dict[CameraId, Image]:
-    """One exposure of all cameras; without bodies, of the empty rig."""
-    surfaces = [illuminated(placed, rng) for placed in bodies]
+    """Return one exposure of all cameras; without bodies, of the empty rig."""
+    surfaces = [illuminate(placed, rng) for placed in bodies]
     flash = _flash(simulated.parameters.flash_sd, rng)
     images = {}
     for camera in simulated.rig.cameras:
@@ -74,27 +72,27 @@ def photograph(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surface:
-    """A placed body with its light on it."""
+class LitSurface:
+    """The surface of a placed body in the light of one exposure."""
 
     mesh: trimesh.Trimesh  # world frame
-    center_mm: Array  # (1, 3)
+    center_mm: PointsMM  # (1, 3)
     edges: pixel_coverage.Edges
     scene: EmbreeScene
-    face_radiance: Array  # (F,) of what is matte
+    face_radiance: Values  # diffuse, of each face
     gloss: float
-    lamps: Array  # (L, 3) unit vectors to what a glossy surface mirrors
+    lamps: Directions  # to the lamps that a glossy surface mirrors
 
 
-def illuminated(placed: PlacedBody, rng: np.random.Generator) -> Surface:
-    """The body in the light of one exposure."""
+def illuminate(placed: PlacedBody, rng: np.random.Generator) -> LitSurface:
+    """Return the body's surface in the light of one exposure."""
     mesh = placed.world_mesh
     scene = shading.embree_scene(mesh)
     face_radiance = shading.texture(placed.body, rng) * shading.irradiance(mesh, scene, rng)
-    return Surface(
+    return LitSurface(
         mesh=mesh,
         center_mm=placed.offset_mm[None, :],
-        edges=pixel_coverage.edges_of(mesh.faces),
+        edges=pixel_coverage.mesh_edges(mesh.faces),
         scene=scene,
         face_radiance=face_radiance,
         gloss=placed.body.gloss,
@@ -109,7 +107,7 @@ def _flash(sd: float, rng: np.random.Generator) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layer:
-    """A body in one view, blurred, within the image."""
+    """The part of an image that a body covers, blurred by lens and motion."""
 
     rows: slice
     columns: slice
@@ -119,7 +117,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """One camera's view before the flash and the sensor: what lies behind, and in front of it the bodies."""
+    """One camera's view before flash and sensor: the wall and the bodies in front of it."""
 
     wall: FloatImage  # (H, W), in its light
     layers: tuple[Layer, ...]  # from the farthest to the nearest
@@ -127,11 +125,11 @@ class View:
     parameters: ExposureParameters  # as disturbed
 
     def radiance(self, strength: float = 1.0) -> FloatImage:
-        """Grey levels (H, W) without noise for a flash of this strength."""
+        """Return the grey levels (H, W) without noise for a flash of this strength."""
         radiance = self.wall.copy()
-        for layer in self.layers:  # coverage * body + (1 - coverage) * behind
-            behind = radiance[layer.rows, layer.columns]
-            behind += layer.coverage * (layer.radiance - behind)
+        for layer in self.layers:  # coverage * body + (1 - coverage) * background
+            background = radiance[layer.rows, layer.columns]
+            background += layer.coverage * (layer.radiance - background)
         radiance *= strength
         radiance *= self.disturbance.transmission
         radiance += self.disturbance.veil
@@ -139,12 +137,12 @@ class View:
 
 
 def view_of(
-    surfaces: Sequence[Surface],
+    surfaces: Sequence[LitSurface],
     camera: CameraCalibration,
     simulated: SimulatedRig,
     disturbance: Disturbance = UNDISTURBED,
 ) -> View:
-    """What one camera has before it."""
+    """Return the view of one camera."""
     background = simulated.backgrounds[camera.id]
     parameters = simulated.parameters
     if disturbance.exposure_us is not None:
@@ -164,13 +162,13 @@ def view_of(
 
 
 def _layer(
-    surface: Surface,
+    surface: LitSurface,
     camera: CameraCalibration,
     gain: float,
     light: FloatImage | float,
     parameters: ExposureParameters,
 ) -> Layer | None:
-    """The body in the image, `None` if it is not."""
+    """Return the layer of a body in an image, `None` if it is out of view."""
     fall_mm = np.array([[0, 0, -parameters.fall_speed_mm_s * parameters.exposure_us * 1e-6]])
     (start_uv, end_uv), _ = camera.project(np.concatenate([-fall_mm, fall_mm]) / 2 + surface.center_mm)
     kernel = blur_kernel(parameters.blur_px, end_uv - start_uv)
@@ -187,7 +185,7 @@ def _layer(
         return None
     toward_camera_mm = camera.center_mm - surface.mesh.triangles[:, 0]
     is_front = np.einsum("ij,ij->i", surface.mesh.face_normals, toward_camera_mm) > 0
-    border_uv = pixels_uv[pixel_coverage.border(surface.edges, is_front)]
+    border_uv = pixels_uv[pixel_coverage.silhouette_edges(surface.edges, is_front)]
     covered = pixel_coverage.coverage(border_uv[:, 0], border_uv[:, 1], window)
     face_radiance = surface.face_radiance
     if surface.gloss > 0:

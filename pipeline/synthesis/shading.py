@@ -1,4 +1,4 @@
-"""How bright a body's surface is: matte stone in the even light of a dome.
+"""The radiance of a body's surface: matte or wet stone in the even light of a dome.
 
 A matte surface looks equally bright from everywhere, so each face's radiance is computed once an
 exposure: its texture times the part of the dome that it sees. Rays (embree) find what occludes it, and
@@ -10,41 +10,38 @@ import numpy as np
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, FloatImage, Values
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.bodies import Body
-from pipeline.synthesis.exposure import FloatImage
 from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.stones import wave_noise
 
-Array = NDArray[np.float64]
-
 TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
 DOME_GRADIENT = 0.3
-"""The dome is brighter above than at its horizon by this part, and darker below."""
+"""Share by which the dome is brighter above than at its horizon, and darker below."""
 RAYS_PER_FACE = 12
 WET_DARKENING = 0.4
-"""A wet stone scatters less of the light by this part (Lekner and Dorf 1988: by a third to a half)."""
+"""Share by which a wet stone scatters less light (Lekner and Dorf 1988: a third to a half)."""
 NORMAL_REFLECTANCE = 0.02  # of water
 N_LAMPS = 8
 LAMP_SHARPNESS = 150.0  # exponent of a lamp's lobe: some 5 degrees wide
 LAMP_LEVEL = 40.0
 """Radiance of a lamp relative to the wall's."""
 STEP_PX = 2
-"""Texture is looked up on every second pixel; the lens blurs over more than that."""
+"""Pixel step on which texture is looked up; the lens blurs over more than that."""
 
 
 def embree_scene(mesh: trimesh.Trimesh) -> EmbreeScene:
-    """The mesh ready for ray casting (float32: within 2e-6 mm on a body of 40 mm)."""
+    """Return the mesh ready for ray casting (float32: within 2e-6 mm on a body of 40 mm)."""
     scene = EmbreeScene()
     TriangleMesh(scene, np.array(mesh.vertices, dtype=np.float32), np.array(mesh.faces, dtype=np.int32))
     return scene
 
 
-def texture(body: Body, rng: np.random.Generator) -> Array:
-    """Grey level of each face (F,) under full light: mottled on three scales, with speckles."""
+def texture(body: Body, rng: np.random.Generator) -> Values:
+    """Return the grey level of each face (F,) under full light: mottled on three scales, with speckles."""
     centers_mm = body.mesh.triangles_center
     mottles = sum(wave_noise(centers_mm, wavelength, 12, rng) for wavelength in TEXTURE_WAVELENGTHS_MM)
     speckles = rng.normal(size=len(centers_mm))
@@ -53,8 +50,8 @@ def texture(body: Body, rng: np.random.Generator) -> Array:
     return np.asarray(matte * np.clip(1 + relative, 0.4, 1.7))
 
 
-def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generator) -> Array:
-    """Light (F,) that each face receives, 1 for a free one that looks to the horizon.
+def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generator) -> Values:
+    """Return the light (F,) that each face receives, 1 for an unoccluded one that faces the horizon.
 
     Monte-Carlo over cosine-distributed directions: what the body itself occludes is dark.
     """
@@ -69,14 +66,14 @@ def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generat
     return np.asarray(received.reshape(-1, RAYS_PER_FACE).mean(axis=1))
 
 
-def lamps(rng: np.random.Generator) -> Array:
-    """Unit vectors (N_LAMPS, 3) to where the dome is brightest."""
+def lamps(rng: np.random.Generator) -> Directions:
+    """Return random directions (N_LAMPS, 3) to the dome's lamps."""
     directions = rng.normal(size=(N_LAMPS, 3))
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-def reflection(mesh: trimesh.Trimesh, lamps: Array, camera: CameraCalibration) -> Array:
-    """Radiance (F,) that each wet face mirrors to the camera: all of the wall's at grazing incidence (Schlick 1994)."""
+def reflection(mesh: trimesh.Trimesh, lamps: Directions, camera: CameraCalibration) -> Values:
+    """Return the radiance (F,) that wet faces mirror to the camera, all of the wall's at grazing angles (Schlick)."""
     toward_camera = camera.center_mm - mesh.triangles_center
     toward_camera /= np.linalg.norm(toward_camera, axis=1, keepdims=True)
     cosines = np.clip((mesh.face_normals * toward_camera).sum(axis=1), 0, 1)
@@ -87,9 +84,9 @@ def reflection(mesh: trimesh.Trimesh, lamps: Array, camera: CameraCalibration) -
 
 
 def surface_image(
-    scene: EmbreeScene, face_radiance: Array, camera: CameraCalibration, window: Window
+    scene: EmbreeScene, face_radiance: Values, camera: CameraCalibration, window: Window
 ) -> FloatImage:
-    """Radiance (height, width) of the surface in a window, continued smoothly beyond the outline."""
+    """Return the radiance (height, width) of the surface in a window, extrapolated smoothly beyond the outline."""
     u = window.left + (np.arange(-(-window.width // STEP_PX)) + 0.5) * STEP_PX - 0.5
     v = window.top + (np.arange(-(-window.height // STEP_PX)) + 0.5) * STEP_PX - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

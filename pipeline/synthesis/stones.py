@@ -1,4 +1,4 @@
-"""Stones as they leave a crusher, in the five classes of the paper.
+"""Random stones as they leave a crusher, in the five classes of the paper.
 
 A stone is a rounded polytope: the gauge of an ellipsoid and of random planes, combined as a p-norm
 (the larger p, the sharper the edges), with a few shallow dents and with roughness on several scales.
@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
+from pipeline.arrays import Directions, Floats, Values
 from pipeline.synthesis.bodies import SPHERE_SUBDIVISIONS, Body, body_from_mesh
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +82,7 @@ WAVES_PER_OCTAVE = 10
 
 
 def stone(form_name: str, size_mm: float, rng: np.random.Generator) -> Body:
-    """A random stone of a class in `STONE_FORMS`; its greatest diameter (max Feret) is `size_mm`."""
+    """Return a random stone of a class in `STONE_FORMS`, whose greatest diameter (max Feret) is `size_mm`."""
     form = STONE_FORMS[form_name]
     sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
     directions = np.asarray(sphere.vertices)
@@ -101,33 +99,33 @@ def stone(form_name: str, size_mm: float, rng: np.random.Generator) -> Body:
     return replace(body, grey=rng.uniform(45, 80), contrast=rng.uniform(0.12, 0.25))
 
 
-def _greatest_distance(points: Array) -> float:
-    """Between any two of points (N, 3) around the origin."""
+def _greatest_distance(points: Floats) -> float:
+    """Return the greatest distance between any two of points (N, 3) around the origin."""
     radii = np.linalg.norm(points, axis=1)
     at_least = np.linalg.norm(points - points[np.argmax(radii)], axis=1).max()
     return float(pdist(points[radii + radii.max() >= at_least]).max())
 
 
 def random_size_mm(rng: np.random.Generator) -> float:
-    """A size between 5 and 40 mm, mostly between 8 and 30."""
+    """Return a random size between 5 and 40 mm, mostly between 8 and 30."""
     low, high = [(5.0, 8.0), (30.0, 40.0), (8.0, 30.0)][min(int(rng.integers(10)), 2)]
     return float(rng.uniform(low, high))
 
 
-def _polytope_radii(directions: Array, form: StoneForm, rng: np.random.Generator) -> Array:
+def _polytope_radii(directions: Directions, form: StoneForm, rng: np.random.Generator) -> Values:
     normals = _unit_vectors(form.n_facets, rng)
     distances = rng.uniform(*form.facet_distance, size=form.n_facets)
     gauges = np.maximum(directions @ normals.T, 0) / distances  # (V, n_facets)
     return np.asarray((1 + (gauges**form.sharpness).sum(axis=1)) ** (-1 / form.sharpness))
 
 
-def _dents(directions: Array, depth: float, rng: np.random.Generator) -> Array:
+def _dents(directions: Directions, depth: float, rng: np.random.Generator) -> Values:
     centers = _unit_vectors(N_DENTS, rng)
     widths = rng.uniform(0.25, 0.5, size=N_DENTS)  # rad
     return np.asarray(1 - depth * np.exp(-(1 - directions @ centers.T) / (widths**2 / 2)).sum(axis=1))
 
 
-def _roughness(points: Array, rms: float, rng: np.random.Generator) -> Array:
+def _roughness(points: Floats, rms: float, rng: np.random.Generator) -> Values:
     total = np.zeros(len(points))
     for wavelength in OCTAVES_PER_RADIUS:
         amplitude = rms * (wavelength / OCTAVES_PER_RADIUS[0]) ** 0.9
@@ -135,13 +133,13 @@ def _roughness(points: Array, rms: float, rng: np.random.Generator) -> Array:
     return total
 
 
-def wave_noise(points: Array, wavelength: float, n_waves: int, rng: np.random.Generator) -> Array:
-    """Smooth noise (N,) of zero mean and unit variance at points (N, 3): random plane waves."""
+def wave_noise(points: Floats, wavelength: float, n_waves: int, rng: np.random.Generator) -> Values:
+    """Return smooth noise (N,) of zero mean and unit variance at points (N, 3): a sum of random plane waves."""
     waves = 2 * np.pi / wavelength * _unit_vectors(n_waves, rng)
     phases = rng.uniform(0, 2 * np.pi, size=n_waves)
     return np.asarray(np.sqrt(2 / n_waves) * np.cos(points @ waves.T + phases).sum(axis=1))
 
 
-def _unit_vectors(count: int, rng: np.random.Generator) -> Array:
+def _unit_vectors(count: int, rng: np.random.Generator) -> Directions:
     vectors = rng.normal(size=(count, 3))
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

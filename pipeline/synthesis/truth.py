@@ -1,4 +1,4 @@
-"""What is known about a photographed body: the reference that a measurement is judged by."""
+"""Ground truth of a rendered body: the reference that a measurement is judged by."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -22,7 +22,7 @@ class TruthRecord:
 
 
 def truth_of(placed: PlacedBody, bundle: FrameBundle, shape: ShapeMeasurement) -> TruthRecord:
-    """The truth about the body in a bundle; `shape` is that of `placed.body.mesh`."""
+    """Return the truth about the body in a bundle; `shape` is that of `placed.body.mesh`."""
     return TruthRecord(
         bundle=bundle.name,
         sequence=bundle.trigger.sequence,
@@ -33,7 +33,7 @@ def truth_of(placed: PlacedBody, bundle: FrameBundle, shape: ShapeMeasurement) -
 
 
 def truth_to_document(truth: TruthRecord) -> dict[str, Any]:
-    """A line of `truth.jsonl`: what the result record measures, under the same names, and the pose.
+    """Return a line of `truth.jsonl`: what the result record measures, under the same names, and the pose.
 
     `x_world = R @ x_body + center_mm`; `extents_mm` are the body's along its own axes.
     """

@@ -1,4 +1,4 @@
-"""How our own segmentation network is made: synthetic views, architecture, fitting, export.
+"""Training of our own segmentation network: synthetic views, architecture, fitting, export, scores.
 
-`layers`, `samples` and `scores` run without PyTorch; nothing here is imported when stones are measured.
+`image_layers`, `samples` and `scores` run without PyTorch; nothing here is imported when stones are measured.
 """

@@ -1,4 +1,4 @@
-"""Our own network: a small U-Net that computes at half resolution and knows the whole region.
+"""The architecture of our own network: a small U-Net from half resolution down, whose receptive field is the region.
 
 Two channels in (image and expected wall, relative to the plain wall), the logit of P(body) out, both at full
 resolution. The stem halves the resolution at once and the last layer gives four logits a position, which costs a

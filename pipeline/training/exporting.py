@@ -1,4 +1,4 @@
-"""From a trained network to the ONNX file that segmentation loads."""
+"""Export of a trained network to the ONNX file that segmentation loads."""
 
 import io
 import warnings
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from pipeline.segmentation.network import FORMAT, SIZE_PX
 from pipeline.training.architecture import BodyNetwork
 from pipeline.training.image_layers import VIEW_PX
-from pipeline.training.space_to_depth import in_blocks
+from pipeline.training.space_to_depth import to_space_to_depth
 
 OPSET = 17
 
@@ -26,14 +26,14 @@ class _WithSigmoid(nn.Module):  # type: ignore[misc] # torch is not there when t
 
 
 def to_onnx(network: BodyNetwork, metadata: Mapping[str, str]) -> bytes:
-    """The network as an ONNX file: `view` 1x2xHxW in, `body` 1x1xHxW out, P(body) in 0..1.
+    """Return the network as an ONNX file: `view` 1x2xHxW in, `body` 1x1xHxW out, P(body) in 0..1.
 
     Batch normalization is folded into the convolutions. `metadata` is kept beside the format's name.
     """
     network = network.eval().to(memory_format=torch.contiguous_format)
     file = io.BytesIO()
     with warnings.catch_warnings():
-        # the exporter that replaces this one needs onnxscript, and makes a larger graph of so small a network
+        # the exporter that replaces this one needs onnxscript, and makes a larger graph of this small network
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
             _WithSigmoid(network),
@@ -44,6 +44,6 @@ def to_onnx(network: BodyNetwork, metadata: Mapping[str, str]) -> bytes:
             output_names=["body"],
             dynamo=False,
         )
-    model = in_blocks(onnx.load_from_string(file.getvalue()))
+    model = to_space_to_depth(onnx.load_from_string(file.getvalue()))
     onnx.helper.set_model_props(model, {"format": FORMAT, SIZE_PX: str(VIEW_PX), **metadata})
     return bytes(model.SerializeToString())

@@ -1,4 +1,4 @@
-"""The training loop: seeded, on one thread, the same weights from the same samples."""
+"""The training loop: seeded and on one thread, so that the same samples give the same weights."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from pipeline.training.samples import Sample
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittingParameters:
-    """Of AdamW under a one-cycle schedule, and of the running mean of the weights that is kept."""
+    """Parameters of AdamW under a one-cycle schedule, and of the running mean of the weights that is kept."""
 
     n_steps: int
     batch: int = 8
     coarse_share: float = 0.65
-    """Of the steps, which see 2 x 2 means: what is learnt there holds at full resolution, for a quarter of the cost."""
+    """Share of the steps, the first ones, at half resolution: a quarter of the cost, and the weights hold at full."""
     learning_rate: float = 6e-3  # the highest, after the first tenth of the steps
     weight_decay: float = 1e-3
     averaged_share: float = 0.04  # of the steps: how far back the running mean of the weights reaches
@@ -31,14 +31,14 @@ class FittingParameters:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """After a step."""
+    """The state after a step."""
 
     step: int  # from 1
     loss: float  # of its batch
 
 
 def new_network(seed: int) -> BodyNetwork:
-    """A network with the random weights that belong to a seed."""
+    """Return a network with the random weights of a seed."""
     torch.manual_seed(seed)
     return BodyNetwork()
 
@@ -46,8 +46,8 @@ def new_network(seed: int) -> BodyNetwork:
 def fit(network: BodyNetwork, samples: Iterator[Sample], parameters: FittingParameters) -> Iterator[Progress]:
     """Train `network` in place, step by step; it holds the averaged weights after the last one.
 
-    The loss is the cross-entropy with the covered share of each pixel and nothing else: where nothing tells body
-    from wall, it is least for the odds, and confidence costs most.
+    The loss is the cross-entropy with the covered share of each pixel: where body and wall cannot be told apart, the
+    network learns the odds, and unfounded confidence costs most.
     """
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)

@@ -1,6 +1,6 @@
-"""What training views are composed of: bodies without a wall and walls without a body, rendered once.
+"""The image layers that training views are composed of: bodies without a wall and walls without a body, rendered once.
 
-Each lies on a square canvas somewhat larger than the region that a network will see, already brought to the
+Each lies on a square canvas somewhat larger than the region that a network will see, already reduced to the
 network's scale by area averaging, so that thousands of them fit into memory.
 """
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, FloatImage, GreyImage
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.background import (
     APERTURE_RADIUS_MM,
@@ -22,50 +22,50 @@ from pipeline.synthesis.background import (
     render_backgrounds,
     wall_directions,
 )
-from pipeline.synthesis.exposure import FloatImage
 from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import Layer, SimulatedRig, illuminated, view_of
+from pipeline.synthesis.renderer import Layer, SimulatedRig, illuminate, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 
 VIEW_PX = 256
 """Edge of what the network sees."""
 CANVAS_PX = 320
 """Edge of a canvas: the region lies anywhere within it."""
-ROOM = CANVAS_PX / VIEW_PX
-MARGIN = (0.05, 0.5)
-"""Of a region around its body, each side, as a share of the body's extent."""
+CANVAS_SHARE = CANVAS_PX / VIEW_PX
+MARGIN_SHARE = (0.05, 0.5)
+"""Range of a region's margin around its body on each side, as a share of the body's extent."""
 WHOLE_FRAME_SHARE = 0.12
+"""Share of layers that show a whole image."""
 VIEWS_PER_STONE, CROPS_PER_WALL = 8, 4
-FURTHER_DISCS = 3
-"""Apertures, holes and screws put into a field of view, at most: the design keeps the large ones out."""
+MAX_FURTHER_DISCS = 3
+"""Most apertures, holes and screws put into a field of view: the design keeps the large ones out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyLayer:
     """A body on a canvas."""
 
-    coverage: NDArray[np.uint8]  # (CANVAS_PX, CANVAS_PX), 255 where it covers all
-    light: NDArray[np.uint8]  # (CANVAS_PX, CANVAS_PX) grey levels, times the coverage
-    scale: float  # pixels of the camera to one of the canvas
+    coverage: GreyImage  # (CANVAS_PX, CANVAS_PX), 255 where it covers all
+    light: GreyImage  # (CANVAS_PX, CANVAS_PX) grey levels, times the coverage
+    scale: float  # camera pixels along a pixel of the canvas
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WallLayer:
     """A piece of wall on a canvas."""
 
-    grey: NDArray[np.uint8]  # (CANVAS_PX, CANVAS_PX)
+    grey: GreyImage  # (CANVAS_PX, CANVAS_PX)
     scale: float
 
 
 def render_bodies(seed: int) -> Iterator[BodyLayer]:
-    """Endless views of stones, `VIEWS_PER_STONE` of each."""
+    """Yield endless views of random stones, `VIEWS_PER_STONE` of each."""
     rng = np.random.default_rng([seed, 0])
     while True:
         rig = as_built(nominal_rig(), int(rng.integers(2**31)))
         body = stone(str(rng.choice(list(STONE_FORMS))), random_size_mm(rng), rng)
         gloss = rng.uniform(0.3, 1.0) if rng.random() < 0.35 else 0.0
         body = replace(body, grey=rng.uniform(50, 130), gloss=gloss)
-        surface = illuminated(tumble(body, rig, rng), rng)
+        surface = illuminate(tumble(body, rig, rng), rng)
         for number in rng.choice(len(rig.cameras), VIEWS_PER_STONE, replace=False):
             camera = rig.cameras[int(number)]
             width, height = camera.image_size_px
@@ -76,13 +76,13 @@ def render_bodies(seed: int) -> Iterator[BodyLayer]:
 
 
 def render_walls(seed: int) -> Iterator[WallLayer]:
-    """Endless pieces of wall, `CROPS_PER_WALL` of each housing."""
+    """Yield endless crops of walls, `CROPS_PER_WALL` of each random housing."""
     rng = np.random.default_rng([seed, 1])
     while True:
         rig = as_built(nominal_rig(), int(rng.integers(2**31)))
         camera = rig.cameras[int(rng.integers(len(rig.cameras)))]
         wall = build_wall(rig, rng)
-        n_discs = int(rng.integers(FURTHER_DISCS + 1))
+        n_discs = int(rng.integers(MAX_FURTHER_DISCS + 1))
         discs_uv = rng.uniform(0, 1, size=(n_discs, 2)) * camera.image_size_px
         wall = _with_discs(wall, wall_directions(camera, discs_uv, wall.radius_mm), rng)
         grey = render_backgrounds(rig.subset([camera.id]), wall, rng)[camera.id].radiance
@@ -94,7 +94,7 @@ def render_walls(seed: int) -> Iterator[WallLayer]:
                 # beside an aperture, if there is one
                 near = discs_uv[rng.integers(n_discs)] if n_discs and rng.random() < 0.7 else [640, 512]
                 center_uv = np.clip(near + rng.normal(0, 0.25 * side_px, size=2), 200, [1080, 824])
-            canvas_px = round(ROOM * side_px)
+            canvas_px = round(CANVAS_SHARE * side_px)
             left, top = (center_uv - canvas_px / 2).astype(int)
             rows = np.clip(np.arange(top, top + canvas_px), 0, grey.shape[0] - 1)
             columns = np.clip(np.arange(left, left + canvas_px), 0, grey.shape[1] - 1)
@@ -107,9 +107,9 @@ def _on_canvas(layer: Layer, image_size_px: tuple[int, int], rng: np.random.Gene
         side_px = float(max(image_size_px))
         center_uv = np.array(image_size_px) / 2
     else:
-        side_px = max(float(VIEW_PX), max(height, width) * (1 + 2 * rng.uniform(*MARGIN)))
+        side_px = max(float(VIEW_PX), max(height, width) * (1 + 2 * rng.uniform(*MARGIN_SHARE)))
         center_uv = np.array([layer.columns.start + width / 2, layer.rows.start + height / 2])
-    canvas_px = round(ROOM * side_px)
+    canvas_px = round(CANVAS_SHARE * side_px)
     left, top = np.rint([layer.columns.start, layer.rows.start] - center_uv + canvas_px / 2).astype(int)
     coverage, light = (np.zeros((canvas_px, canvas_px), np.float32) for _ in range(2))
     place = slice(top, top + height), slice(left, left + width)
@@ -118,8 +118,8 @@ def _on_canvas(layer: Layer, image_size_px: tuple[int, int], rng: np.random.Gene
     return BodyLayer(coverage=_reduced(255 * coverage), light=_reduced(light), scale=canvas_px / CANVAS_PX)
 
 
-def _with_discs(wall: Wall, directions: NDArray[np.float64], rng: np.random.Generator) -> Wall:
-    """The wall with apertures, holes or screws in these directions (N, 3)."""
+def _with_discs(wall: Wall, directions: Directions, rng: np.random.Generator) -> Wall:
+    """Return the wall with apertures, holes or screws in these directions (N, 3)."""
     count = len(directions)
     radii_mm = rng.choice([*[APERTURE_RADIUS_MM] * 5, HOLE_RADIUS_MM, *DOT_RADIUS_MM], count)
     return replace(
@@ -130,7 +130,7 @@ def _with_discs(wall: Wall, directions: NDArray[np.float64], rng: np.random.Gene
     )
 
 
-def _reduced(canvas: FloatImage) -> NDArray[np.uint8]:
-    """A square canvas at the network's scale."""
+def _reduced(canvas: FloatImage) -> GreyImage:
+    """Return a square canvas reduced to the network's scale."""
     small = cv2.resize(canvas, (CANVAS_PX, CANVAS_PX), interpolation=cv2.INTER_AREA)
     return np.clip(np.rint(small), 0, 255).astype(np.uint8)

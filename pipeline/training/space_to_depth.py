@@ -1,30 +1,33 @@
-"""The same network, quicker: what it computes at half of the resolution, it computes in blocks of 2 x 2.
+"""Space-to-depth rewriting of our network: the same results faster, with layers at half resolution in 2 x 2 blocks.
 
 Processors multiply 16 channels at a time, and at half resolution, where most of the pixels are, our network has
-only 8. The four pixels of a block become 32 channels of one pixel at a quarter of the resolution; for every layer
-there is a convolution of them that gives the same numbers, but for the order of its sums.
+only 8. The four pixels of a block become 32 channels of one pixel at a quarter of the resolution; every layer
+has an equivalent convolution of blocks that gives the same numbers, but for the order of its sums.
 
-Its size is left open: it computes on whatever height and width it is given, multiples of 16.
+The rewritten network computes on any height and width that are multiples of 16.
 """
 
 from itertools import product
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 from onnx import ModelProto, NodeProto, helper, numpy_helper, shape_inference
 
-Weights = dict[str, NDArray[np.float32]]
+from pipeline.arrays import Singles
+
+Weights = dict[str, Singles]
 
 BLOCK = 2
-"""Edge of a block, in pixels of half the resolution."""
+"""Edge of a block, in pixels at half resolution."""
 
 
-def in_blocks(model: ModelProto) -> ModelProto:
-    """The model of a `BodyNetwork` ("view" 1x2xNxN in), of open size, the layers of half its resolution in blocks."""
+def to_space_to_depth(model: ModelProto) -> ModelProto:
+    """Rewrite the model of a `BodyNetwork` (input "view" 1x2xNxN): open size, layers at half resolution in blocks."""
     heights = _heights(model)
     half = {name for name, height in heights.items() if 2 * height == heights["view"]}
-    weights: Weights = {each.name: np.array(numpy_helper.to_array(each)) for each in model.graph.initializer}
+    weights: Weights = {
+        tensor.name: np.array(numpy_helper.to_array(tensor)) for tensor in model.graph.initializer
+    }
     result = ModelProto()
     result.CopyFrom(model)
     graph, made_by = result.graph, {node.output[0]: node for node in result.graph.node}
@@ -33,7 +36,7 @@ def in_blocks(model: ModelProto) -> ModelProto:
         if node.op_type == "Conv" and (source in half or target in half):
             _convolve_blocks(node, weights, *(BLOCK if name in half else 1 for name in (source, target)))
         elif node.op_type == "DepthToSpace":
-            # within a block the four values of each pixel come first, in the image the row comes first
+            # block channels are ordered pixel by pixel, those of DepthToSpace row by row
             for name in made_by[source].input[1:]:
                 per_pixel = weights[name].reshape(BLOCK, BLOCK, 2, 2, -1)
                 weights[name] = per_pixel.swapaxes(1, 2).reshape(weights[name].shape)
@@ -55,7 +58,7 @@ def in_blocks(model: ModelProto) -> ModelProto:
 
 
 def _heights(model: ModelProto) -> dict[str, int]:
-    """Of all images in a model, by name."""
+    """Return the heights of all images in a model, by name."""
     graph = shape_inference.infer_shapes(model).graph
     shapes = {
         part.name: [length.dim_value for length in part.type.tensor_type.shape.dim]
@@ -65,20 +68,20 @@ def _heights(model: ModelProto) -> dict[str, int]:
 
 
 def _convolve_blocks(node: NodeProto, weights: Weights, edge_in: int, edge_out: int) -> None:
-    """Make a square convolution of pixels one of blocks, from one edge to another; an edge of 1 is a pixel."""
+    """Turn a square convolution of pixels into one of blocks, of edge `edge_in` into `edge_out`; 1 is a pixel."""
     kernel_name, bias_name = node.input[1:]
     kernel = weights[kernel_name]
-    attributes = {each.name: helper.get_attribute_value(each) for each in node.attribute}
+    attributes = {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
     pad, stride = attributes["pads"][0], attributes["strides"][0]
     n_out, n_in, size, _ = kernel.shape
     first, last = -pad // edge_in, ((edge_out - 1) * stride + size - 1 - pad) // edge_in
     reach, step = last - first + 1, edge_out * stride // edge_in
-    of_blocks = np.zeros((edge_out, edge_out, n_out, edge_in, edge_in, n_in, reach, reach), np.float32)
+    block_kernel = np.zeros((edge_out, edge_out, n_out, edge_in, edge_in, n_in, reach, reach), np.float32)
     for row, column in product(range(edge_out), repeat=2):
         for i, j in product(range(size), repeat=2):
             (y, v), (x, u) = (divmod(at * stride + tap - pad, edge_in) for at, tap in ((row, i), (column, j)))
-            of_blocks[row, column, :, v, u, :, y - first, x - first] = kernel[:, :, i, j]
-    weights[kernel_name] = of_blocks.reshape(edge_out**2 * n_out, edge_in**2 * n_in, reach, reach)
+            block_kernel[row, column, :, v, u, :, y - first, x - first] = kernel[:, :, i, j]
+    weights[kernel_name] = block_kernel.reshape(edge_out**2 * n_out, edge_in**2 * n_in, reach, reach)
     weights[bias_name] = np.tile(weights[bias_name], edge_out**2)
     _set(
         node, kernel_shape=[reach] * 2, strides=[step] * 2, pads=[-first, -first] + [reach - step + first] * 2
@@ -86,7 +89,7 @@ def _convolve_blocks(node: NodeProto, weights: Weights, edge_in: int, edge_out: 
 
 
 def _set(node: NodeProto, **values: int | list[int]) -> None:
-    """Give attributes of a node other values."""
+    """Replace attributes of a node."""
     for attribute in node.attribute:
         if attribute.name in values:
             attribute.CopyFrom(helper.make_attribute(attribute.name, values[attribute.name]))

@@ -1,4 +1,4 @@
-"""How far the outlines of views whose tangents agree leave the hull of the others: nearly nowhere.
+"""The clearances of views whose tangents agree: nearly nowhere does an outline leave the hull of the others.
 
 What two calibrated views see of a body agrees if their tangents do, so each ray along an outline touches the body on
 the stretch that the others' tangent planes leave of it. One point there at which no view excludes the body settles it.

@@ -1,4 +1,4 @@
-"""Whether the views show one rigid body, and which view does not.
+"""Checking that the views show one rigid body, and finding the view that does not.
 
 There are two tests. Epipolar tangency (`pipeline.views.epipolar_tangency`) compares views in pairs: it sees a tenth of
 a pixel, names the one view that is wrong whatever its error does to the hull, and needs no hull. What it cannot
@@ -25,6 +25,7 @@ from pipeline.segmentation.silhouette import MARGIN_PX
 from pipeline.views.agreeing_views import negative_clearances_px
 from pipeline.views.clearance import Sphere, body_sphere, clearances_px
 from pipeline.views.distance_field import distance_field
+from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.epipolar_tangency import (
     EpipolarTangents,
     hulls_of_views,
@@ -56,10 +57,10 @@ class ConsistencyParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consistency:
-    """How well the views of one stone agree."""
+    """Residuals of one stone's views against each other, and the views to drop."""
 
     residuals_px: Mapping[CameraId, float]  # rms by which a view's outline leaves the hull of the others
-    suspects: Mapping[CameraId, str]  # views to drop, worst first, with what is wrong with them
+    suspects: Mapping[CameraId, DroppedView]  # views to drop, worst first, with what is wrong with them
     is_consistent: bool  # the views that are left after dropping them agree
     tangency_px: Mapping[CameraId, float]  # median epipolar residual of a view, dropped ones included
     image_shifts_px: Mapping[CameraId, tuple[float, float]]  # of a view against where the others expect it
@@ -114,9 +115,9 @@ def warm_up() -> Consistency:
 
 def displaced_views(
     tangents: EpipolarTangents, tangency_px: Mapping[CameraId, float], parameters: ConsistencyParameters
-) -> tuple[dict[CameraId, str], bool]:
+) -> tuple[dict[CameraId, DroppedView], bool]:
     """Find views that their tangents' scores alone show to be wrong, worst first, and whether these are all of them."""
-    suspects: dict[CameraId, str] = {}
+    suspects: dict[CameraId, DroppedView] = {}
     scores_px = dict(tangency_px)
     while scores_px:
         worst = max(scores_px, key=lambda camera: scores_px[camera])
@@ -128,27 +129,29 @@ def displaced_views(
             break
         if len(suspects) == parameters.max_suspect_views:
             return suspects, False
-        suspects[worst] = f"contradicts the other views: its tangents miss theirs by {score_px:.1f} px"
+        suspects[worst] = DroppedView(
+            DropCause.CONTRADICTION, f"its tangents miss theirs by {score_px:.1f} px"
+        )
         scores_px = tangency_scores_px(tangents, without=suspects)
     return suspects, True
 
 
 def _careful_judgement(
     views: PreparedViews, n_suspects: int, agreeing: Collection[CameraId], parameters: ConsistencyParameters
-) -> tuple[_Judgement | None, dict[CameraId, str]]:
+) -> tuple[_Judgement | None, dict[CameraId, DroppedView]]:
     """Return the last judgement, `None` without a hull, and the views that were dropped on the way, worst first.
 
     The worst is dropped and the others judged again, until all agree or no more may be dropped. While r more
     may be, r votes against a point are not counted, so that a bad view does not condemn the good ones.
     """
-    suspects: dict[CameraId, str] = {}
+    suspects: dict[CameraId, DroppedView] = {}
     while True:
         n_left = parameters.max_suspect_views - n_suspects - len(suspects)
         overruled = max(min(n_left, len(views) - 3), 0)
         judgement = _judgement(views, overruled, agreeing, parameters)
         if judgement is None or judgement.worst is None or n_left == 0:
             break
-        suspects[judgement.worst] = f"contradicts the other views: {judgement.problem}"
+        suspects[judgement.worst] = DroppedView(DropCause.CONTRADICTION, judgement.problem)
         views = views.without([judgement.worst])
     if judgement is not None and overruled > 0:
         field = distance_field(views, overruled=0)

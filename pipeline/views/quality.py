@@ -1,21 +1,23 @@
-"""What becomes of a stone that some cameras did not see well: how good its result is, or why there is none."""
+"""The quality of a result by the views it rests on, or the rejection of a stone that too few cameras saw well."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
+from pipeline.arrays import Values
 from pipeline.errors import RejectedError, RejectReason
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import SilhouetteSet, ViewStatus
+from pipeline.views.dropped import DropCause, DroppedView
 
 LAYER_TOLERANCE_DEG = 10.0
-"""Cameras whose elevations differ by less belong to one layer."""
+"""Difference in elevation below which cameras belong to one layer."""
 
 
 class Quality(StrEnum):
-    """How many views a result rests on."""
+    """Grade of a result by the number of views it rests on."""
 
     GOOD = "good"
     REDUCED = "reduced"
@@ -24,7 +26,7 @@ class Quality(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewsParameters:
-    """What becomes of a stone that some cameras did not see well."""
+    """Numbers of views that make a result good, reduced or degraded, or the stone rejected."""
 
     good: int = 14  # at least so many views make a good result
     reduced: int = 12
@@ -40,20 +42,20 @@ class ViewsParameters:
 
 def judge_views(
     silhouettes: SilhouetteSet,
-    dropped: dict[CameraId, str],
+    dropped: dict[CameraId, DroppedView],
     rig: RigCalibration,
     parameters: ViewsParameters,
 ) -> None:
-    """Add the unusable views to `dropped`.
+    """Add the unusable views to `dropped`, with their status.
 
     Raises
     ------
     RejectedError
-        For what most views show, or because too few are usable.
+        Most views show no body, or several show more than one or a cut one, or too few are usable.
     """
     for camera, silhouette in silhouettes.items():
         if not silhouette.is_usable:
-            dropped[camera] = str(silhouette.status)
+            dropped[camera] = DroppedView(DropCause.UNUSABLE, silhouette.status)
     shown = [silhouette.status for silhouette in silhouettes.values()]
     n_of = {status: shown.count(status) for status in ViewStatus}
     if n_of[ViewStatus.EMPTY] > len(shown) / 2:
@@ -73,12 +75,12 @@ def judge_views(
 
 
 def quality_of(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
-    """Quality by the number of views; below `reduced` every layer of cameras needs two.
+    """Return the quality by the number of views used; below `reduced` every layer of cameras needs two.
 
     Raises
     ------
     RejectedError
-        There are too few of them.
+        There are too few views.
     """
     n_views = len(used.cameras)
     if n_views >= parameters.reduced:
@@ -98,6 +100,7 @@ def quality_of(used: RigCalibration, rig: RigCalibration, parameters: ViewsParam
     return Quality.DEGRADED
 
 
-def _elevations_deg(rig: RigCalibration) -> np.ndarray:
+def _elevations_deg(rig: RigCalibration) -> Values:
+    """Return the elevation (V,) of each camera above the horizontal plane through the rig's centre."""
     centers_mm = np.array([camera.center_mm for camera in rig.cameras]).reshape(-1, 3)
     return np.asarray(np.rad2deg(np.arcsin(centers_mm[:, 2] / np.linalg.norm(centers_mm, axis=1))))

@@ -1,4 +1,4 @@
-"""The REST interface put together."""
+"""The REST application, assembled from its routes."""
 
 from typing import Any
 
@@ -10,22 +10,27 @@ from service.api.body_limit import BodyLimit
 from service.api.context import ApiContext
 from service.api.control import Control
 from service.api.docs import docs_page
-from service.api.problems import install_handlers
+from service.api.problems import ProblemDocument, install_handlers
 from service.api.routes import (
     accounting,
     acquisition,
     calibrations,
     cameras,
     health,
+    particle_files,
     particles,
     recordings,
     results,
     verifications,
 )
-from service.api.schemas import ProblemDocument
 from service.api.settings import ApiSettings, Scope
 from service.api.version import API_VERSION, BASE
 from service.store import Store
+
+DESCRIPTION = """\
+The unit of a quantity ends its name: `_mm`, `_mm2`, `_mm3`, `_g`, `_px`, `_ms`. Positions are in the frame of the rig,
+whose z axis points up. Times are RFC 3339 in UTC. `null` means unknown or not applicable, never zero. Later versions
+add fields: ignore those that you do not know."""
 
 
 def create_app(store: Store, control: Control, settings: ApiSettings) -> FastAPI:
@@ -37,22 +42,23 @@ def create_app(store: Store, control: Control, settings: ApiSettings) -> FastAPI
 
 
 def build_routes() -> FastAPI:
-    """Everything but what it works on: enough to describe the interface."""
+    """Build the application without store and daemon: enough to generate the OpenAPI document."""
     app = FastAPI(
         title="stonefall",
         version=API_VERSION,
         summary="The shape of every stone that leaves the crusher",
+        description=DESCRIPTION,
         openapi_url=f"{BASE}/openapi.json",
         docs_url=None,  # FastAPI's own pages load scripts from a public network: dead in a plant
         redoc_url=None,
         redirect_slashes=False,
         generate_unique_id_function=lambda route: route.name,
     )
-    # these decide by themselves, route by route: live and ready need no key, operating needs another one
+    # each route of these names its scope: live and ready need no key, others another scope than `read`
     for module in (health, acquisition, recordings, calibrations, verifications):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
-    for module in (results, particles, cameras, accounting):
+    for module in (results, particles, particle_files, cameras, accounting):
         readable.include_router(module.router)
     app.include_router(readable, prefix=BASE)
 
@@ -73,7 +79,7 @@ def build_routes() -> FastAPI:
 
 
 def _describe_problems(app: FastAPI) -> None:
-    """Add the shape of every error to the OpenAPI document."""
+    """Add the schema of problem details to the OpenAPI document."""
     generate = app.openapi
 
     def openapi() -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""Who may do what: bearer keys with scopes; without any key, everybody reads and only this machine writes."""
+"""Authorization by bearer keys with scopes.
+
+While no key is configured, every host may read and only this machine may write.
+"""
 
 import hashlib
 import hmac
@@ -14,28 +17,35 @@ from service.api.problems import Problem
 from service.api.settings import ApiKey, Scope
 
 bearer = HTTPBearer(
-    auto_error=False, scheme_name="key", description="A key of the configuration, as bearer token"
+    auto_error=False,
+    scheme_name="key",
+    description="The token of a key that `[api] keys` of the configuration lists, sent as bearer token",
 )
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 
 
 def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable[None]]:
-    """Make the dependency that lets a request pass or raises the problem 401 or 403."""
+    """Return the dependency that raises the problem 401 or 403 for a request without a key of this scope."""
 
     async def check(request: Request, context: Context, credentials: Credentials) -> None:
         keys = context.settings.keys
         if not keys:
             if scope is not Scope.READ and not _is_from_this_machine(request):
-                raise Problem(403, "forbidden", "without any key configured only this machine may write")
+                raise Problem(403, "forbidden", "only this machine may write while no key is configured")
             return
         if credentials is None:
-            raise Problem(401, "unauthorized", "send a bearer token", headers={"WWW-Authenticate": "Bearer"})
+            raise Problem(
+                401,
+                "unauthorized",
+                "send the token of a key as bearer token",
+                headers={"WWW-Authenticate": "Bearer"},
+            )
         key = _key_of(credentials.credentials, keys)
         if key is None:
             raise Problem(
                 401,
                 "unauthorized",
-                "this key is not known",
+                "the key is not one of the configured keys",
                 headers={"WWW-Authenticate": 'Bearer error="invalid_token"'},
             )
         if scope not in key.scopes:
@@ -50,16 +60,16 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
 
 
 def _key_of(token: str, keys: tuple[ApiKey, ...]) -> ApiKey | None:
-    """Find the key without telling by the time taken how near a guess was."""
+    """Return the key of a token; compared in constant time, so that timing does not tell how near a guess was."""
     digest = hashlib.sha256(token.encode()).hexdigest()
     matching = [key for key in keys if hmac.compare_digest(digest, key.sha256)]
     return matching[0] if matching else None
 
 
 def _is_from_this_machine(request: Request) -> bool:
-    """Whether both the peer and the address it asked for are loopback.
+    """Return whether both the peer and the host name it asked for are loopback.
 
-    The second stops web pages that point a name of their own at 127.0.0.1 (DNS rebinding).
+    The second stops web pages whose own host name resolves to 127.0.0.1 (DNS rebinding).
     """
     if request.client is None:
         return False

@@ -1,4 +1,4 @@
-"""No request body above the limit, whether announced in its header or only found out while reading."""
+"""Refuse request bodies above a limit, announced in the header or not."""
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -7,7 +7,7 @@ from service.api.problems import Problem, problem_response
 
 
 class BodyLimit:
-    """ASGI middleware: 413 above `max_body_bytes`."""
+    """ASGI middleware that answers 413 to bodies above `max_body_bytes`."""
 
     def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
         self._app = app
@@ -36,5 +36,5 @@ class BodyLimit:
 
     def _problem(self) -> Problem:
         return Problem(
-            413, "content-too-large", f"a request body may have {self._max_body_bytes} bytes at most"
+            413, "content-too-large", f"a request body may have at most {self._max_body_bytes} bytes"
         )

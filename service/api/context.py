@@ -1,4 +1,4 @@
-"""What every route works on, handed in by `create_app` and found on the application's state."""
+"""The dependency of every route: what `create_app` was given, kept in the state of the application."""
 
 import asyncio
 from dataclasses import dataclass, field
@@ -13,13 +13,13 @@ from service.store import Store
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiContext:
-    """The store, the daemon and the settings."""
+    """What the routes work on: the store, the daemon and the settings."""
 
     store: Store
     control: Control
     settings: ApiSettings
     rendering: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
-    """Meshes and images are converted one at a time: readers must not take the processor from measuring."""
+    """Meshes and images are converted one at a time: clients must not take the processor from measuring."""
 
 
 def context_of(request: Request) -> ApiContext:

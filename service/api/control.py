@@ -1,7 +1,7 @@
-"""What the REST interface may ask of the running daemon: one protocol, plain values, no web, no devices.
+"""What the REST interface may ask of the running daemon.
 
-The daemon implements `Control`; tests of the API put a fake in its place. Nothing here blocks: what a
-device must be asked for is asked by the daemon's own tasks, and the answer is remembered.
+The daemon implements `Control`; tests of the API put a fake in its place. Nothing here blocks: the daemon's own tasks
+query the devices, and this returns what they found last.
 """
 
 from typing import Protocol
@@ -13,7 +13,7 @@ from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarge
 
 
 class Control(Protocol):
-    """The running daemon as the REST interface sees it; every method is called on the event loop."""
+    """The running daemon as the REST interface sees it. Call every method on the event loop."""
 
     @property
     def recordings(self) -> Recordings: ...
@@ -24,15 +24,15 @@ class Control(Protocol):
     def acquisition_status(self) -> AcquisitionStatus: ...
 
     async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
-        """Begin the transition and return the state it has reached; raises `ConflictError`."""
+        """Begin the transition and return the state it has reached; raise `ConflictError` where there is none."""
         ...
 
     def health(self) -> Health: ...
 
     def cameras(self) -> list[CameraStatus]:
-        """All cameras of the rig, in page order."""
+        """Return the status of all cameras, in the order of the rig."""
         ...
 
     async def snapshot(self, camera: CameraId) -> bytes | None:
-        """Return the camera's latest frame as PNG; `None` while there is none."""
+        """Return the latest frame of the camera as PNG; None before the first."""
         ...

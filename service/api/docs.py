@@ -1,4 +1,4 @@
-"""The documentation page: one piece of HTML made from the OpenAPI document, without a script or a font."""
+"""The documentation page: HTML made from the OpenAPI document, without scripts or fonts from elsewhere."""
 
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -22,7 +22,7 @@ td { vertical-align: top; padding: .2rem .8rem .2rem 0; border-bottom: 1px solid
 
 
 def docs_page(document: dict[str, Any]) -> str:
-    """Show every operation by tag, then every schema."""
+    """Return the page: every operation by tag, then every schema."""
     info = document["info"]
     by_tag: dict[str, list[str]] = {}
     for path, operations in document["paths"].items():
@@ -35,7 +35,8 @@ def docs_page(document: dict[str, Any]) -> str:
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style>'
         f"<h1>{escape(info['title'])} <small>{escape(info['version'])}</small></h1>"
         f'<p>{escape(info["summary"])}. For programs: <a href="openapi.json">openapi.json</a> '
-        f"(OpenAPI {escape(document['openapi'])}).</p>{sections}<h2>Schemas</h2>{schemas}</html>"
+        f"(OpenAPI {escape(document['openapi'])}).</p><p>{_prose(info['description'])}</p>"
+        f"{sections}<h2>Schemas</h2>{schemas}</html>"
     )
 
 
@@ -76,7 +77,7 @@ def _contents(answer: dict[str, Any]) -> Iterator[str]:
 
 
 def _type(schema: dict[str, Any]) -> str:
-    """Say a JSON schema in a few words of HTML."""
+    """Return a JSON schema in a few words of HTML."""
     if "$ref" in schema:
         name = escape(schema["$ref"].rsplit("/", 1)[-1])
         return f'<a href="#{name}">{name}</a>'
@@ -100,13 +101,13 @@ def _type(schema: dict[str, Any]) -> str:
 
 
 def _prose(text: str) -> str:
-    """Escape text and set what stands between backticks as code."""
+    """Return text as HTML, with what stands between backticks as code."""
     parts = escape(text).split("`")
     return "".join(f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(parts))
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> str:
-    """Set rows of which the first cell is a name, the last is prose and the others are HTML already."""
+    """Return a table; the first cell of a row is a name, the last is prose, the others are HTML already."""
     lines = (
         f"<tr><td><code>{escape(first)}</code></td>{''.join(f'<td>{cell}</td>' for cell in middle)}"
         f"<td>{_prose(last)}</td></tr>"

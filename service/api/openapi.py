@@ -1,4 +1,4 @@
-"""The interface described: OpenAPI 3.1, served, committed as `deploy/openapi.json` and compared by a test.
+"""The OpenAPI 3.1 document, which is served, committed as `deploy/openapi.json`, and compared by a test.
 
 Run `python -m service.api.openapi > deploy/openapi.json` after a change, and raise `API_VERSION` with it.
 """
@@ -10,7 +10,7 @@ from service.api.app import build_routes
 
 
 def openapi_text() -> str:
-    """Write the document as it is committed."""
+    """Return the document as it is committed."""
     return json.dumps(build_routes().openapi(), indent=2, ensure_ascii=False) + "\n"
 
 

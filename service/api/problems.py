@@ -1,4 +1,4 @@
-"""Errors as RFC 9457 problem details: one shape for everything that is not a success, and no stack traces."""
+"""Errors as RFC 9457 problem details: one form for all of them, without stack traces."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
@@ -20,32 +21,53 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 TITLES = {
-    "calibration-conflict": "This cannot be done with a calibration now",
+    "calibration-conflict": "The calibration does not allow this now",
     "cursor-ahead": "The cursor is ahead of the history",
-    "cursor-expired": "The cursor is older than what is kept",
+    "cursor-expired": "The cursor is older than the oldest result kept",
     "forbidden": "Not allowed",
-    "internal-error": "A fault of the service",
+    "internal-error": "Internal error of the service",
     "content-too-large": "The request is too large",
     "invalid-request": "The request is not valid",
-    "no-room": "The disk has no room for it",
-    "not-acceptable": "No acceptable representation",
+    "no-room": "Not enough disk space",
+    "not-acceptable": "No acceptable media type",
     "not-kept": "This file was not kept",
     "not-ready": "Not ready to measure stones",
-    "recording-exists": "There is such a recording already",
-    "recording-running": "Another recording is under way",
+    "recording-exists": "A recording of this name exists",
+    "recording-running": "Another recording is running",
     "store-unavailable": "The store cannot be read or written",
     "transition-conflict": "The acquisition cannot change to this state now",
-    "unauthorized": "A key is needed",
+    "unauthorized": "A valid key is needed",
     "unknown-calibration": "No such calibration",
     "unknown-camera": "No such camera",
     "unknown-particle": "No such particle",
     "unknown-recording": "No such recording",
     "unknown-verification": "No such verification",
 }
+"""`title` by the last part of `type`; problems that are not here are named by the phrase of their status."""
+
+
+class FieldError(BaseModel):
+    """One wrong field of a request."""
+
+    field: str
+    message: str
+
+
+class ProblemDocument(BaseModel):
+    """RFC 9457 problem details; further members depend on the type."""
+
+    model_config = ConfigDict(extra="allow", title="Problem")
+
+    type: str = Field(description="`urn:stonefall:problem:<kind>`: decide by this, or by the status")
+    title: str = Field(description="The kind of problem in words")
+    status: int
+    detail: str = Field(description="This occurrence in words; not for programs")
+    instance: str = Field(description="Path of the request")
+    errors: list[FieldError] = Field(default=[], description="With `invalid-request`: every wrong field")
 
 
 class Problem(HTTPException):
-    """An answer other than success, raised where it is found out."""
+    """An error that becomes the answer to a request. `slug` is the last part of its `type`."""
 
     def __init__(
         self,
@@ -58,11 +80,11 @@ class Problem(HTTPException):
     ) -> None:
         super().__init__(status, detail, headers)
         self.slug = slug
-        self.members = members  # further members of the problem object, beside the standard's
+        self.members = members  # of the problem object, beside those of the standard
 
 
 def problem_response(request: Request, problem: Problem) -> JSONResponse:
-    """Write the problem as `application/problem+json`."""
+    """Return the problem as `application/problem+json`."""
     return JSONResponse(
         {
             "type": f"urn:stonefall:problem:{problem.slug}",
@@ -79,24 +101,24 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
 
 
 def install_handlers(app: FastAPI) -> None:
-    """Turn every exception that can leave a route into a problem."""
-    app.add_exception_handler(HTTPException, _of_http)
-    app.add_exception_handler(RequestValidationError, _of_validation)
-    app.add_exception_handler(ConflictError, _of_conflict)
-    app.add_exception_handler(CalibrationConflictError, _of_calibration)
-    app.add_exception_handler(StoreError, _of_store)
-    app.add_exception_handler(Exception, _of_bug)
+    """Have every exception that can leave a route answered as a problem."""
+    app.add_exception_handler(HTTPException, _handle_http)
+    app.add_exception_handler(RequestValidationError, _handle_validation)
+    app.add_exception_handler(ConflictError, _handle_transition)
+    app.add_exception_handler(CalibrationConflictError, _handle_calibration)
+    app.add_exception_handler(StoreError, _handle_store)
+    app.add_exception_handler(Exception, _handle_bug)
 
 
-def found(thing: T | None, kind: str, name: str) -> T:
-    """Return the thing; where there is none the answer is 404, `unknown-<kind>`."""
+def existing(thing: T | None, kind: str, name: str) -> T:
+    """Return the thing; raise the problem 404 `unknown-<kind>` for None."""
     if thing is None:
         raise Problem(404, f"unknown-{kind}", f"there is no {kind} {name}")
     return thing
 
 
-def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Describe for OpenAPI that a route answers with these problems, and any route with some."""
+def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI description of the problems with these statuses, and of any other."""
     schema = {"$ref": "#/components/schemas/Problem"}
     content = {"application/problem+json": {"schema": schema}}
     return {
@@ -105,58 +127,63 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-async def _of_http(request: Request, error: Exception) -> JSONResponse:
+async def _handle_http(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, Problem):
         return problem_response(request, error)
     assert isinstance(error, HTTPException)  # noqa: S101 - the handler's registration says so, the type cannot
     slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
     headers = error.headers
     if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-        headers = {"Allow": _methods_of(request) or "GET"}  # Starlette names those of the first route alone
+        headers = {
+            "Allow": _allowed_methods(request) or "GET"
+        }  # Starlette names those of the first route alone
     return problem_response(request, Problem(error.status_code, slug, error.detail, headers=headers))
 
 
-def _methods_of(request: Request) -> str:
-    """What the path of the request can be asked with, if it is described."""
+def _allowed_methods(request: Request) -> str:
+    """Return the methods that the path of the request has in the OpenAPI document."""
     described = request.app.openapi()["paths"].items()
     fitting = [methods for path, methods in described if compile_path(path)[0].match(request.scope["path"])]
     return ", ".join(sorted({method.upper() for methods in fitting for method in methods}))
 
 
-async def _of_validation(request: Request, error: Exception) -> JSONResponse:
+async def _handle_validation(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
     errors = [
-        {"field": ".".join(map(str, _place(item["loc"]))), "message": item["msg"]} for item in error.errors()
+        {"field": ".".join(map(str, _field(item["loc"]))), "message": item["msg"]} for item in error.errors()
     ]
     detail = "; ".join(f"{item['field']}: {item['message']}" for item in errors)
     return problem_response(request, Problem(422, "invalid-request", detail, errors=errors))
 
 
-def _place(location: Sequence[str | int]) -> Sequence[str | int]:
-    """Where the value is; pydantic adds which of several types a parameter is not."""
+def _field(location: Sequence[str | int]) -> Sequence[str | int]:
+    """Return where the value is, without the type that pydantic tried for a parameter."""
     return location if location[0] == "body" else location[:2]
 
 
-async def _of_conflict(request: Request, error: Exception) -> JSONResponse:
+async def _handle_transition(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, ConflictError)  # noqa: S101 - as above
     return problem_response(
         request, Problem(409, "transition-conflict", str(error), current=error.current, target=error.target)
     )
 
 
-async def _of_calibration(request: Request, error: Exception) -> JSONResponse:
+async def _handle_calibration(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, CalibrationConflictError)  # noqa: S101 - as above
     return problem_response(request, Problem(409, "calibration-conflict", str(error), state=error.state))
 
 
-async def _of_store(request: Request, error: Exception) -> JSONResponse:
-    # the message names paths of this machine: it belongs into the journal, not into the answer
+async def _handle_store(request: Request, error: Exception) -> JSONResponse:
+    # the message names paths of this machine: it is for the journal, not for the client
     log.error("%s %s failed: %s", request.method, request.scope["path"], error)
     return problem_response(
-        request, Problem(503, "store-unavailable", "try again", headers={"Retry-After": "5"}, retry_after_s=5)
+        request,
+        Problem(503, "store-unavailable", "try again in 5 s", headers={"Retry-After": "5"}, retry_after_s=5),
     )
 
 
-async def _of_bug(request: Request, error: Exception) -> JSONResponse:
+async def _handle_bug(request: Request, error: Exception) -> JSONResponse:
     log.error("%s %s failed", request.method, request.scope["path"], exc_info=error)
-    return problem_response(request, Problem(500, "internal-error", "the journal of the service says more"))
+    return problem_response(
+        request, Problem(500, "internal-error", "unexpected error: see the journal of the service")
+    )

@@ -1,7 +1,4 @@
-"""The REST interface as one task of the daemon: uvicorn, whose socket is bound first and whose end is the daemon's.
-
-uvicorn gets no say in signals, logging and start-up events.
-"""
+"""uvicorn as one task of the daemon, which keeps signals, logging, and the moment of start and stop to itself."""
 
 import asyncio
 import socket
@@ -16,7 +13,7 @@ from service.errors import ServiceError
 
 
 class RestServer(uvicorn.Server):
-    """uvicorn without its own ideas about signals, and with an event for the moment it serves."""
+    """uvicorn without signal handlers of its own, and with an event that is set once it serves."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -32,12 +29,12 @@ class RestServer(uvicorn.Server):
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Listen before anything else is started: an address in use is an error of the first second.
+    """Return a listening socket; bound before anything else starts, so that an address in use shows at once.
 
     Raises
     ------
     ServiceError
-        Naming the address.
+        The address cannot be listened on; names it.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -47,7 +44,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def server_config(app: FastAPI, settings: ApiSettings) -> uvicorn.Config:
-    """Give a configuration without uvicorn's own logging, banner and start-up events."""
+    """Return uvicorn's configuration, without its own logging, banner and start-up events."""
     return uvicorn.Config(
         app,
         host=settings.host,

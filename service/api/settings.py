@@ -1,4 +1,4 @@
-"""The part of the configuration that the REST interface needs."""
+"""`[api]` of the configuration: address, keys and limits of the REST interface."""
 
 import re
 from dataclasses import dataclass
@@ -6,19 +6,19 @@ from enum import StrEnum
 
 
 class Scope(StrEnum):
-    """What a key opens."""
+    """What a key permits."""
 
     READ = "read"
-    """Results, particles, health."""
+    """Read everything."""
     OPERATE = "operate"
-    """Arm and disarm."""
+    """Arm and disarm, record, collect and solve calibrations, verify."""
     CONFIGURE = "configure"
-    """What outlives a shift: keys, calibrations, settings."""
+    """Accept and activate calibrations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiKey:
-    """A bearer token, known by its hash alone."""
+    """A bearer token, of which only the hash is stored."""
 
     name: str
     sha256: str  # hex digest of the token
@@ -31,11 +31,11 @@ class ApiKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiSettings:
-    """Where the REST interface listens, who may use it and how much of it at once."""
+    """Where the REST interface listens, who may use it, and how large a request may be."""
 
     host: str = "127.0.0.1"
     port: int = 8080
-    keys: tuple[ApiKey, ...] = ()  # none: everybody may read, only this machine may write
+    keys: tuple[ApiKey, ...] = ()  # without any, every host may read and only this machine may write
     max_body_bytes: int = 1_000_000
 
     def __post_init__(self) -> None:

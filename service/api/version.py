@@ -1,4 +1,4 @@
-"""The version of the interface, by semver: raised whenever `deploy/openapi.json` changes."""
+"""The version of the REST interface, by semver: raised whenever `deploy/openapi.json` changes."""
 
-API_VERSION = "1.4.0"
+API_VERSION = "1.4.1"
 BASE = "/api/v1"

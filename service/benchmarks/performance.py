@@ -232,7 +232,7 @@ async def _measured_and_stored(state: Path, job: MeasureJob, bundle: FrameBundle
         session = await store.begin_session({})
         await store.record_triggers(session, {bundle.name: bundle.trigger})
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
-        record = measure(job)
+        record = measure(job).record
         await store.finish(
             session, bundle.name, record, {name: job.out_dir / name for name in (MESH, SILHOUETTES)}
         )

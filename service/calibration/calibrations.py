@@ -1,8 +1,8 @@
-"""Calibrations while measuring: a session collects drops, is solved, reviewed and accepted; versions are activated.
+"""Calibration while measuring: collect drops, solve, review, accept; activate accepted calibrations.
 
-Whatever was accepted once can be activated at any time, which is also how one rolls back. A session survives a
-restart of the daemon, with its drops. One that nobody needs any more is cancelled after a while, because until
-then what falls in a live rig counts as a ball and not as a stone.
+An accepted calibration can be activated at any time, which is also how to roll back. An open calibration survives a
+restart of the daemon, with its drops. An idle one is cancelled, because as long as it is open what falls in a live rig
+counts as a ball and not as a stone.
 """
 
 import asyncio
@@ -23,8 +23,8 @@ from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
 from service.calibration.plan import CalibrationPlan, Method
-from service.calibration.solving import Solver, attempt, solve_apart
-from service.calibration.startup import CalibrationsFound
+from service.calibration.solving import Solver, solve_apart, solve_calibration
+from service.calibration.startup import CalibrationsAtStart
 from service.calibration.states import (
     OPEN,
     CalibrationAction,
@@ -39,80 +39,80 @@ from service.status import AcquisitionState, CalibrationFacts
 log = logging.getLogger(__name__)
 
 IDLE_S = 600.0
-"""A session that sees no drop and hears of nobody for so long is cancelled."""
+"""An open calibration without a drop or a request for so long is cancelled."""
 IDLE_CHECK_S = 5.0
-UNABLE = (AcquisitionState.HELD, AcquisitionState.DISARMING, AcquisitionState.STOPPING)
-"""No drop would be seen. In a disarmed rig one may prepare a session and arm then."""
+STATES_WITHOUT_DROPS = (AcquisitionState.HELD, AcquisitionState.DISARMING, AcquisitionState.STOPPING)
+"""A calibration cannot be opened in these. It can in a disarmed rig, which is armed afterwards."""
 
 
 class Calibrations:
-    """Called on the loop; `run` is its task."""
+    """All calibrations and verifications of the daemon. Call it on the event loop; `run` is its task."""
 
     def __init__(
         self,
-        found: CalibrationsFound,
+        at_start: CalibrationsAtStart,
         verifications: Verifications,
         *,
         on_activated: Callable[[RigCalibration], Awaitable[None]],
         solver: Solver = solve_apart,
     ) -> None:
-        """Go on with what was found; `on_activated` is awaited before the first bundle of another calibration."""
-        self._files = found.files
-        self._records = found.records
-        self._activations = found.activations
+        """Continue with what the start has loaded; await `on_activated` before another calibration is used."""
+        self._files = at_start.files
+        self._records = at_start.records
+        self._activations = at_start.activations
         self._solver = solver
         self._to_solve: asyncio.Queue[str] = asyncio.Queue()
         self._writing = asyncio.Lock()
-        self._touched_s = time.monotonic()
+        self._last_activity_s = time.monotonic()
         self.verifications = verifications
-        self.active = found.active
-        self.rig = found.rig
+        self.active = at_start.active
+        self.rig = at_start.rig
         """The rig of the calibration in use."""
-        self.rig_file = found.files.rig_file(found.active)
-        """What the next bundle is measured with."""
-        self._trouble = found.trouble
+        self.rig_file = at_start.files.rig_file(at_start.active)
+        """The rig file that the next bundle is measured with."""
+        self._trouble = at_start.trouble
         self._on_activated = on_activated
 
-    # --- what is ---
+    # --- queries ---
 
     @property
     def open_calibration(self) -> CalibrationRecord | None:
-        """The one that collects drops."""
+        """Return the calibration that collects drops, None while there is none."""
         return next((record for record in self._records.values() if record.state in OPEN), None)
 
     @property
     def collector(self) -> DropCollector | None:
-        """Who wants the next drop."""
-        session = self.open_calibration
-        if session is None:
+        """Return what observes the next drop, for the open calibration or verification; None without one."""
+        current = self.open_calibration
+        if current is None:
             return self.verifications.collector
 
         async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
-            await self._add(session.id, drop, outlines)
+            await self._add_drop(current.id, drop, outlines)
 
-        kind = BundleKind.PARTICLE if session.method == Method.STONES else BundleKind.BALL
-        return DropCollector(kind=kind, diameters_mm=session.ball_diameters_mm, add=add)
+        kind = BundleKind.PARTICLE if current.method == Method.STONES else BundleKind.BALL
+        return DropCollector(kind=kind, diameters_mm=current.ball_diameters_mm, add=add)
 
     @property
     def wants_balls(self) -> bool:
-        """Whether what falls now is a ball."""
+        """Return whether what falls now is a ball."""
         return self.collector is not None and self.collector.kind is BundleKind.BALL
 
     @property
     def activations(self) -> list[Activation]:
-        """All choices of the calibration in use, newest first."""
+        """Return all activations, newest first."""
         return list(reversed(self._activations.items))
 
     @property
     def activated(self) -> Activation:
-        """When the calibration in use was activated, and by whom."""
+        """Return the activation of the calibration in use."""
         return next(item for item in self.activations if item.id == self.active.id)
 
     def facts(self) -> CalibrationFacts:
-        """What health has to know."""
+        """Return what health has to know of calibrations."""
         at_work = None
-        if self.wants_balls and (session := self.open_calibration) is not None:
-            at_work = f"calibration {session.id} is {session.state}: what falls is a ball"
+        if self.wants_balls and (current := self.open_calibration) is not None:
+            at_work = f"calibration {current.id} is {current.state}: what falls is a ball"
         elif (verification := self.verifications.current) is not None:
             at_work = f"verification {verification.id} waits for balls: what falls is a ball"
         return CalibrationFacts(
@@ -125,11 +125,11 @@ class Calibrations:
         )
 
     def all(self) -> list[CalibrationRecord]:
-        """Newest first."""
+        """Return all calibrations, newest first."""
         return [self._records[name] for name in sorted(self._records, key=int, reverse=True)]
 
     async def find(self, name: str) -> CalibrationDetails | None:
-        """None when there is none of that name."""
+        """Return the details of one calibration, None when there is none of that name."""
         record = self._records.get(name)
         if record is None:
             return None
@@ -139,16 +139,16 @@ class Calibrations:
             raise StoreError(str(err)) from err
 
     def rig_path(self, name: str) -> Path | None:
-        """Its rig file, None while there is none."""
+        """Return the rig file of one calibration, None while there is none."""
         record = self._records.get(name)
         return None if record is None or record.calibration_id is None else self._files.rig_file(record).path
 
-    # --- what is asked for; all of it raises `CalibrationConflictError` ---
+    # --- requests; each raises `CalibrationConflictError` where its state forbids it ---
 
     async def start(self, plan: CalibrationPlan, acquisition: AcquisitionState) -> CalibrationRecord:
-        """Begin to collect drops."""
+        """Open a calibration, which collects drops."""
         async with self._writing:
-            self._require_free(acquisition)
+            self._require_none_open(acquisition)
             now = utc_now()
             record = CalibrationRecord(
                 id=await asyncio.to_thread(self._files.next_name),
@@ -164,26 +164,26 @@ class Calibrations:
             )
             await asyncio.to_thread(self._files.create, record)
             self._records[record.id] = record
-            self._touched_s = time.monotonic()
-        log.info("calibration begins calibration=%s by=%s", record.id, plan.by)
+            self._last_activity_s = time.monotonic()
+        log.info("calibration opened calibration=%s by=%s", record.id, plan.by)
         return record
 
     async def verify(self, plan: VerificationPlan, acquisition: AcquisitionState) -> Verification:
-        """Begin to measure balls with the calibration in use."""
+        """Begin to verify the calibration in use with balls."""
         async with self._writing:
-            self._require_free(acquisition)
+            self._require_none_open(acquisition)
             return await self.verifications.start(plan, self.rig_file.calibration_id)
 
     async def act(
         self, name: str, action: CalibrationAction, by: str | None = None
     ) -> CalibrationRecord | None:
-        """Do what is asked for, durably; None when there is no calibration of that name."""
+        """Carry out an action durably and return the new record; None when there is no calibration of that name."""
         async with self._writing:
             record = self._records.get(name)
             if record is None:
                 return None
             state = next_state(name, record.state, action)
-            self._touched_s = time.monotonic()
+            self._last_activity_s = time.monotonic()
             if action is CalibrationAction.ACTIVATE:
                 await self._activate(record, by)
             elif state is not record.state:
@@ -191,18 +191,18 @@ class Calibrations:
                     detail = f"calibration {name} must not be used: {record.detail}"
                     raise CalibrationConflictError(detail, state=record.state)
                 if action is CalibrationAction.SOLVE:
-                    record = await self._become(record, state, calibration_id=None, detail=None)
+                    record = await self._change_state(record, state, calibration_id=None, detail=None)
                 else:
-                    record = await self._become(record, state, decided_by=by)
+                    record = await self._change_state(record, state, decided_by=by)
                 if action is CalibrationAction.SOLVE:
                     self._to_solve.put_nowait(name)
                 log.info("calibration %s calibration=%s by=%s", state, name, by)
             return record
 
-    # --- its task ---
+    # --- the task ---
 
     async def run(self) -> None:
-        """Solve what is asked for, and cancel what nobody needs any more."""
+        """Solve calibrations on request, and cancel idle calibrations and verifications."""
         while True:
             try:
                 async with asyncio.timeout(IDLE_CHECK_S):
@@ -212,7 +212,7 @@ class Calibrations:
                     await self._cancel_idle()
                     await self.verifications.cancel_idle()
                 except OSError as err:
-                    log.error("what is idle cannot be cancelled: %s", err)
+                    log.error("cannot cancel an idle calibration or verification: %s", err)
             else:
                 await self._solve(name)
 
@@ -220,7 +220,7 @@ class Calibrations:
         record = self._records[name]
         if record.state is not CalibrationState.SOLVING:  # cancelled before its turn came
             return
-        calibration_id, detail = await attempt(
+        calibration_id, detail = await solve_calibration(
             self._files, record, self.rig_file, self.rig.name, self._solver
         )
         state = CalibrationState.COLLECTING if calibration_id is None else CalibrationState.SOLVED
@@ -228,43 +228,44 @@ class Calibrations:
             record = self._records[name]
             if record.state is not CalibrationState.SOLVING:  # cancelled meanwhile
                 return
-            await self._become(record, state, calibration_id=calibration_id, detail=detail)
-            self._touched_s = time.monotonic()
+            await self._change_state(record, state, calibration_id=calibration_id, detail=detail)
+            self._last_activity_s = time.monotonic()
         log.info("calibration %s calibration=%s %s", state, name, detail or "")
 
     async def _cancel_idle(self) -> None:
         async with self._writing:
-            session = self.open_calibration
-            if session is not None and time.monotonic() - self._touched_s > IDLE_S:
+            current = self.open_calibration
+            if current is not None and time.monotonic() - self._last_activity_s > IDLE_S:
                 detail = f"nothing fell for {IDLE_S / 60:.0f} minutes"
-                await self._become(session, CalibrationState.CANCELLED, detail=detail)
-                log.warning("calibration cancelled: %s calibration=%s", detail, session.id)
+                await self._change_state(current, CalibrationState.CANCELLED, detail=detail)
+                log.warning("calibration cancelled: %s calibration=%s", detail, current.id)
 
-    # --- how ---
+    # --- internals ---
 
-    def _require_free(self, acquisition: AcquisitionState) -> None:
-        """Refuse when no drop would be seen, or somebody waits for drops already."""
-        if acquisition in UNABLE:
+    def _require_none_open(self, acquisition: AcquisitionState) -> None:
+        """Refuse when no drop would be seen, or another calibration or verification is open."""
+        if acquisition in STATES_WITHOUT_DROPS:
             raise CalibrationConflictError(f"acquisition is {acquisition}: no drop would be seen")
-        if (session := self.open_calibration) is not None:
-            detail = f"calibration {session.id} is {session.state}: end it first"
-            raise CalibrationConflictError(detail, state=session.state)
+        if (current := self.open_calibration) is not None:
+            detail = f"calibration {current.id} is {current.state}: accept, reject or cancel it first"
+            raise CalibrationConflictError(detail, state=current.state)
         if (verification := self.verifications.current) is not None:
             raise CalibrationConflictError(f"verification {verification.id} waits for balls: cancel it first")
 
     async def _activate(self, record: CalibrationRecord, by: str | None) -> None:
         if record.id == self._activations.items[-1].id == self.active.id:
             return
-        if (session := self.open_calibration) is not None:
+        if (current := self.open_calibration) is not None:
             detail = (
-                f"calibration {session.id} is {session.state} and rests on {self.active.id}: end it first"
+                f"calibration {current.id} is {current.state} and starts from {self.active.id}:"
+                " accept, reject or cancel it first"
             )
-            raise CalibrationConflictError(detail, state=session.state)
+            raise CalibrationConflictError(detail, state=current.state)
         try:
             rig = await asyncio.to_thread(self._files.rig, record)
         except RecordingError as err:
             log.error("calibration %s cannot be activated: %s", record.id, err)
-            detail = f"calibration {record.id}: its rig file is damaged"
+            detail = f"calibration {record.id}: its rig file is damaged; activate another one"
             raise CalibrationConflictError(detail, state=record.state) from err
         if differing := image_sizes_px(rig).items() ^ image_sizes_px(self.rig).items():
             cameras = ", ".join(sorted({name for name, _ in differing}))
@@ -281,7 +282,7 @@ class Calibrations:
         self.active, self.rig, self.rig_file, self._trouble = record, rig, rig_file, None
         log.info("calibration in use calibration=%s id=%s by=%s", record.id, rig_file.calibration_id, by)
 
-    async def _become(
+    async def _change_state(
         self, record: CalibrationRecord, state: CalibrationState, **changes: Any
     ) -> CalibrationRecord:
         record = replace(record, state=state, changed_at=utc_now(), **changes)
@@ -289,9 +290,9 @@ class Calibrations:
         self._records[record.id] = record
         return record
 
-    async def _add(self, name: str, drop: ObservedDrop, outlines: Path | None) -> None:
+    async def _add_drop(self, name: str, drop: ObservedDrop, outlines: Path | None) -> None:
         if self._records[name].state not in OPEN:
             return
         await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
         if drop.views:
-            self._touched_s = time.monotonic()
+            self._last_activity_s = time.monotonic()

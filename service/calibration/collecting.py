@@ -1,4 +1,4 @@
-"""How drops come from the measuring to a calibration or a verification."""
+"""From a measured bundle to a drop of the open calibration or verification."""
 
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
@@ -14,21 +14,24 @@ from service.processing.processing import KeepDrop
 from service.processing.worker_pool import JobLostError, WorkerPool
 
 OUTLINES = "outlines.npz"
-"""Outlines of a drop, in the folder of the job that measured it."""
+"""File of a drop's outlines, in the folder of the job that measured it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropCollector:
-    """Observes the drops of one kind and hands each on when its result is durable."""
+    """Observes the drops of one kind and passes each on as soon as its result is durable."""
 
     kind: BundleKind
     diameters_mm: tuple[float, ...]
-    """Diameters of the balls that may fall."""
+    """Diameters of the balls that may fall; empty for stones."""
     add: Callable[[ObservedDrop, Mapping[str, Any], Path | None], Awaitable[None]]
-    """Takes a drop, its result record, and the file of its outlines if there is one."""
+    """Called with a drop, its result record, and the file of its outlines, None when nothing was observed."""
 
     async def observe(self, pool: WorkerPool, job: MeasureJob) -> KeepDrop:
-        """Have a worker find the outlines of a drop; one that fails is handed on with the problem."""
+        """Have a worker find the outlines of a drop. Return what to await when its result is durable.
+
+        A drop that cannot be observed is passed on with the problem.
+        """
         outlines = job.out_dir / OUTLINES
         observing = ObserveJob(
             bundle_path=job.bundle_path,

@@ -1,4 +1,4 @@
-"""All that is known of one calibration, for people who watch it grow or review it."""
+"""One calibration in detail, for following and reviewing it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -8,30 +8,30 @@ from typing import Any
 from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.calibration.drop_files import ObservedDrop, kept_drops, rough_drop
+from service.calibration.drop_files import ObservedDrop, drop_without_outlines, kept_drops
 from service.calibration.files import CalibrationFiles, CalibrationRecord
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationDetails:
-    """A calibration with its drops, in the order in which they fell, and what they are worth."""
+    """A calibration with its drops, in the order in which they fell, their coverage and its report."""
 
     record: CalibrationRecord
     drops: list[ObservedDrop]
     coverage: Coverage
-    residuals_px: Mapping[CameraId, float]  # rms of the drops, with the calibration they were measured with
+    residuals_px: Mapping[CameraId, float]  # rms over the drops, with the calibration in use when they fell
     report: Mapping[str, Any] | None
 
 
 def calibration_details(
     files: CalibrationFiles, record: CalibrationRecord, rig_in_use: RigCalibration
 ) -> CalibrationDetails:
-    """Read them, blocking; without a solution its coverage is judged with the rig in use.
+    """Read the details of a calibration; blocks. Without a solution the rig in use judges the coverage.
 
     Raises
     ------
     RecordingError
-        A file of it is damaged.
+        A file of the calibration is damaged.
     """
     drops = kept_drops(files.drops(record.id))
     is_solved = record.calibration_id is not None
@@ -39,7 +39,7 @@ def calibration_details(
         record=record,
         drops=drops,
         coverage=coverage(
-            [rough_drop(drop) for drop in drops], files.rig(record) if is_solved else rig_in_use
+            [drop_without_outlines(drop) for drop in drops], files.rig(record) if is_solved else rig_in_use
         ),
         residuals_px=_rms(drops),
         report=files.report(record) if is_solved else None,

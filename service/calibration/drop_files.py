@@ -1,7 +1,7 @@
-"""What was seen of each ball (or stone) of a calibration, on disk.
+"""The drops of a calibration on disk.
 
-`<number>.npz` has the outlines, `<number>.json` what people look at. The second is written last: a drop without
-it was never there.
+`<number>.npz` holds the outlines, `<number>.json` the figures that are shown. The second is written last: a drop
+without it does not count.
 """
 
 import json
@@ -20,12 +20,12 @@ from pipeline.frames import CameraId
 from service.calibration.files import read_document
 
 HEADER = "header.json"
-"""Name of the array beside those of the cameras; a camera id has no dot."""
+"""Name of the array that is no camera's; a camera id has no dot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenCircle:
-    """An image in one view: about where, and how large."""
+    """Approximate place and size of a drop in one view."""
 
     center_uv: tuple[float, float]
     radius_px: float
@@ -33,11 +33,11 @@ class SeenCircle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservedDrop:
-    """One drop against the calibration it was measured with, in a few numbers."""
+    """One drop, compared with the calibration in use when it fell."""
 
     bundle: str
-    diameter_mm: float | None = None  # of the balls that were entered, the one that it can only be
-    views: Mapping[CameraId, SeenCircle] = field(default_factory=dict)  # that show it whole
+    diameter_mm: float | None = None  # the requested diameter closest to its apparent size
+    views: Mapping[CameraId, SeenCircle] = field(default_factory=dict)  # views that show it whole
     refused: Mapping[CameraId, str] = field(default_factory=dict)  # views left out, with the reason
     center_mm: tuple[float, float, float] | None = None
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
@@ -45,8 +45,8 @@ class ObservedDrop:
     problem: str | None = None  # why nothing was observed
 
 
-def rough_drop(drop: ObservedDrop) -> BallDrop:
-    """The same without outlines: enough to judge what the drops cover."""
+def drop_without_outlines(drop: ObservedDrop) -> BallDrop:
+    """Return the drop with centres and radii only, which is enough to judge the coverage."""
     return BallDrop(
         name=drop.bundle,
         diameter_mm=drop.diameter_mm,
@@ -64,7 +64,7 @@ def rough_drop(drop: ObservedDrop) -> BallDrop:
 
 
 def write_drop(path: Path, drop: BallDrop) -> None:
-    """Write outlines as npz."""
+    """Write a drop with its outlines to an npz file."""
     header = {
         "name": drop.name,
         "diameter_mm": drop.diameter_mm,
@@ -86,7 +86,7 @@ def write_drop(path: Path, drop: BallDrop) -> None:
 
 
 def read_drop(path: Path) -> BallDrop:
-    """The drop in a file written by `write_drop`."""
+    """Read a drop that `write_drop` has written."""
     with path.open("rb") as file, np.load(file) as arrays:
         header = json.loads(str(arrays[HEADER]))
         views = {
@@ -108,9 +108,9 @@ def read_drop(path: Path) -> BallDrop:
 
 
 def keep_drop(folder: Path, drop: ObservedDrop, outlines_path: Path | None) -> None:
-    """Keep a drop durably, behind those that are there; `outlines_path` is None when nothing was observed."""
+    """Store a drop durably under the next number; `outlines_path` is None when nothing was observed."""
     path = folder / f"{len(list(folder.glob('*.json'))) + 1:05d}.npz"
-    path.unlink(missing_ok=True)  # of a drop that was never there
+    path.unlink(missing_ok=True)  # left by a crash before its JSON was written
     if outlines_path is not None:
         with replacing(path) as unfinished:
             shutil.copyfile(outlines_path, unfinished)
@@ -118,11 +118,11 @@ def keep_drop(folder: Path, drop: ObservedDrop, outlines_path: Path | None) -> N
 
 
 def kept_drops(folder: Path) -> list[ObservedDrop]:
-    """All drops of a folder, in order; raises `RecordingError` when one is damaged."""
+    """Read the drops of a folder, in the order in which they fell; raise `RecordingError` when one is damaged."""
     adapter = TypeAdapter(ObservedDrop)
     return [read_document(path, adapter) for path in sorted(folder.glob("*.json"))]
 
 
 def outline_paths(folder: Path) -> list[Path]:
-    """The outlines of all drops of which something was observed, in order."""
+    """Return the files of outlines, in the order of the drops; drops without any are left out."""
     return [path for each in sorted(folder.glob("*.json")) if (path := each.with_suffix(".npz")).exists()]

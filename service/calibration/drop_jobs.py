@@ -1,4 +1,4 @@
-"""What a worker does for a calibration: it observes a drop in its bundle, and solves the rig from all drops."""
+"""The jobs of a worker for a calibration: observe a drop in its bundle, solve the rig from all drops."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from pipeline.frames import BundleKind, CameraId
 from pipeline.rig.cameras import RigCalibration
 from pipeline.views.epipolar_tangency import epipolar_tangents, tangency_scores_px
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
-from service.calibration.drops import observe_drop, solve_drops
+from service.calibration.drops import observe_drop, refusal_of, solve_drops
 from service.calibration.plan import Method
 from service.processing.measure_job import RigFile, this_worker
 from service.processing.worker_process import worker_boundary
@@ -25,20 +25,20 @@ from service.processing.worker_process import worker_boundary
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObserveJob:
-    """One ball or stone to observe; its outlines go to `out_path`."""
+    """A ball or stone to observe; its outlines are written to `out_path`."""
 
     bundle_path: Path
     camera_ids: tuple[CameraId, ...]
     rig_file: RigFile
     background_path: Path | None
     kind: BundleKind
-    diameters_mm: tuple[float, ...]  # of the balls that fall
+    diameters_mm: tuple[float, ...]  # of the balls that may fall
     out_path: Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveJob:
-    """A calibration to solve; `rig.json` and `report.json` go into `folder`."""
+    """A calibration to solve; `rig.json` and `report.json` are written to `folder`."""
 
     outline_paths: tuple[Path, ...]
     initial_path: Path  # rig file
@@ -51,19 +51,19 @@ class SolveJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """What came of it; without a `calibration_id` nothing could be solved."""
+    """The outcome of a `SolveJob`; without a `calibration_id` there is no solution."""
 
     calibration_id: str | None
     problems: tuple[Problem, ...]
 
     @property
     def refusal(self) -> str | None:
-        """Why it must not be used."""
-        return "; ".join(problem.detail for problem in self.problems if problem.is_fatal) or None
+        """Return why the solution must not be used, None when it may be."""
+        return refusal_of(self.problems)
 
 
 def observe(job: ObserveJob) -> ObservedDrop:
-    """Find the outlines in the views of a bundle and compare them with the calibration in use.
+    """Find the outlines of a drop in the views of a bundle and compare them with the calibration in use.
 
     Raises
     ------
@@ -77,25 +77,25 @@ def observe(job: ObserveJob) -> ObservedDrop:
     with worker_boundary():
         rig = worker.rig_in(job.rig_file)
         background = worker.background_at(job.background_path)
-        # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
+        # never the network, whose training an edge must not depend on: views without comparison are left out
         segmenter = worker.segmenter.classical
         drop = observe_drop(bundle, background, segmenter, job.kind)
         if job.kind is BundleKind.BALL:
-            drop = _sized(drop, job.diameters_mm, rig)
-            observed = _ball_against(drop, rig)
+            drop = _with_nearest_diameter(drop, job.diameters_mm, rig)
+            observed = _observed_ball(drop, rig)
         else:
-            observed = _stone_against(drop, rig)
+            observed = _observed_stone(drop, rig)
         write_drop(job.out_path, drop)
     return observed
 
 
 def solve(job: SolveJob) -> Solution:
-    """Calibrate the rig from drops.
+    """Calibrate the rig from drops, in a process of its own.
 
     Raises
     ------
     WorkerFailure
-        Anything but the reasons why nothing can be solved, with the traceback as text.
+        An unexpected exception, with the traceback as text; why nothing can be solved is in the `Solution`.
     """
     with worker_boundary():
         drops = [read_drop(path) for path in job.outline_paths]
@@ -116,8 +116,8 @@ def solve(job: SolveJob) -> Solution:
     return Solution(calibration_id=solved.rig.calibration_id, problems=solved.problems)
 
 
-def _sized(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:
-    """The drop with that diameter of those entered which is nearest to what it looks like; all drops decide later."""
+def _with_nearest_diameter(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:
+    """Give a ball the requested diameter closest to its apparent size; the solution decides with all drops."""
     apparent_mm = apparent_diameter_mm(drop, rig)
     if not diameters_mm or apparent_mm is None:
         return drop
@@ -125,7 +125,7 @@ def _sized(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration)
     return replace(drop, diameter_mm=nearest_mm)
 
 
-def _ball_against(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
+def _observed_ball(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
     observed = _observed(drop)
     fit = fit_ball(drop, rig)
     if fit is None:
@@ -138,7 +138,7 @@ def _ball_against(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
     )
 
 
-def _stone_against(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
+def _observed_stone(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
     outlines = {camera: view.outline_uv for camera, view in drop.views.items()}
     scores_px = tangency_scores_px(epipolar_tangents(outlines, rig)) if outlines else {}
     return replace(_observed(drop), residuals_px=scores_px)

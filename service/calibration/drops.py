@@ -1,4 +1,4 @@
-"""From drops to a rig: the same observing, solving and report for the command and for the daemon."""
+"""From bundles to drops and from drops to a rig, for the command and the daemon alike."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -26,29 +26,34 @@ from service.calibration.plan import Method
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solved:
-    """A rig found from drops, and the evidence for it."""
+class SolvedRig:
+    """A rig solved from drops, and the evidence for it."""
 
     evidence: CalibrationReport | StoneCalibration
     problems: tuple[Problem, ...]
     report: Mapping[str, Any]
-    """The evidence and the problems as JSON has them."""
+    """The evidence and the problems, JSON-ready."""
 
     @property
     def rig(self) -> RigCalibration:
-        """Return the rig that was found."""
+        """Return the rig that was solved."""
         return self.evidence.rig
 
     @property
     def refusal(self) -> str | None:
         """Return why the rig must not be used, None when it may be."""
-        return "; ".join(problem.detail for problem in self.problems if problem.is_fatal) or None
+        return refusal_of(self.problems)
+
+
+def refusal_of(problems: Sequence[Problem]) -> str | None:
+    """Return the fatal problems in one line, None when there are none."""
+    return "; ".join(problem.detail for problem in problems if problem.is_fatal) or None
 
 
 def observe_drop(
     bundle: FrameBundle, background: BackgroundModel, segmenter: Segmenter, kind: BundleKind
 ) -> BallDrop:
-    """Find the outlines of a ball in the views of a bundle, or those of a stone in the place of a ball's."""
+    """Find the outlines of a ball, or of a stone, in the views of a bundle; a stone has no diameter."""
     if kind is BundleKind.BALL:
         return observe_ball(bundle, background, segmenter, None)
     silhouettes = segment_all(bundle.frames, background, segmenter)
@@ -69,7 +74,7 @@ def solve_drops(
     diameters_mm: Sequence[float],
     created_at: str,
     name: str,
-) -> Solved:
+) -> SolvedRig:
     """Calibrate the rig from drops, starting from an initial one.
 
     Raises
@@ -82,7 +87,7 @@ def solve_drops(
             stones = [{camera: view.outline_uv for camera, view in drop.views.items()} for drop in drops]
             found = recalibrate(stones, initial, created_at=created_at, name=name)
             problems = _contradictions(found)
-            return Solved(
+            return SolvedRig(
                 evidence=found, problems=problems, report=_stone_report(found, initial, drops, problems)
             )
         case Method.BUNDLE | Method.PAPER:
@@ -94,7 +99,7 @@ def solve_drops(
                 created_at=created_at,
                 name=name,
             )
-            return Solved(evidence=report, problems=report.problems, report=report_document(report))
+            return SolvedRig(evidence=report, problems=report.problems, report=report_document(report))
 
 
 def _contradictions(found: StoneCalibration) -> tuple[Problem, ...]:
@@ -103,7 +108,7 @@ def _contradictions(found: StoneCalibration) -> tuple[Problem, ...]:
     worst = max(found.scores_after_px, key=lambda camera: found.scores_after_px[camera])
     detail = (
         f"camera {worst} still contradicts the others by {found.scores_after_px[worst]:.2f} px: let more stones fall,"
-        " or drop the ball"
+        " or calibrate with a ball"
     )
     return (Problem(code=ProblemCode.CONTRADICTION, detail=detail, camera=worst),)
 
@@ -114,7 +119,7 @@ def _stone_report(
     drops: Sequence[BallDrop],
     problems: Sequence[Problem],
 ) -> Mapping[str, Any]:
-    """Return the evidence in the words of a report on balls, as far as these go, and its own."""
+    """Return the evidence under the keys of a report on balls where these apply, and under its own."""
     return {
         "method": "stones",
         "calibration_id": found.rig.calibration_id,

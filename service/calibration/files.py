@@ -1,15 +1,15 @@
-"""Calibrations on disk: a folder each, and which one is in use. Everything blocks; every write is durable.
+"""Calibrations on disk: one folder each, and which one is in use. Everything blocks; every write is durable.
 
 ::
 
-    calibrations/activations.json       which was activated when; the last one is in use
-    calibrations/0001/session.json      what it is and where it stands, see `CalibrationRecord`
+    calibrations/activations.json       which was activated when; the latest is in use
+    calibrations/0001/session.json      its `CalibrationRecord`
     calibrations/0001/rig.json          the rig with its checksum, as soon as there is one
-    calibrations/0001/report.json       what the solution found
-    calibrations/0001/drops/            what was seen of each, see `service.calibration.drop_files`
+    calibrations/0001/report.json       the report of the solution
+    calibrations/0001/drops/            its drops, see `service.calibration.drop_files`
 
-A file is replaced as a whole or not at all, and the choice of the calibration in use is one file: a process that
-is killed at any moment leaves the old choice or the new one. Files that another one names are written before it.
+A file is replaced as a whole or not at all, and which calibration is in use stands in one file: a process that is
+killed at any moment leaves the old state or the new one. A file is written before another one names it.
 """
 
 import logging
@@ -32,7 +32,7 @@ from service.processing.measure_job import RigFile
 log = logging.getLogger(__name__)
 
 CALIBRATION_NAME = re.compile(r"[0-9]{4,9}")
-"""What a calibration is called: they are counted."""
+"""Name of a calibration or verification: its number."""
 RIG, REPORT, SESSION, DROPS, ACTIVATIONS = (
     "rig.json",
     "report.json",
@@ -47,26 +47,26 @@ Document = TypeVar("Document")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
-    """What a calibration is and where it stands."""
+    """A calibration: origin, state and decisions."""
 
     id: str
     origin: Origin
     state: CalibrationState
-    method: str  # of the configured rig file; of a session, what was asked for
+    method: str  # as requested; of a configured rig, that of its file
     ball_diameters_mm: tuple[float, ...] = ()
     created_at: str  # RFC 3339, as is `changed_at`
     changed_at: str
     by: str | None = None  # who began it
     decided_by: str | None = None  # who accepted, rejected or cancelled it
     note: str | None = None
-    initial_calibration_id: str | None = None  # in use when it was begun; solutions start from it
+    initial_calibration_id: str | None = None  # in use when it was begun; the solution starts from it
     calibration_id: str | None = None  # of its rig; None while there is none
     detail: str | None = None  # why it was cancelled, could not be solved, or must not be accepted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Activation:
-    """One choice of the calibration in use."""
+    """One activation of a calibration."""
 
     id: str
     calibration_id: str
@@ -76,28 +76,28 @@ class Activation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Activations:
-    """All choices, oldest first."""
+    """All activations, oldest first."""
 
-    configured_calibration_id: str | None = None  # of the configured rig file when it was read last
+    configured_calibration_id: str | None = None  # of the configured rig file at the latest start
     items: tuple[Activation, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFiles:
-    """The folder of all calibrations, which is made."""
+    """The folder of all calibrations."""
 
     folder: Path
     _records: TypeAdapter[CalibrationRecord] = field(default_factory=lambda: TypeAdapter(CalibrationRecord))
     _activations: TypeAdapter[Activations] = field(default_factory=lambda: TypeAdapter(Activations))
 
     def clean(self) -> None:
-        """Make the folder, and remove what a killed predecessor left half done."""
+        """Create the folder, and remove unfinished files of a process that was killed."""
         self.folder.mkdir(parents=True, exist_ok=True)
         for unfinished in self.folder.glob(".*.unfinished"):
             shutil.rmtree(unfinished, ignore_errors=True)
 
     def records(self) -> list[CalibrationRecord]:
-        """All of them, oldest first; a damaged one is logged and left out."""
+        """Read all records, oldest first; a damaged one is logged and left out."""
         found = []
         for path in sorted(self.folder.iterdir()):
             if not CALIBRATION_NAME.fullmatch(path.name):
@@ -109,15 +109,16 @@ class CalibrationFiles:
         return found
 
     def drops(self, name: str) -> Path:
-        """The folder of its drops, see `service.calibration.drop_files`."""
+        """Return the folder of the drops of a calibration, see `service.calibration.drop_files`."""
         return self.folder / name / DROPS
 
     def next_name(self) -> str:
-        """A name that no calibration has or had."""
+        """Return a name that no calibration has or had."""
         taken = [int(path.name) for path in self.folder.iterdir() if CALIBRATION_NAME.fullmatch(path.name)]
         return f"{max(taken, default=0) + 1:04d}"
 
     def create(self, record: CalibrationRecord, rig: RigCalibration | None = None) -> None:
+        """Create the folder of a calibration, with its rig if there is one already."""
         with new_folder(self.folder / record.id) as folder:
             (folder / DROPS).mkdir()
             if rig is not None:
@@ -125,53 +126,54 @@ class CalibrationFiles:
             write_json(folder / SESSION, self._records.dump_python(record, mode="json"))
 
     def write(self, record: CalibrationRecord) -> None:
+        """Replace the record of a calibration."""
         write_json(self.folder / record.id / SESSION, self._records.dump_python(record, mode="json"))
 
     def activations(self) -> Activations:
-        """Empty before the first start; raises `RecordingError` when the file is damaged."""
+        """Read the activations, none before the first start; raise `RecordingError` when the file is damaged."""
         path = self.folder / ACTIVATIONS
         return read_document(path, self._activations) if path.exists() else Activations()
 
     def write_activations(self, activations: Activations) -> None:
+        """Replace the list of activations, and thereby which calibration is in use."""
         write_json(self.folder / ACTIVATIONS, self._activations.dump_python(activations, mode="json"))
 
     def rig(self, record: CalibrationRecord) -> RigCalibration:
-        """Its rig; raises `RecordingError` when that is missing, damaged or another one than recorded."""
+        """Read the rig; raise `RecordingError` when it is missing, damaged or not the one recorded."""
         path = self.folder / record.id / RIG
         rig = read_rig(path)
         if rig.calibration_id != record.calibration_id:
-            raise RecordingError(
-                path, f"is not the rig of calibration {record.id}: another one was put there"
-            )
+            raise RecordingError(path, f"is not the rig of calibration {record.id}: the file was replaced")
         return rig
 
     def write_rig(self, record: CalibrationRecord, rig: RigCalibration) -> None:
+        """Replace the rig file of a calibration."""
         write_rig(self.folder / record.id / RIG, rig)
 
     def rig_file(self, record: CalibrationRecord) -> RigFile:
-        """Where workers find the rig of an accepted calibration."""
+        """Return path and id of the rig, as jobs name it; `ValueError` without a rig."""
         if record.calibration_id is None:
             raise ValueError(f"calibration {record.id} has no rig")
         return RigFile(self.folder / record.id / RIG, record.calibration_id)
 
     def report(self, record: CalibrationRecord) -> dict[str, Any] | None:
-        """What the solution found, None for a configured rig."""
+        """Read the report of the solution, None for a configured rig."""
         path = self.folder / record.id / REPORT
         return dict(read_json(path)) if path.exists() else None
 
 
 def image_sizes_px(rig: RigCalibration) -> dict[CameraId, tuple[int, int]]:
-    """Width and height of each camera's images: calibrations of the same cameras have the same."""
+    """Return width and height of the images by camera; equal in all calibrations of the same cameras."""
     return {camera.id: camera.image_size_px for camera in rig.cameras}
 
 
 def read_document(path: Path, adapter: TypeAdapter[Document]) -> Document:
-    """A JSON file as what it should be.
+    """Read a JSON file and validate it.
 
     Raises
     ------
     RecordingError
-        Naming the file, and the field that is wrong.
+        The file cannot be read or has a wrong field; names both.
     """
     try:
         return adapter.validate_python(read_json(path))

@@ -1,28 +1,28 @@
-"""What somebody wants to calibrate with."""
+"""The request for a calibration: method and balls."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 BALL_DIAMETERS_MM = (1.0, 45.0)
-"""What is seen, and fully in view."""
-SIZES_APART = 1.2
-"""Balls whose diameters differ by less cannot be told apart before the rig is calibrated."""
+"""Range of diameters that the cameras resolve and that fit into their images."""
+MIN_SIZE_RATIO = 1.2
+"""Least ratio of two diameters: balls closer in size cannot be told apart before the rig is calibrated."""
 
 
 class Method(StrEnum):
-    """How drops become a rig."""
+    """Method of calibration."""
 
     BUNDLE = "bundle"
-    """All cameras and balls are adjusted together."""
+    """Bundle adjustment of all cameras and balls."""
     PAPER = "paper"
     """Algorithm 1 of the paper."""
     STONES = "stones"
-    """Cameras that moved are put back from any stones, without a ball."""
+    """New poses for cameras that moved, from any stones, without a ball."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationPlan:
-    """What to calibrate with: one ball, two balls that differ, or the stones that fall anyway."""
+    """What to calibrate with: one ball, two balls of different size, or any stones."""
 
     ball_diameters_mm: tuple[float, ...] = ()
     method: Method = Method.BUNDLE
@@ -33,7 +33,7 @@ class CalibrationPlan:
         n_needed = (0,) if self.method is Method.STONES else (1, 2)
         if len(self.ball_diameters_mm) not in n_needed:
             raise ValueError(
-                f"ball_diameters_mm: method {self.method} needs {' or '.join(map(str, n_needed))},"
+                f"ball_diameters_mm: method {self.method} takes {' or '.join(map(str, n_needed))} diameters,"
                 f" not {len(self.ball_diameters_mm)}"
             )
         low_mm, high_mm = BALL_DIAMETERS_MM
@@ -43,8 +43,8 @@ class CalibrationPlan:
             )
         if len(self.ball_diameters_mm) == 2:
             small_mm, large_mm = sorted(self.ball_diameters_mm)
-            if large_mm < SIZES_APART * small_mm:
+            if large_mm < MIN_SIZE_RATIO * small_mm:
                 raise ValueError(
                     f"ball_diameters_mm: {small_mm:g} and {large_mm:g} cannot be told apart before the rig is"
-                    f" calibrated, take balls that differ by a factor of {SIZES_APART:g}"
+                    f" calibrated: take balls that differ by a factor of {MIN_SIZE_RATIO:g} or more"
                 )

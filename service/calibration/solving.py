@@ -1,4 +1,4 @@
-"""One attempt to solve a calibration from its drops so far."""
+"""Solve a calibration from its drops so far, in a process of its own."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -12,20 +12,20 @@ from service.processing.measure_job import RigFile, lower_priority
 from service.processing.worker_pool import JobLostError, WorkerStartError, run_in_new_process
 
 SOLVE_DEADLINE_S = 300.0
-"""The paper's method takes half a minute of a core."""
+"""The paper's method takes half a minute of one core."""
 
 Solver = Callable[[SolveJob], Awaitable[Solution]]
 
 
 async def solve_apart(job: SolveJob) -> Solution:
-    """Solve in a process of its own; raises `JobLostError` or `WorkerStartError`."""
+    """Run the job in a process of its own; raise `JobLostError` or `WorkerStartError` when that fails."""
     return await run_in_new_process(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority)
 
 
-async def attempt(
+async def solve_calibration(
     files: CalibrationFiles, record: CalibrationRecord, initial: RigFile, rig_name: str, solver: Solver
 ) -> tuple[str | None, str | None]:
-    """Id of the rig that was found, and why it must not be used, or why there is none."""
+    """Return the id of the solved rig, and why it must not be used or why there is none."""
     paths = await asyncio.to_thread(outline_paths, files.drops(record.id))
     job = SolveJob(
         outline_paths=tuple(paths),
@@ -39,5 +39,5 @@ async def attempt(
     try:
         solution = await solver(job)
     except (JobLostError, WorkerStartError) as err:
-        return None, f"it could not be computed: {err}"
+        return None, f"the solution could not be computed: {err}"
     return solution.calibration_id, solution.refusal

@@ -1,7 +1,7 @@
-"""What a start of the daemon finds of calibrations, and which one it uses.
+"""Which calibration the daemon uses when it starts.
 
-The rig file of the configuration is the first version. It wins over what was activated whenever its content is
-not what it was at the last start: whoever changes it means it. Otherwise the choice of before holds.
+The rig file of the configuration is the first version. If its content has changed since the latest start, it is
+activated; otherwise the calibration that was activated last is used.
 """
 
 import logging
@@ -25,24 +25,24 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationsFound:
-    """All calibrations at the start of the daemon."""
+class CalibrationsAtStart:
+    """All calibrations when the daemon starts."""
 
     files: CalibrationFiles
     records: dict[str, CalibrationRecord]  # by id, oldest first
     activations: Activations
-    active: CalibrationRecord  # the one in use
-    rig: RigCalibration  # its rig
-    trouble: str | None  # why it is not the one that was activated last
+    active: CalibrationRecord  # in use
+    rig: RigCalibration  # of the calibration in use
+    trouble: str | None  # why the calibration in use is not the one activated last
 
 
-def find_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsFound:
-    """Settle which calibration is in use, and what becomes of an open session; blocks.
+def load_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsAtStart:
+    """Read all calibrations, decide which one is in use, and resume or cancel an open one; blocks.
 
     Raises
     ------
     RecordingError
-        The list of activations is damaged: it is not guessed what was in use.
+        The list of activations is damaged: which calibration was in use is not guessed.
     """
     files = CalibrationFiles(folder)
     files.clean()
@@ -51,39 +51,39 @@ def find_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsF
         activations = files.activations()
     except RecordingError as err:
         remedy = (
-            "activate a calibration again after you have removed it: then the configured rig file is used"
+            "remove the file: the configured rig file is used then, until you activate another calibration"
         )
         raise RecordingError(err.path, f"{err.problem}; {remedy}") from err
     if activations.configured_calibration_id != configured.calibration_id:
         why = "the configured rig file was changed"
-        activations = _take_over(files, records, activations, configured, why)
-    found = _usable(files, records, activations, configured)
-    if found is None:
+        activations = _activate_configured(files, records, activations, configured, why)
+    usable = _latest_usable(files, records, activations, configured)
+    if usable is None:
         why = "no calibration that was in use can be read"
-        activations = _take_over(files, records, activations, configured, why)
+        activations = _activate_configured(files, records, activations, configured, why)
         record = records[activations.items[-1].id]
-        found = (
+        usable = (
             record,
-            _mended(files, record, configured),
-            f"{why}, the configured rig file is used: activate another",
+            _configured_rig(files, record, configured),
+            f"{why}, the configured rig file is used: activate another calibration",
         )
-    active, rig, trouble = found
+    active, rig, trouble = usable
     for record in list(records.values()):
         if record.state in OPEN:
-            records[record.id] = _resumed(files, record, active)
-    return CalibrationsFound(
+            records[record.id] = _after_restart(files, record, active)
+    return CalibrationsAtStart(
         files=files, records=records, activations=activations, active=active, rig=rig, trouble=trouble
     )
 
 
-def _take_over(
+def _activate_configured(
     files: CalibrationFiles,
     records: dict[str, CalibrationRecord],
     activations: Activations,
     configured: RigCalibration,
     why: str,
 ) -> Activations:
-    """Make the configured rig file a version, unless it is one, and the one in use."""
+    """Make the configured rig file a version, unless it is one already, and activate it."""
     known = [
         record
         for record in records.values()
@@ -116,19 +116,19 @@ def _take_over(
     return activations
 
 
-def _usable(
+def _latest_usable(
     files: CalibrationFiles,
     records: Mapping[str, CalibrationRecord],
     activations: Activations,
     configured: RigCalibration,
 ) -> tuple[CalibrationRecord, RigCalibration, str | None] | None:
-    """The calibration activated last whose rig can be used, and what is wrong with a later one."""
+    """Return the latest activated calibration whose rig is usable, its rig, and why not a later one; None without."""
     trouble = None
     for activation in reversed(activations.items):
         try:
             record = records[activation.id]
             if record.calibration_id == configured.calibration_id:
-                return record, _mended(files, record, configured), trouble
+                return record, _configured_rig(files, record, configured), trouble
             rig = files.rig(record)
             if image_sizes_px(rig) == image_sizes_px(configured):
                 return record, rig, trouble
@@ -137,29 +137,31 @@ def _usable(
             log.error("calibration %s cannot be used, the one before is: %s", activation.id, err)
             trouble = (
                 trouble
-                or f"calibration {activation.id} is damaged and an older one is in use: activate another"
+                or f"calibration {activation.id} is damaged and an older one is in use: activate another one"
             )
     return None
 
 
-def _mended(files: CalibrationFiles, record: CalibrationRecord, configured: RigCalibration) -> RigCalibration:
-    """The configured rig, in whose place on disk its copy is there again."""
+def _configured_rig(
+    files: CalibrationFiles, record: CalibrationRecord, configured: RigCalibration
+) -> RigCalibration:
+    """Return the configured rig; its copy on disk is written again if it is damaged."""
     try:
         return files.rig(record)
     except RecordingError as err:
-        log.error("written anew from the configured rig file: %s", err)
+        log.error("restored from the configured rig file: %s", err)
         files.write_rig(record, configured)
     return configured
 
 
-def _resumed(
+def _after_restart(
     files: CalibrationFiles, record: CalibrationRecord, active: CalibrationRecord
 ) -> CalibrationRecord:
-    """An open session as a restart leaves it: without its unfinished solution, or cancelled."""
+    """Return an open calibration as it goes on: without an unfinished solution, or cancelled."""
     if record.initial_calibration_id != active.calibration_id:
-        detail = "another calibration is in use since the daemon was started again"
+        detail = "the daemon was restarted with another calibration"
         record = replace(record, state=CalibrationState.CANCELLED, detail=detail, changed_at=utc_now())
-    elif record.state is CalibrationState.SOLVING or not _is_whole(files, record):
+    elif record.state is CalibrationState.SOLVING or not _has_whole_solution(files, record):
         record = replace(
             record, state=CalibrationState.COLLECTING, calibration_id=None, detail=None, changed_at=utc_now()
         )
@@ -168,7 +170,7 @@ def _resumed(
     return record
 
 
-def _is_whole(files: CalibrationFiles, record: CalibrationRecord) -> bool:
+def _has_whole_solution(files: CalibrationFiles, record: CalibrationRecord) -> bool:
     if record.state is not CalibrationState.SOLVED:
         return True
     try:

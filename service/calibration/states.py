@@ -1,4 +1,4 @@
-"""What may be done with a calibration, and when: one table, no exceptions to it."""
+"""The states of a calibration, and which action leads from one to the next."""
 
 from collections.abc import Mapping
 from enum import StrEnum
@@ -7,13 +7,14 @@ from service.errors import ServiceError
 
 
 class CalibrationState(StrEnum):
-    """Where a calibration stands between the first ball and its use."""
+    """State of a calibration."""
 
     COLLECTING = "collecting"
-    """Every ball that falls is observed."""
+    """Open: every drop is observed."""
     SOLVING = "solving"
+    """Open: the rig is being computed from the drops so far."""
     SOLVED = "solved"
-    """There is a report to review; balls are still observed, for another try."""
+    """Open: there is a report to review; drops are still observed, for another solution."""
     ACCEPTED = "accepted"
     """A version: it can be activated, now and at any later time."""
     REJECTED = "rejected"
@@ -21,11 +22,11 @@ class CalibrationState(StrEnum):
 
 
 OPEN = frozenset({CalibrationState.COLLECTING, CalibrationState.SOLVING, CalibrationState.SOLVED})
-"""The session goes on; what falls is a ball. There is at most one such calibration."""
+"""States of an open calibration, which collects drops. At most one calibration is open."""
 
 
 class CalibrationAction(StrEnum):
-    """What people ask for."""
+    """Action that can be requested."""
 
     SOLVE = "solve"
     ACCEPT = "accept"
@@ -48,12 +49,12 @@ TRANSITIONS: Mapping[tuple[CalibrationState, CalibrationAction], CalibrationStat
     (CalibrationState.CANCELLED, CalibrationAction.CANCEL): CalibrationState.CANCELLED,
     (CalibrationState.ACCEPTED, CalibrationAction.ACTIVATE): CalibrationState.ACCEPTED,
 }
-"""The state that follows a request; asking again changes nothing. A pair that is absent is a conflict. A solution
-leads from `solving` to `solved`, its failure back to `collecting`: nobody asks for these."""
+"""State after a requested action; repeating a request changes nothing, an absent pair is a conflict. Not requested
+are the transitions from `solving`: to `solved`, or back to `collecting` when there is no solution."""
 
 
 class CalibrationConflictError(ServiceError):
-    """What was asked for cannot be done now; `state` is that of the calibration it is about, if there is one."""
+    """The state of a calibration forbids a request; `state` is that state, None when it is not about one."""
 
     def __init__(self, detail: str, *, state: CalibrationState | None = None) -> None:
         super().__init__(detail)
@@ -61,7 +62,7 @@ class CalibrationConflictError(ServiceError):
 
 
 def next_state(name: str, current: CalibrationState, action: CalibrationAction) -> CalibrationState:
-    """Return the state after `action`; raise `CalibrationConflictError` where the table has no answer."""
+    """Return the state after `action`; raise `CalibrationConflictError` when `TRANSITIONS` has none."""
     try:
         return TRANSITIONS[current, action]
     except KeyError:

@@ -1,7 +1,7 @@
-"""What balls of a known diameter say about the rig, and what a good one keeps.
+"""Figures and limits of a verification with balls of known diameter.
 
-What is judged is the whole chain with the calibration in use: the mean error of the diameter, its scatter, and the
-vertical against the horizontal diameter, which differ when a ball moves too far while it is exposed.
+They judge the whole measuring chain with the calibration in use: mean error and scatter of the diameter, and the
+vertical against the horizontal diameter, which differ when a ball moves too far during the exposure.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from statistics import fmean, stdev
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifiedBall:
-    """One ball as it was measured."""
+    """One ball of a verification."""
 
     bundle: str
     equivalent_diameter_mm: float | None  # None: rejected, see `detail`
@@ -20,7 +20,7 @@ class VerifiedBall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """Over the balls that were measured."""
+    """Averages over the measured balls."""
 
     error_mm: float  # mean of the equivalent diameters minus the true one
     sd_mm: float
@@ -29,10 +29,10 @@ class Summary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationParameters:
-    """How often a rig is verified, and what a good one keeps: 0.1 mm of 15 mm are 2 % of a stone's volume."""
+    """Interval and limits of verifications; 0.1 mm of 15 mm are 2 % of a stone's volume."""
 
-    every_h: float = 0.0  # it is overdue so long after the last one; 0: never
-    error_mm: float = 0.10  # of the mean of the equivalent diameter
+    every_h: float = 0.0  # a verification is overdue this long after the latest; 0: never
+    error_mm: float = 0.10  # limit of the mean equivalent diameter minus the true one
     sd_mm: float = 0.05
     vertical_minus_horizontal_mm: float = 0.05  # 20 us of exposure
 
@@ -47,34 +47,34 @@ class VerificationParameters:
                 raise ValueError(f"{name} must be in {low:g}..{high:g}, not {getattr(self, name):g}")
 
     def problems(self, balls: tuple[VerifiedBall, ...], diameter_mm: float) -> list[str]:
-        """What is out of bounds, with the remedy."""
+        """Return which figures exceed their limits, each with the remedy."""
         summary = summarize(balls, diameter_mm)
         found = []
         if abs(summary.error_mm) > self.error_mm:
             found.append(
                 f"the diameter is {summary.error_mm:+.3f} mm off on average, {self.error_mm:g} is the limit:"
-                " is it the right ball? then calibrate anew"
+                " check the diameter that was entered, then calibrate anew"
             )
         if summary.sd_mm > self.sd_mm:
             found.append(
                 f"the diameter scatters by {summary.sd_mm:.3f} mm, {self.sd_mm:g} is the limit:"
-                " look at views that were dropped, at the light and at dust"
+                " check dropped views, the light and dust"
             )
-        uneven_mm = summary.vertical_minus_horizontal_mm
-        if uneven_mm is not None and abs(uneven_mm) > self.vertical_minus_horizontal_mm:
+        difference_mm = summary.vertical_minus_horizontal_mm
+        if difference_mm is not None and abs(difference_mm) > self.vertical_minus_horizontal_mm:
             found.append(
-                f"the vertical diameter is {uneven_mm:+.3f} mm against the horizontal,"
-                f" {self.vertical_minus_horizontal_mm:g} is the limit: expose for less, or calibrate anew"
+                f"the vertical diameter is {difference_mm:+.3f} mm against the horizontal,"
+                f" {self.vertical_minus_horizontal_mm:g} is the limit: shorten the exposure, or calibrate anew"
             )
         return found
 
 
 def summarize(balls: tuple[VerifiedBall, ...], diameter_mm: float) -> Summary:
-    """Mean error and scatter of balls that were measured, at least one."""
+    """Return mean error and scatter of measured balls, of which there must be one at least."""
     diameters_mm = [each for ball in balls if (each := ball.equivalent_diameter_mm) is not None]
-    uneven_mm = [each for ball in balls if (each := ball.vertical_minus_horizontal_mm) is not None]
+    differences_mm = [each for ball in balls if (each := ball.vertical_minus_horizontal_mm) is not None]
     return Summary(
         error_mm=fmean(diameters_mm) - diameter_mm,
         sd_mm=stdev(diameters_mm) if len(diameters_mm) > 1 else 0.0,
-        vertical_minus_horizontal_mm=fmean(uneven_mm) if uneven_mm else None,
+        vertical_minus_horizontal_mm=fmean(differences_mm) if differences_mm else None,
     )

@@ -1,6 +1,6 @@
-"""Verifications while measuring: balls of a known diameter fall, and are measured as stones are.
+"""Verification while measuring: balls of known diameter are measured like stones.
 
-What they are judged by is in `service.calibration.verification_limits`.
+`service.calibration.verification_limits` has the limits.
 """
 
 import asyncio
@@ -28,11 +28,11 @@ from service.calibration.verification_limits import Summary, VerificationParamet
 log = logging.getLogger(__name__)
 
 IDLE_S = 600.0
-"""A verification that sees no ball for so long is cancelled: what falls should be stones again."""
+"""A verification without a ball for so long is cancelled: what falls counts as stones again."""
 
 
 class VerificationState(StrEnum):
-    """Of a verification."""
+    """State of a verification."""
 
     COLLECTING = "collecting"
     PASSED = "passed"
@@ -42,7 +42,7 @@ class VerificationState(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """What a verification is and how far it is."""
+    """A verification, its balls so far, and its verdict."""
 
     id: str
     state: VerificationState
@@ -58,18 +58,18 @@ class Verification:
 
     @property
     def measured(self) -> tuple[VerifiedBall, ...]:
-        """Without the balls that were rejected."""
+        """Return the balls that were not rejected."""
         return tuple(ball for ball in self.balls if ball.equivalent_diameter_mm is not None)
 
     @property
     def summary(self) -> Summary | None:
-        """None before the first ball."""
+        """Return the averages, None before the first ball."""
         return summarize(self.measured, self.diameter_mm) if self.measured else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationPlan:
-    """What to verify with."""
+    """The request for a verification."""
 
     diameter_mm: float = 15.0
     count: int = 5
@@ -85,7 +85,7 @@ class VerificationPlan:
 
 
 def open_verifications(folder: Path, parameters: VerificationParameters) -> "Verifications":
-    """Read what was verified; one that was under way when the daemon ended is cancelled. Blocks."""
+    """Read all verifications, and cancel one that was open when the daemon ended; blocks."""
     folder.mkdir(parents=True, exist_ok=True)
     adapter = TypeAdapter(Verification)
     known = {}
@@ -98,14 +98,14 @@ def open_verifications(folder: Path, parameters: VerificationParameters) -> "Ver
             log.error("verification %s is not used: %s", path.stem, err)
             continue
         if verification.state is VerificationState.COLLECTING:
-            verification = _cancelled(verification, "the daemon was started again")
+            verification = _cancelled(verification, "the daemon was restarted")
             write_json(path, adapter.dump_python(verification, mode="json"))
         known[verification.id] = verification
     return Verifications(folder, known, parameters)
 
 
 class Verifications:
-    """Called on the loop; made by `open_verifications`."""
+    """All verifications; made by `open_verifications`. Call it on the event loop."""
 
     def __init__(
         self, folder: Path, known: dict[str, Verification], parameters: VerificationParameters
@@ -115,18 +115,18 @@ class Verifications:
         self._parameters = parameters
         self._adapter = TypeAdapter(Verification)
         self._writing = asyncio.Lock()
-        self._touched_s = time.monotonic()
+        self._last_ball_s = time.monotonic()
 
     @property
     def current(self) -> Verification | None:
-        """The one that waits for balls."""
+        """Return the verification that waits for balls, None while there is none."""
         return next(
             (each for each in self._known.values() if each.state is VerificationState.COLLECTING), None
         )
 
     @property
     def collector(self) -> DropCollector | None:
-        """Who wants the next ball."""
+        """Return what observes the next ball, None while no verification is open."""
         current = self.current
         if current is None:
             return None
@@ -137,14 +137,15 @@ class Verifications:
         return DropCollector(kind=BundleKind.BALL, diameters_mm=(current.diameter_mm,), add=add)
 
     def all(self) -> list[Verification]:
-        """Newest first."""
+        """Return all verifications, newest first."""
         return [self._known[name] for name in sorted(self._known, key=int, reverse=True)]
 
     def find(self, name: str) -> Verification | None:
+        """Return one verification, None when there is none of that name."""
         return self._known.get(name)
 
     def last(self, calibration_id: str) -> Verification | None:
-        """The newest that has a verdict on this calibration."""
+        """Return the latest verification of this calibration that passed or failed, None without one."""
         verdicts = (VerificationState.PASSED, VerificationState.FAILED)
         return next(
             (each for each in self.all() if each.calibration_id == calibration_id and each.state in verdicts),
@@ -152,7 +153,7 @@ class Verifications:
         )
 
     def trouble(self, calibration_id: str, now: datetime) -> str | None:
-        """Why results of this calibration are not to be trusted: it failed, or was not verified for too long."""
+        """Return why results of this calibration are not to be trusted: it failed, or its verification is overdue."""
         last = self.last(calibration_id)
         if last is not None and last.state is VerificationState.FAILED:
             return f"verification {last.id} failed: {'; '.join(last.problems)}"
@@ -160,14 +161,14 @@ class Verifications:
         if every_h == 0:
             return None
         if last is None:
-            return "this calibration was never verified: drop the sphere"
+            return "this calibration was never verified: start a verification and drop the ball"
         age = now - datetime.fromisoformat(last.changed_at)
         if age > timedelta(hours=every_h):
-            return f"the last verification was {age / timedelta(hours=1):.0f} hours ago: drop the sphere"
+            return f"the last verification was {age / timedelta(hours=1):.0f} hours ago: start one"
         return None
 
     async def start(self, plan: VerificationPlan, calibration_id: str) -> Verification:
-        """Begin to measure balls; the caller sees to it that nobody else wants them."""
+        """Open a verification; the caller makes sure that neither another one nor a calibration is open."""
         name = f"{max(map(int, self._known), default=0) + 1:04d}"
         verification = Verification(
             id=name,
@@ -181,27 +182,28 @@ class Verifications:
             note=plan.note,
         )
         await self._keep(verification)
-        self._touched_s = time.monotonic()
+        self._last_ball_s = time.monotonic()
         return verification
 
-    async def cancel(self, name: str, why: str) -> Verification | None:
-        """End one without a verdict; None when there is none of that name, nothing happens to one that has ended."""
+    async def cancel(self, name: str, reason: str) -> Verification | None:
+        """Cancel a verification and return it; one that has ended stays as it is. None when there is none."""
         verification = self._known.get(name)
         if verification is not None and verification.state is VerificationState.COLLECTING:
-            verification = _cancelled(verification, why)
+            verification = _cancelled(verification, reason)
             await self._keep(verification)
-            log.warning("verification cancelled: %s verification=%s", why, name)
+            log.warning("verification cancelled: %s verification=%s", reason, name)
         return verification
 
     async def cancel_idle(self) -> None:
+        """Cancel the open verification when no ball has fallen for `IDLE_S`."""
         current = self.current
-        if current is not None and time.monotonic() - self._touched_s > IDLE_S:
+        if current is not None and time.monotonic() - self._last_ball_s > IDLE_S:
             await self.cancel(current.id, f"no ball fell for {IDLE_S / 60:.0f} minutes")
 
     async def _add(self, name: str, drop: ObservedDrop, record: Mapping[str, Any]) -> None:
         verification = self._known[name]
-        is_of_it = record["calibration_id"] == verification.calibration_id
-        if verification.state is not VerificationState.COLLECTING or not is_of_it:
+        measured_with_it = record["calibration_id"] == verification.calibration_id
+        if verification.state is not VerificationState.COLLECTING or not measured_with_it:
             return
         diameter_mm = record["equivalent_diameter_mm"]
         seen = VerifiedBall(
@@ -212,7 +214,7 @@ class Verifications:
         )
         verification = replace(verification, balls=(*verification.balls, seen), changed_at=utc_now())
         if diameter_mm is not None:
-            self._touched_s = time.monotonic()
+            self._last_ball_s = time.monotonic()
         if len(verification.measured) == verification.count:
             problems = self._parameters.problems(verification.measured, verification.diameter_mm)
             state = VerificationState.FAILED if problems else VerificationState.PASSED
@@ -224,9 +226,9 @@ class Verifications:
     async def _keep(self, verification: Verification) -> None:
         self._known[verification.id] = verification
         document = self._adapter.dump_python(verification, mode="json")
-        async with self._writing:  # a ball may come in while somebody cancels
+        async with self._writing:  # a ball may arrive during a cancellation
             await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
 
 
-def _cancelled(verification: Verification, why: str) -> Verification:
-    return replace(verification, state=VerificationState.CANCELLED, problems=(why,), changed_at=utc_now())
+def _cancelled(verification: Verification, reason: str) -> Verification:
+    return replace(verification, state=VerificationState.CANCELLED, problems=(reason,), changed_at=utc_now())

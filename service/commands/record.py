@@ -24,7 +24,7 @@ from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
-from service.status import AcquisitionState, AcquisitionTarget
+from service.status import AcquisitionState, AcquisitionTarget, DeviceState
 
 TURN_S = 0.1
 """How often it is looked whether something has ended."""
@@ -143,9 +143,9 @@ async def _follow(
 def _why(acquisition: Acquisition) -> str | None:
     """Why the rig is held, None when it is not; of several lost cameras one speaks for all."""
     trouble = acquisition.trouble
-    if trouble is None or acquisition.gate.state == "lost":
+    if trouble is None or acquisition.gate.state is DeviceState.LOST:
         return trouble
-    lost = [camera for camera in acquisition.cameras.statuses() if camera.state == "lost"]
+    lost = [camera for camera in acquisition.cameras.statuses() if camera.state is DeviceState.LOST]
     causes = [
         f"; {camera.id}: {camera.last_error}" for camera in lost[:1] if str(camera.last_error) not in trouble
     ]

@@ -18,7 +18,7 @@ import typer
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from service.errors import UsageError
-from service.results.record import ALGORITHM_VERSION
+from service.results.version import ALGORITHM_VERSION
 
 POLL_S = 0.1
 SWITCH_INTERVAL_S = 0.0005

@@ -13,7 +13,7 @@ from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import image_sizes_px
-from service.calibration.startup import CalibrationsFound, find_calibrations
+from service.calibration.startup import CalibrationsAtStart, load_calibrations
 from service.calibration.verifications import open_verifications
 from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
@@ -34,7 +34,7 @@ from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
 from service.results.fields import LossReason
-from service.results.record import ALGORITHM_VERSION
+from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 
 log = logging.getLogger(__name__)
@@ -49,7 +49,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     """Build all parts, none of which runs yet; triggers that a killed daemon left open are recorded as lost."""
     configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
-    found = await asyncio.to_thread(find_calibrations, settings.store.dir / "calibrations", configured)
+    found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
     source = settings.rig.source(devices, found.rig)
     session = await _begin_session(settings, store, source, found)
     folder = await asyncio.to_thread(_empty_folder, settings.spool.dir / store.instance_id)
@@ -120,10 +120,11 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, rig_watch, optical_watch, segmentation_watch),
+        results=WatchedResults(store, rig_watch, optical_watch),
         calibration=calibrations,
         kept_background=_kept_background(settings, configured),
         on_empty_rig=optical_watch.feed_optics,
+        on_network=segmentation_watch.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(
@@ -148,7 +149,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
 
 
 async def _begin_session(
-    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsFound
+    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsAtStart
 ) -> int:
     """Begin a session in the store, and record triggers that a killed daemon left open as lost."""
     session = await store.begin_session(
@@ -179,7 +180,7 @@ def _open_recordings(settings: Settings, store: Store, source: RecordingSource, 
 async def _open_calibrations(
     settings: Settings,
     store: Store,
-    found: CalibrationsFound,
+    found: CalibrationsAtStart,
     session: int,
     rig_watch: RigWatch,
     recordings: Recordings,

@@ -19,7 +19,7 @@ from pipeline.evaluation.hard_cases import HardCase
 from pipeline.segmentation.network import load_network
 from pipeline.training.image_layers import render_bodies, render_walls
 from pipeline.training.samples import Sample, compose
-from pipeline.training.scores import exam, score
+from pipeline.training.scores import score, validation_view
 from service.errors import UsageError
 
 WALLS_PER_BODY = 0.4
@@ -101,10 +101,10 @@ def train_network(plan: TrainingPlan, out: Path, say: Callable[[str], None]) -> 
 def examine(model: bytes) -> dict[str, dict[str, float]]:
     """Scores of a network, by hard case; `no-background` is all cases without one."""
     probability = load_network(model).probability
-    known = score((exam(case, seed) for case in HardCase for seed in EXAM_SEEDS), probability)
+    known = score((validation_view(case, seed) for case in HardCase for seed in EXAM_SEEDS), probability)
     unknown = score(
         (
-            exam(case, seed, with_background=False)
+            validation_view(case, seed, with_background=False)
             for case in (HardCase.CLEAN, HardCase.DUST, HardCase.DIMMED, HardCase.FLICKER)
             for seed in EXAM_WITHOUT_BACKGROUND
         ),

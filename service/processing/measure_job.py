@@ -31,6 +31,7 @@ from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
 from pipeline.segmentation.optics import observe_all
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
+from pipeline.segmentation.silhouette import FoundBy
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.errors import WorkerFailure
@@ -76,6 +77,24 @@ class MeasureJob:
     save_silhouettes: bool = False
     checked: bool = True  # whether pixels are compared with their checksums
     threads: int = 1  # views that are processed at a time
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkUse:
+    """Use of the segmentation network in one bundle."""
+
+    is_source: bool
+    """Whether the network found a silhouette of the bundle."""
+    trouble: str | None
+    """Why it does not run as configured, None if it does or was not needed."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredBundle:
+    """The result record of one bundle, and the use of the network in it."""
+
+    record: dict[str, Any]
+    network: NetworkUse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,8 +190,8 @@ def this_worker() -> Worker:
     return _worker
 
 
-def measure(job: MeasureJob) -> dict[str, Any]:
-    """Measure one bundle; return its result record, write `mesh.ply` and `silhouettes.tiff`.
+def measure(job: MeasureJob) -> MeasuredBundle:
+    """Measure one bundle; return its record, and write `mesh.ply` and `silhouettes.tiff`.
 
     Raises
     ------
@@ -213,7 +232,15 @@ def measure(job: MeasureJob) -> dict[str, Any]:
         timings_ms=timings_ms,
     )
     record["mesh"] = None if result.mesh is None else MESH
-    return record
+    return MeasuredBundle(record, _network_use(result))
+
+
+def _network_use(result: ParticleResult) -> NetworkUse:
+    seen = result.silhouettes.values()
+    return NetworkUse(
+        is_source=any(silhouette.found_by is not FoundBy.BACKGROUND for silhouette in seen),
+        trouble=next((silhouette.network_trouble for silhouette in seen if silhouette.network_trouble), None),
+    )
 
 
 @contextmanager

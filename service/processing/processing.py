@@ -21,7 +21,9 @@ from service.processing.measure_job import (
     MESH,
     SILHOUETTES,
     LearnJob,
+    MeasuredBundle,
     MeasureJob,
+    NetworkUse,
     RigFile,
     learn_background,
     measure,
@@ -100,7 +102,7 @@ class ProcessingContext:
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    record: dict[str, Any]
+    bundle: MeasuredBundle
     folder: Path
     keep_drop: KeepDrop | None
 
@@ -136,8 +138,8 @@ class _Turn:
 class Processing:
     """Processes the bundles of a spool: `run` is its task, `abandon` ends it early.
 
-    `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_progress` after every commit and
-    at no other time.
+    `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_network` with the use of the network
+    in each measured bundle, `on_progress` after every commit and at no other time.
     """
 
     def __init__(
@@ -150,6 +152,7 @@ class Processing:
         calibration: CalibrationInUse,
         kept_background: KeptBackground | None = None,
         on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None,
+        on_network: Callable[[NetworkUse], None] = lambda use: None,
         on_progress: Callable[[], None],
     ) -> None:
         self._context = context
@@ -158,6 +161,7 @@ class Processing:
         self._results = results
         self._calibration = calibration
         self._on_empty_rig = on_empty_rig
+        self._on_network = on_network
         self._on_progress = on_progress
         self._jobs: set[asyncio.Task[_Measured | LearntBackground | Loss]] = set()
         self._is_abandoned = False
@@ -237,10 +241,11 @@ class Processing:
                     is_simulated=self._context.is_simulated,
                 )
                 await self._results.finish(self._context.session, bundle.name, record)
-            case _Measured(record, folder, keep_drop):
+            case _Measured(MeasuredBundle(record, network), folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
                 self._last_loss = None
                 seq = await self._results.finish(self._context.session, bundle.name, record, files)
+                self._on_network(network)
                 if keep_drop is not None:
                     try:
                         await keep_drop(record)
@@ -295,7 +300,7 @@ class Processing:
             checked=self._context.checked,
             threads=self._pool.threads_per_job,
         )
-        record = await self._pool.run(measure, job)
+        measured = await self._pool.run(measure, job)
         collector = inputs.collector
         keep_drop = None if collector is None else await collector.observe(self._pool, job)
-        return _Measured(record, folder, keep_drop)
+        return _Measured(measured, folder, keep_drop)

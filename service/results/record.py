@@ -9,9 +9,7 @@ from pipeline.frames import CameraId, Trigger
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation.optics import ViewOptics
 from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome
-
-ALGORITHM_VERSION = "9"
-"""Version of the algorithm, raised by every change that may change a result."""
+from service.results.version import ALGORITHM_VERSION
 
 
 def result_record(
@@ -33,7 +31,7 @@ def result_record(
         "detail": None if rejection is None else rejection.detail,
         "quality": None if result.quality is None else str(result.quality),
         "views": list(result.views),
-        "dropped_views": dict(result.dropped),
+        "dropped_views": {camera: str(why) for camera, why in result.dropped.items()},
         "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
         "segmentation_flags": {
             camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None

@@ -4,7 +4,7 @@ import httpx
 import pytest
 from support.rest import PNG, SICK_HEALTH, FakeControl, add, measured, rejected, trigger
 
-from service.api.schemas import HealthDocument
+from service.api.routes.health import HealthDocument
 from service.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
 from service.store import Store
 

@@ -12,7 +12,8 @@ import pytest
 import trimesh
 from support.rest import BOX_MM, GREY, add, measured, particle_files, rejected
 
-from service.api.schemas import ParticlesPage, Result
+from service.api.routes.particles import ParticlesPage
+from service.results.fields import Result
 from service.store import Store
 
 

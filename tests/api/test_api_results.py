@@ -8,7 +8,7 @@ import httpx
 import pytest
 from support.rest import add, measured, rejected
 
-from service.api.schemas import ResultsPage
+from service.api.routes.results import ResultsPage
 from service.store import Store
 
 

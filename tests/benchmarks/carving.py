@@ -1,12 +1,12 @@
-"""What carving, meshing and integrating one stone takes, beside other people's code on the same silhouettes.
+"""Time carving, meshing and integrating of one stone, against other libraries on the same silhouettes.
 
 Run: .venv/bin/python tests/benchmarks/carving.py [--size-mm 25] [--seed 1] [--n 256] [--repeat 9]
      [--peers numpy,slabs,opencv,open3d,skimage,pymcubes,trimesh] [--json]
-Peers that are no dependencies: .venv/bin/pip install --require-hashes -r deploy/requirements-benchmark.lock
+Peers to install first: .venv/bin/pip install --require-hashes -r deploy/requirements-benchmark.lock
 
-CPU milliseconds on one thread, medians; each peer in a process of its own, and ours timed anew before and after
-it, so that a machine whose speed varies does not change a ratio. All see the rig as designed: not every peer
-knows lenses that distort. Exits with 1 if a hull of the same definition differs from ours.
+Processor milliseconds on one thread, medians. Each peer runs in a process of its own, and our code is timed before and
+after it, so that a machine whose speed varies does not change a ratio. All use the rig as designed, since not every
+peer models lens distortion. Exits with 1 if a hull of the same definition differs from ours.
 """
 
 import argparse
@@ -53,19 +53,19 @@ from pipeline.views.prepared import prepare_views
 
 N_EMPTY = 4
 ENOUGH_S = 5.0
-"""A peer that takes longer runs once."""
+"""Processor time after which a peer is not repeated."""
 MAX_DIFFERING = 2e-4
-"""Of the surface voxels: projections in single and double precision round some half pixels apart."""
+"""Accepted share of the surface voxels: projections in single and in double precision round some half pixels apart."""
 WIDTH = 150
-"""Of a table that is written into a file."""
+"""Width of a table that is written into a file, in characters."""
 
 
-# --- one peer, in its own process ---
+# --- one peer, in a process of its own ---
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cost:
-    """What one way takes, and what it finds."""
+    """Cost of one way, and its result."""
 
     cpu_ms: float
     peak_mib: float  # above what imports and inputs take
@@ -75,7 +75,7 @@ class Cost:
 
 
 def cost_of(name: str, task: Task, repeat: int) -> Cost | None:
-    """Run in a process of its own; None where the peer is not installed."""
+    """Time a peer, to be called in a process of its own; return None if the peer is not installed."""
     use_one_thread()
     try:
         work = PEERS[name].work(task)
@@ -96,9 +96,9 @@ def use_one_thread() -> None:
 
 
 def timed(work: Work, repeat: int) -> tuple[float, float, Any]:
-    """Median CPU ms, the first run only counting where it takes long; peak MiB above the level before; the answer."""
-    ctypes.CDLL(None).malloc_trim(0)  # else memory of the last run is used again unseen
-    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+    """Return median CPU ms (the first run counts only if slow), peak MiB above the level before, and the result."""
+    ctypes.CDLL(None).malloc_trim(0)  # else reused memory of the last run would not be seen
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak
     before_mib = memory_mib("VmRSS")
     times_s: list[float] = []
     answer = None
@@ -115,7 +115,7 @@ def memory_mib(name: str) -> float:
     return int(found[1]) / 1024
 
 
-# --- ours, in this one ---
+# --- our code, in this process ---
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,7 +127,7 @@ class Stone:
 
 
 def photographed(size_mm: float, seed: int) -> Stone:
-    """Rendered with every lens as designed, so without distortion."""
+    """Render a stone with every lens as designed, so without distortion, and segment its views."""
     rig = nominal_rig()
     simulated = simulate_rig(rig, stream(seed, 0))
     background: BackgroundModel = {}
@@ -143,7 +143,7 @@ def task_of(seen: Stone, n: int) -> Task:
     hull = carve(prepare_views(seen.silhouettes, seen.rig), CarvingParameters(n=n, field="view_count"))
     parameters = CarvingParameters(n=n)
     low = np.rint(hull.origin_mm / parameters.pitch_mm + (n - 1) / 2).astype(int)
-    count = np.zeros((n + 2,) * 3, np.float32)  # the hull's box may reach one beyond the grid
+    count = np.zeros((n + 2,) * 3, np.float32)  # the hull's box may reach one voxel beyond the grid
     count[tuple(slice(a + 1, a + 1 + edge) for a, edge in zip(low, hull.field.shape, strict=True))] = (
         hull.field
     )
@@ -161,7 +161,7 @@ def task_of(seen: Stone, n: int) -> Task:
 
 
 def our_work(seen: Stone, n: int) -> Mapping[str, Work]:
-    """What is timed of ours, by stage; what is only computed when asked for is computed each time."""
+    """Return our function for each stage; lazily computed properties are computed anew in each call."""
 
     def carved(field: Any) -> VisualHull:
         fresh = {camera: replace(silhouette) for camera, silhouette in seen.silhouettes.items()}
@@ -194,11 +194,11 @@ class Row:
     stage: str
     what: str
     cpu_ms: float | None = None  # None: not installed
-    ratio: float | None = None  # to ours, in the same minute
-    ratio_fine: float | None = None  # to our carving to fractions of a voxel, distances to edges included
+    ratio: float | None = None  # to our time, in the same minute
+    ratio_fine: float | None = None  # to our sub-voxel carving, distances to edges included
     peak_mib: float | None = None
     n_voxels: int | None = None
-    differing: float | None = None  # from our voxels, as a share of the surface's
+    differing: float | None = None  # voxels that differ from ours, as a share of the surface's
     is_same_hull: bool = False
     mesh_mm3: float | None = None
     n_faces: int | None = None
@@ -212,10 +212,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--n", type=int, default=256, help="voxels an edge")
     parser.add_argument("--repeat", type=int, default=9)
-    parser.add_argument("--peers", default=",".join(PEERS), help="none: ours alone")
+    parser.add_argument("--peers", default=",".join(PEERS), help="empty: our code alone")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    os.environ["OMP_NUM_THREADS"] = "1"  # of the peers' processes
+    os.environ["OMP_NUM_THREADS"] = "1"  # in the peers' processes
     use_one_thread()
     seen = photographed(arguments.size_mm, arguments.seed)
     task = task_of(seen, arguments.n)
@@ -236,14 +236,14 @@ def main() -> int:
 
 
 def compared(seen: Stone, task: Task, names: list[str], repeat: int) -> list[Row]:
-    """Ours, then each peer with ours beside it."""
+    """Time our code, then each peer between two runs of our code."""
     ours = our_work(seen, task.n)
     inside = task.count > task.level
     n_surface = int((inside & ~binary_erosion(inside)).sum())
     mesh = ours[MESH]()
     rows = []
     for stage, work in ours.items():
-        timed(work, 1)  # compiled, and memory that is kept is there
+        timed(work, 1)  # compiles, and allocates the memory that is kept
         cpu_ms, peak_mib, _ = timed(work, repeat)
         row = Row(stage=stage, what="ours", cpu_ms=cpu_ms, ratio=1.0, peak_mib=peak_mib)
         if stage == CARVE:
@@ -283,8 +283,8 @@ def compared(seen: Stone, task: Task, names: list[str], repeat: int) -> list[Row
 def table_of(rows: list[Row], title: str) -> Table:
     table = Table(
         title=title,
-        caption="x ours: on the same silhouettes in the same minutes, and x our carving to fractions of a voxel;"
-        " differing: voxels, as a share of those at the surface",
+        caption="x ours: time relative to our code in the same minutes; x sub-voxel: relative to our sub-voxel carving;"
+        " differing: share of the surface voxels that differ from ours",
     )
     table.add_column("stage")
     table.add_column("by")

@@ -4,8 +4,8 @@
     python tests/benchmarks/fingerprint.py OUT [OUT ...] [--without FIELD]
 
 Results are digested field by field without the timings, which differ from run to run, and without fields that only
-one of the versions has (`--without`); meshes, silhouettes and the
-gradation byte by byte. Equal lines are equal files. Recordings and machine must be the same for both versions.
+one of the versions has (`--without`); meshes, silhouettes and the gradation byte by byte. Equal lines mean equal files.
+Recordings and machine must be the same for both versions.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""The daemon on sixteen simulated GigE cameras, four stones a second, measuring: what is lost, and what it takes.
+"""Run the daemon on sixteen simulated GigE cameras and report losses, delays, processor time and memory.
 
 Run: .venv/bin/python tests/benchmarks/live.py [--seconds 300] [--rate 4] [--size-mm 5] [--loss 0] [--keep-raw 0]
      [--segmenter auto|onnx|background]
-Exits with 1 if a stone is missing that no fault took, the accounts of driver and simulator differ, or memory grows.
+Exits with 1 if a stone is missing or lost, the counts of driver and simulator differ, or memory grows.
 """
 
 import argparse
@@ -35,7 +35,7 @@ N_EMPTY = 2
 ADDRESS = "127.44.0.2"
 WARM_UP_S = 30.0
 MAX_GROWTH_MB = 40.0
-"""Of the daemon's own memory after the warm-up: arenas breathe, a leak of one image a second would be 350 MB."""
+"""Accepted growth of the daemon's memory after the warm-up; a leak of one image a second would be 350 MB."""
 POLL_S = 2.0
 
 
@@ -50,7 +50,7 @@ def main() -> int:
         "--segmenter",
         choices=get_args(SegmenterKind),
         default="auto",
-        help="onnx: the network sees every view",
+        help="onnx: the network segments every view",
     )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
@@ -137,7 +137,7 @@ def watch(folder: Path, daemon: DaemonProcess, simulator: int, seconds: float) -
 
 
 def settle(folder: Path, daemon: DaemonProcess) -> dict[str, Any]:
-    """Stop the belt, see everything through, and ask both sides what they counted."""
+    """Stop the belt, wait until every bundle has its result, and return the simulator's counters."""
     control(folder, {"do": "stop"})
     time.sleep(2)
     daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=120)
@@ -227,7 +227,7 @@ def report(
 
 
 def since_exposure_ms(result: dict[str, Any]) -> float:
-    """When the result was written, less when the cameras exposed; both by the clock of this machine."""
+    """Return the time from the exposure to the written result; both by the clock of this machine."""
     triggered, written = (datetime.fromisoformat(result[name]) for name in ("captured_at", "recorded_at"))
     return (written - triggered).total_seconds() * 1000 - TRIGGER_DELAY_NS / 1e6
 

@@ -1,4 +1,4 @@
-"""The pictures in the README, of what the benchmarks say as JSON; a picture for each file that is given.
+"""Draw the plots of tests/benchmarks/README.md from the JSON output of the benchmarks, one plot a file.
 
 Run: .venv/bin/pip install --require-hashes -r deploy/requirements-benchmark.lock
      .venv/bin/stonefall benchmark --poses 5 --json > stages.json
@@ -7,7 +7,7 @@ Run: .venv/bin/pip install --require-hashes -r deploy/requirements-benchmark.loc
      .venv/bin/python tests/benchmarks/sustained.py --rates 4,10 --seconds 60 --queue 150 --json > latency.json
      .venv/bin/python tests/benchmarks/plots.py stages.json scaling.json peers.json latency.json [--out FOLDER]
 
-A picture has the name of its file, which says what it shows.
+The name of a file decides what is drawn; its plot has the same name.
 """
 
 import argparse
@@ -33,13 +33,13 @@ STYLE = {
     "legend.frameon": False,
 }
 PUBLISHED_MS = 3800.0
-"""The paper's segmentation and reconstruction of a stone, on a PC with a GPU."""
+"""Segmentation and reconstruction of a stone as published, on a PC with a GPU."""
 BAR_MS = 500.0
-"""99 of 100 results are there so long after their exposure."""
+"""Goal for the 99th percentile of the time from exposure to durable result."""
 
 
 def draw_stages(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """What a stone of each size costs, stage upon stage."""
+    """Draw the processor time of a stone of each size, stage upon stage."""
     sizes = [f"{row['size_mm']:g} mm" for row in rows]
     below = np.zeros(len(rows))
     for stage in rows[0]["stages_ms"]:
@@ -56,7 +56,7 @@ def draw_stages(axes: Axes, rows: list[dict[str, Any]]) -> None:
 
 
 def draw_scaling(axes: Axes, document: dict[str, Any]) -> None:
-    """How silhouettes to mesh grow with the voxels along an edge."""
+    """Draw the processor time from silhouettes to mesh against the voxels along an edge."""
     n = np.array([grid["n"] for grid in document["grids"]])
     for stage, exponent in document["exponents"].items():
         cost_ms = np.array([grid["stages_ms"][stage] for grid in document["grids"]])
@@ -72,7 +72,7 @@ def draw_scaling(axes: Axes, document: dict[str, Any]) -> None:
 
 
 def draw_peers(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Other people's code on the same silhouettes, as multiples of ours."""
+    """Draw the processor time of other libraries on the same silhouettes, as multiples of ours."""
     peers = [row for row in rows if row["what"] != "ours" and row["ratio"]]
     stages = list(dict.fromkeys(row["stage"] for row in peers))
     for number, stage in enumerate(stages):
@@ -87,7 +87,7 @@ def draw_peers(axes: Axes, rows: list[dict[str, Any]]) -> None:
 
 
 def draw_latency(axes: Axes, runs: list[dict[str, Any]]) -> None:
-    """Which share of the results is there how long after the exposure."""
+    """Draw the share of results that are durable against the time since the exposure."""
     for run in runs:
         latency_ms = np.sort(run["latency_ms"])
         share = np.arange(1, len(latency_ms) + 1) / len(latency_ms)

@@ -1,8 +1,8 @@
-"""How exact and how fast each segmenter is, on views that are hard to segment and on clean ones.
+"""Measure accuracy and speed of each segmenter, on views that are hard to segment and on clean ones.
 
 Run: .venv/bin/python tests/benchmarks/segmentation.py [--views 10] [--seed 40000] [--cases clean,dust]
      [--segmenters background,auto] [--size-mm 15] [--pictures DIR] [--json]
-U2-Net-p takes part once `stonefall models fetch` has been run. Milliseconds are those of the CPU, on one thread.
+U2-Net-p takes part once `stonefall models fetch` has been run. Milliseconds are processor time on one thread.
 """
 
 import argparse
@@ -51,26 +51,26 @@ from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationP
 from service.models.networks import load_model
 
 SEED = 40_000
-"""Far from the seeds of training and tuning."""
+"""Default seed of the first view; seeds of training and tuning are far from it."""
 NO_BACKGROUND = "no background"
-"""The clean case, before the rig was ever seen empty."""
+"""Name of the clean case without exposures of the empty rig."""
 CASES = (*(case.value for case in HardCase), NO_BACKGROUND)
 SEGMENTERS = (PLAIN, BACKGROUND, NETWORK, AUTO, U2NETP, MASK)
 WIDTH = 205
-"""Of a table that is written into a file."""
+"""Width of a table that is written into a file, in characters."""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--views", type=int, default=10, help="of each case")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the first view of each case")
+    parser.add_argument("--views", type=int, default=10, help="number of views of each case")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the first view of each case")
     parser.add_argument("--cases", type=chosen(CASES), default=CASES, help=", ".join(CASES))
     parser.add_argument(
         "--segmenters", type=chosen(SEGMENTERS), default=SEGMENTERS, help=", ".join(SEGMENTERS)
     )
-    parser.add_argument("--size-mm", type=float, help="of all stones; random without")
+    parser.add_argument("--size-mm", type=float, help="size of all stones; random without")
     parser.add_argument("--pictures", type=Path, help="folder for one picture of each case")
     parser.add_argument("--models", type=Path, help="folder of fetched models")
     parser.add_argument("--json", action="store_true")
@@ -104,7 +104,7 @@ def chosen(names: Sequence[str]) -> Callable[[str], list[str]]:
 
 
 def all_segmenters(models_dir: Path | None) -> tuple[dict[str, Segmenter], dict[str, str]]:
-    """Those whose model there is, and why the others are missing."""
+    """Return the segmenters whose model is there, and why the others are missing."""
     parameters = SegmentationParameters()
     background = BackgroundSegmenter(parameters)
     segmenters: dict[str, Segmenter] = {PLAIN: plain_difference, BACKGROUND: background}
@@ -128,7 +128,7 @@ def all_segmenters(models_dir: Path | None) -> tuple[dict[str, Segmenter], dict[
 def run(
     segmenters: Mapping[str, Segmenter], arguments: argparse.Namespace
 ) -> tuple[list[Outcome], list[float], list[float]]:
-    """Each segmenter on each view, one after the other, and `plain_ms` and `bare_ms` beside each."""
+    """Run each segmenter on each view, with `plain_ms` and `bare_ms` beside it; return outcomes and both times."""
     outcomes: list[Outcome] = []
     plain: list[float] = []
     bare: list[float] = []
@@ -162,8 +162,8 @@ def run(
 def tried(
     name: str, segmenter: Segmenter, view: HardView, truth: TrueEdge, case: str, number: int
 ) -> Outcome:
-    if name not in (U2NETP, MASK):  # too slow for a second time, and too slow to notice
-        # what is kept of a background is there from the second stone on
+    if name not in (U2NETP, MASK):  # these are too slow for a second run, and for it to matter
+        # from the second stone on, what follows from a background is kept
         _ = segmenter(view.frame, view.background).fine_px
     start = time.process_time()
     silhouette = segmenter(view.frame, view.background)
@@ -185,7 +185,7 @@ def tried(
 
 
 def plain_ms(view: HardView) -> float:
-    """What the least takes that finds a body in a whole image: difference, threshold, components."""
+    """Time the least that finds a body in a whole image: difference, threshold, connected components."""
     empty = view.background[view.frame.camera].mean.astype(np.uint8)
     start = time.process_time()
     cv2.connectedComponentsWithStats(difference(view.frame.image, empty))
@@ -193,7 +193,7 @@ def plain_ms(view: HardView) -> float:
 
 
 def bare_ms(network: Network) -> float:
-    """What our own network alone takes for its largest square."""
+    """Time our own network alone on its largest square."""
     view = np.ones((2, network.size_px, network.size_px), np.float32)
     start = time.process_time()
     network.probability(view)

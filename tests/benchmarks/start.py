@@ -1,8 +1,9 @@
-"""From the start of the daemon to its READY: with nothing compiled yet, and with what the first start kept.
+"""Time the start of the daemon until READY: with nothing compiled yet, and with what the first start kept.
 
 Run: .venv/bin/python tests/benchmarks/start.py [--slots 2] [--repeat 3] [--segmenter auto|onnx|background]
-Compiled code is kept in a folder of its own (`NUMBA_CACHE_DIR`). Says which modules compile for how long, too.
-Exits with 1 beyond the limits.
+Compiled code is kept in a folder of its own (`NUMBA_CACHE_DIR`). Also prints how long each module compiles.
+
+Exits with 1 if a start takes longer than its limit.
 """
 
 import argparse
@@ -33,16 +34,16 @@ from service.benchmarks.performance import worker_context
 from service.processing.measure_job import initialize
 
 COLD_S, WARM_S = 20.0, 5.0
-"""At most."""
+"""Limits of a start with nothing compiled, and of one with everything compiled."""
 PATIENCE_S = 600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
     ready_s: float  # by the clock
-    cpu_s: float  # of the daemon and its workers until then
+    cpu_s: float  # processor time of the daemon and its workers until then
     memory_mb: Sequence[float]  # of daemon and workers
-    own_mb: Sequence[float]  # of it what is not shared
+    own_mb: Sequence[float]  # the part of it that is not shared
 
 
 def main() -> int:
@@ -82,13 +83,13 @@ def main() -> int:
 
 
 class Compilations(Listener):
-    """Seconds of the processor by module; what a function needs of others is theirs."""
+    """Processor seconds of compiling by module; functions that are compiled for another one count for their own."""
 
     def __init__(self) -> None:
         self.by_module: Counter[str] = Counter()
         self._open: list[
             tuple[float, float]
-        ] = []  # when each began, and for how long others were at work since
+        ] = []  # when each began, and the time of nested compilations since
 
     def on_start(self, event: Event) -> None:
         self._open.append((time.process_time(), 0.0))
@@ -102,7 +103,7 @@ class Compilations(Listener):
 
 
 def compile_all() -> Counter[str]:
-    """Prepare this process as a worker."""
+    """Prepare this process as a worker; return the seconds that each module compiled."""
     seen = Compilations()
     with install_listener("numba:compile", seen):
         initialize(worker_context())

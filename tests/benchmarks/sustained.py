@@ -1,13 +1,13 @@
-"""The daemon on a recording at several rates, measuring and keeping raw frames: what is lost, how late results are.
+"""Run the daemon on a recording at several rates and report losses and delays of results.
 
 Run: .venv/bin/python tests/benchmarks/sustained.py [--rates 4,10,20] [--seconds 60] [--burst 20] [--burst-seconds 10]
      [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--slots 2] [--queue 100] [--recording DIR] [--json]
 
-`--recording` is where the stones are kept that are rendered for it; `--record` records that many more bundles live.
-They fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before each round.
-A trigger's time is when the store knew of it, or earlier if the recording's own pace says so; a result is there when
-the store shows it. Exits with 1 if a stone is lost at up to ten a second or in the burst, results come too late, or a
-call in the daemon holds the interpreter's lock for more than 20 ms.
+Stones are rendered first; with `--recording` they are kept there for the next run. `--record` also records that many
+bundles live. Stones fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before
+each round. A trigger's time is when it appeared in the store, or earlier if the recording's own pace says so; a result
+is durable when it appears in the store. Exits with 1 if a stone is lost at up to ten a second or in the burst, results
+are later than the goal, or a call in the daemon holds the interpreter's lock for more than 20 ms.
 """
 
 import argparse
@@ -42,32 +42,32 @@ from pipeline.synthesis.bundles import (
 
 SEED = 12
 REQUIRED_HZ = 10.0
-"""What two cores must keep up with for any time."""
+"""Rate that two cores must keep up with for any time."""
 REQUIRED_MS = 500.0
-"""99 of 100 results are there so long after their exposure."""
+"""Goal for the 99th percentile of the time from exposure to durable result."""
 RIG = """pace = "recorded"
 loop = true
 [bundling]
 window_ms = {window_ms:.0f}
 dead_time_ms = {dead_time_ms:.0f}
 """
-"""Triggers closer than 220 ms need cameras that are not busy while they wait for a stone."""
+"""Bundling for triggers closer than 220 ms; a live rig with them needs cameras that are not busy while they wait."""
 LOCK_PROBE = Path(__file__).parents[1] / "support/lock_probe.py"
 LOCK_WAITS = "lock-waits"
 LOOK_S = 0.01
-"""How often the store is asked for news."""
+"""Interval at which the store is asked for new triggers and results."""
 SAMPLE_S = 1.0
 DRAIN_S = 600.0
-"""Longest wait for what is in the queue."""
+"""Longest wait for bundles in the queue at the end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What a daemon did at one rate."""
+    """Figures of a daemon at one rate."""
 
     name: str
     rate_hz: float
-    is_required: bool  # to lose nothing and to be in time
+    is_required: bool  # whether it must lose nothing and be in time
     counts: dict[str, Any]
     sustained_hz: float  # results between the first and the last
     latency_ms: list[float]  # from the exposure to the durable result, in the order of the triggers
@@ -78,7 +78,7 @@ class Run:
     memory_mb: dict[str, list[float]]
     recorded: str
     kept: int  # results whose frames are archived, or were until newer ones came
-    lock_ms: float  # longest wait for the interpreter's lock in the daemon, that for a core left out
+    lock_ms: float  # longest wait for the interpreter's lock in the daemon, without the wait for a core
 
     @property
     def problems(self) -> list[str]:
@@ -101,16 +101,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rates", default="4,10,20", help="stones a second, each for --seconds")
+    parser.add_argument("--rates", default="4,10,20", help="stones a second; each rate runs for --seconds")
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--burst", type=float, default=20, help="stones a second; 0: no burst")
     parser.add_argument("--burst-seconds", type=float, default=10)
     parser.add_argument("--size-mm", type=float, default=25)
-    parser.add_argument("--stones", type=int, default=20, help="different ones")
-    parser.add_argument("--keep-raw", type=int, default=200, help="frames of so many stones are archived")
-    parser.add_argument("--record", type=int, default=0, help="bundles")
+    parser.add_argument("--stones", type=int, default=20, help="number of different stones")
+    parser.add_argument("--keep-raw", type=int, default=200, help="number of stones whose frames are kept")
+    parser.add_argument("--record", type=int, default=0, help="number of bundles to record live")
     parser.add_argument("--slots", type=int, default=2)
-    parser.add_argument("--queue", type=int, default=100, help="bundles")
+    parser.add_argument("--queue", type=int, default=100, help="bundles that may wait")
     parser.add_argument("--recording", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -140,7 +140,7 @@ def main() -> int:
 
 @dataclass(slots=True)
 class Watched:
-    """When triggers and results appeared in the store, by their numbers."""
+    """Times at which triggers and results appeared in the store, by their numbers."""
 
     triggers_s: dict[int, float] = field(default_factory=dict)
     results_s: dict[int, float] = field(default_factory=dict)
@@ -157,7 +157,7 @@ class Watched:
 
 
 def played(recording: Recording, name: str, rate_hz: float, seconds: float, arguments: Any) -> Run:
-    """A daemon from its start to the last result."""
+    """Run a daemon from its start to the last result; return its figures."""
     with tempfile.TemporaryDirectory() as folder_name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(folder_name)
         due_s = write_paced(folder / "recording", recording, rate_hz)
@@ -191,7 +191,7 @@ def played(recording: Recording, name: str, rate_hz: float, seconds: float, argu
 
 
 def watch(daemon: DaemonProcess, seconds: float, n_recorded: int) -> list[dict[str, Any]]:
-    """Let the belt run for so long; a sample a second until everything is through."""
+    """Let stones fall for `seconds`, then disarm; return a sample of the daemon for each second."""
     if n_recorded:
         daemon.post("/recordings", {"name": "benchmark", "count": n_recorded})
     samples = [sample(daemon)]
@@ -228,7 +228,7 @@ def run_of(
     seen_s = np.array(list(watched.triggers_s.values()))
     round_of, position = np.divmod(np.arange(len(seen_s)), len(due_s) - 1)
     schedule_s = round_of * due_s[-1] + due_s[position]
-    # it was there no later than the next ones, less the time between: a loop that is held up hides no delay
+    # a trigger came no later than the next ones less the scheduled time between: a held-up loop hides no delay
     triggered_s = np.minimum.accumulate((seen_s - schedule_s)[::-1])[::-1] + schedule_s
     ended_s = np.array([watched.results_s[seq] for seq, _, _ in rows])
     begun_s = np.array([triggered_s[trigger - 1] for _, trigger, _ in rows])
@@ -261,7 +261,7 @@ def run_of(
 
 
 def busy_s(samples: Sequence[dict[str, Any]], part: str) -> float:
-    """Processor time between the first and the last sample, of processes that came or went meanwhile, too."""
+    """Return the processor time between the first and the last sample, with processes that came or went meanwhile."""
     before, latest = samples[0]["cpu_s"][part], {}
     for each in samples:
         latest |= each["cpu_s"][part]
@@ -275,7 +275,7 @@ def table_of(runs: Sequence[Run], read_ms: float, arguments: Any) -> Table:
         title=f"{arguments.seconds:g} s each, burst {arguments.burst_seconds:g} s; {arguments.stones} stones"
         f" of {arguments.size_mm:g} mm again and again, {arguments.slots} workers, frames of {arguments.keep_raw} kept;"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
-        caption=f"How busy the host is: to read and check a bundle took {read_ms:.0f} ms afterwards.",
+        caption=f"Speed of the host: reading and checking a bundle took {read_ms:.0f} ms afterwards.",
     )
     for label, cells in {
         "triggers = measured + rejected + lost": [

@@ -80,7 +80,7 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
                 background_path=background,
                 out_dir=out / header.name,
             )
-            record = worker.submit(measure, job).result()
+            record = worker.submit(measure, job).result().record
             records.append(record | {"mesh": (job.out_dir / record["mesh"]).read_bytes()})
     return records
 

@@ -32,7 +32,7 @@ def results_of(daemon: DaemonProcess, calibration_id: str, n_results: int) -> li
     return latest(daemon.wait_for(path, lambda page: len(latest(page)) == n_results))
 
 
-def test_a_session_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
+def test_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
     nominal_id = read_rig(balls / "rig.json").calibration_id
     with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:
         daemon.hear("READY=1")

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from support.daemon_process import DaemonProcess
+from support.quick_and_full import first_quick
 from support.small_recording import write_small_recording
 from typer.testing import CliRunner
 
@@ -44,7 +45,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize("slots", [1, 3])
+@pytest.mark.parametrize("slots", first_quick([3, 1]))
 def test_daemon_equals_offline(tmp_path: Path, recording: Path, offline: Path, slots: int) -> None:
     with DaemonProcess(tmp_path, recording, slots=slots) as daemon:
         daemon.hear("READY=1")

@@ -1,4 +1,4 @@
-"""On a rig that was not told what falls: balls while a session is open, stones after it."""
+"""On a rig that was not told what falls: balls while a calibration is open, stones after it."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from drivers.files.rig_file import read_rig
 N_BALLS = 8
 
 
-def test_on_live_cameras_what_falls_is_a_ball_until_the_session_ends(tmp_path: Path):
+def test_on_live_cameras_what_falls_is_a_ball_until_the_calibration_ends(tmp_path: Path):
     balls = tmp_path / "recording"
     write_ball_recording(balls, n_balls=N_BALLS)
     nominal_id = read_rig(balls / "rig.json").calibration_id

@@ -1,6 +1,7 @@
 """The fault table on real packets: the daemon, the real Aravis driver, a serial gate and a simulated rig.
 
-One daemon for all rows, in the order of the table: whatever a row breaks must be whole again for the next.
+One daemon for all rows, in the order of the table: whatever a row breaks must be whole again for the next. Without
+`--full` one row of each kind: packets, a camera, all cameras, its counter, and the gate's lines.
 """
 
 import signal
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 from support.live_rig import LiveRig, eventually, live_rig
+from support.quick_and_full import first_quick
 from support.small_recording import write_small_recording
 
 
@@ -51,7 +53,7 @@ def stones(results: list[dict]) -> list[dict]:
 # --- C: cameras and their network ---
 
 
-@pytest.mark.parametrize("loss", [0.01, 0.05])
+@pytest.mark.parametrize("loss", first_quick([0.05, 0.01]))
 def test_c1_lost_packets_are_resent_and_no_frame_is_lost(live: LiveRig, loss: float):
     before = {camera: live.status(camera)["resent_packets"] for camera in ("c01", "c16")}
     for camera in live.rig.cameras.values():
@@ -85,12 +87,14 @@ def test_c2_a_cable_that_is_pulled_costs_a_view_until_it_is_plugged_in_again(liv
     eventually(lambda: live.status("c02")["recoveries"] == recoveries + 1, "c02 is back", 10)
 
 
+@pytest.mark.full
 def test_c2_a_power_cycle_forgets_settings_and_they_are_written_again(live: LiveRig):
     live.camera("c03").power_cycle(1.0)
     assert views(live.measure(1)) == [15]
     eventually(lambda: live.camera("c03").feature("ExposureTime") == 20.0, "c03 is set again", 10)
 
 
+@pytest.mark.full
 def test_c2_a_camera_with_a_new_address_is_found_by_its_serial_number(live: LiveRig):
     old = live.camera("c04").design.address
     network, _, _ = old.rpartition(".")
@@ -99,6 +103,7 @@ def test_c2_a_camera_with_a_new_address_is_found_by_its_serial_number(live: Live
     eventually(lambda: live.status("c04")["address"] == f"{network}.200", "c04 is found", 15)
 
 
+@pytest.mark.full
 def test_c2_another_camera_in_a_place_is_not_used(live: LiveRig):
     serial = live.camera("c06").design.serial
     live.camera("c06").power_cycle(0.2, serial="STRANGER")
@@ -108,6 +113,7 @@ def test_c2_another_camera_in_a_place_is_not_used(live: LiveRig):
     live.wait_until_whole(15)
 
 
+@pytest.mark.full
 @pytest.mark.restarts_cameras
 def test_c2_a_camera_that_was_killed_is_back_within_ten_seconds(live: LiveRig):
     live.camera("c07").stop()
@@ -116,6 +122,7 @@ def test_c2_a_camera_that_was_killed_is_back_within_ten_seconds(live: LiveRig):
     live.wait_until_whole(10)
 
 
+@pytest.mark.full
 def test_c2_control_taken_by_another_application_is_taken_back(live: LiveRig):
     live.camera("c08").steal_control(3.0)
     assert all_measured(live.measure(2))
@@ -141,6 +148,7 @@ def test_c3_without_any_camera_it_is_the_switch_and_stones_are_counted(live: Liv
     live.wait_until_whole(30)
 
 
+@pytest.mark.full
 def test_c4_a_frame_that_comes_a_period_late_is_in_no_other_bundle(live: LiveRig):
     before = live.status("c09")
     live.camera("c09").faults.late_ms = 270.0
@@ -170,6 +178,7 @@ def test_c5_a_camera_that_misses_a_trigger_is_right_again_with_the_next(live: Li
     eventually(lambda: live.status("c10")["not_exposed"] >= 1, "its counter shows it")
 
 
+@pytest.mark.full
 def test_c6_a_frozen_image_is_no_view(live: LiveRig):
     live.camera("c11").faults.frozen = True
     results = live.measure(3)
@@ -178,12 +187,14 @@ def test_c6_a_frozen_image_is_no_view(live: LiveRig):
     live.camera("c11").faults.frozen = False
 
 
+@pytest.mark.full
 def test_c7_settings_changed_by_someone_else_are_found_and_written_again(live: LiveRig):
     live.camera("c01").tamper("ExposureTime", 500.0)
     eventually(lambda: live.camera("c01").feature("ExposureTime") == 20.0, "set again", 15)
     assert "ExposureTime" in live.daemon.log
 
 
+@pytest.mark.full
 def test_c8_a_clock_that_was_set_costs_one_view_at_most(live: LiveRig):
     live.measure(1)
     live.camera("c12").jump_clock(10**12)
@@ -219,6 +230,7 @@ def test_d2_a_stone_that_the_gate_does_not_announce_is_measured_all_the_same(liv
     assert live.acquisition()["orphans"] == before["orphans"] + 2
 
 
+@pytest.mark.full
 def test_d2_a_lost_line_is_an_orphan_and_a_gap(live: LiveRig):
     before = live.acquisition()
     live.rig.gate.faults.corrupted = 1.0
@@ -231,6 +243,7 @@ def test_d2_a_lost_line_is_an_orphan_and_a_gap(live: LiveRig):
     assert live.acquisition()["unseen"] == before["unseen"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("spacing_s", [0.05, 0.02])
 def test_d6_a_burst_is_counted_stone_by_stone(live: LiveRig, spacing_s: float):
     """One that closes the beam while, or right after, another does is ignored as its bounce, and counted as that."""
@@ -254,6 +267,7 @@ def test_d6_a_burst_is_counted_stone_by_stone(live: LiveRig, spacing_s: float):
     assert live.acquisition()["in_dead_time"] > 0
 
 
+@pytest.mark.full
 def test_d7_slow_workers_fill_the_queue_and_nothing_is_silently_dropped(live: LiveRig):
     before = live.last_seq()
     live.daemon.signal_workers(signal.SIGSTOP)
@@ -274,6 +288,7 @@ def test_d7_a_machine_that_stands_still_for_longer_than_frames_are_waited_for_lo
     assert views(results) == [16]
 
 
+@pytest.mark.full
 def test_d8_garbage_and_half_lines_are_survived(live: LiveRig):
     live.rig.gate.faults.garbage = 0.7
     assert all_measured(live.measure(3))
@@ -286,6 +301,7 @@ def test_d8_garbage_and_half_lines_are_survived(live: LiveRig):
     assert all_measured(stones(live.wait_for_results(before, 2)))
 
 
+@pytest.mark.full
 def test_d8_while_the_serial_line_is_unplugged_stones_are_measured_as_orphans(live: LiveRig):
     before, seq = live.acquisition(), live.last_seq()
     live.rig.gate.unplug()
@@ -302,6 +318,7 @@ def test_d8_while_the_serial_line_is_unplugged_stones_are_measured_as_orphans(li
     assert live.acquisition()["unseen"] == before["unseen"]
 
 
+@pytest.mark.full
 def test_d10_without_stones_nobody_is_alarmed(live: LiveRig):
     before = len(live.daemon.log)
     threading.Event().wait(6.0)  # more than one examination of each camera

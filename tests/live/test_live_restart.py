@@ -32,6 +32,7 @@ def accounting_in(folder: Path, session: int) -> Accounting:
         return reads.accounting(connection, session)
 
 
+@pytest.mark.full
 def test_after_a_kill_the_next_daemon_is_armed_within_ten_seconds(tmp_path: Path, recording: Path) -> None:
     with simulated_rig(tmp_path, recording, number=4) as rig:
         section = live_section(rig, tmp_path, recording, by_address=True, at_start=0)
@@ -96,6 +97,7 @@ def test_sigterm_measures_what_fell_and_lets_the_cameras_go(tmp_path: Path, reco
         successor.close()
 
 
+@pytest.mark.full
 def test_a_camera_that_is_missing_at_the_start_is_admitted_when_it_appears(
     tmp_path: Path, recording: Path
 ) -> None:

@@ -15,7 +15,7 @@ from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solution, SolveJob
 from service.calibration.plan import CalibrationPlan
-from service.calibration.startup import find_calibrations
+from service.calibration.startup import load_calibrations
 from service.calibration.states import CalibrationAction, CalibrationState
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import open_verifications
@@ -59,7 +59,7 @@ def open_desk(
     on_activated: Callable[[RigCalibration], Awaitable[None]] | None = None,
 ) -> Calibrations:
     """As the daemon opens them when it starts."""
-    found = find_calibrations(folder / "calibrations", configured)
+    found = load_calibrations(folder / "calibrations", configured)
     verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
 
     async def nothing(rig: RigCalibration) -> None:
@@ -86,7 +86,7 @@ def state_of(desk: Calibrations, name: str) -> CalibrationState:
 
 
 async def solved(desk: Calibrations) -> str:
-    """The name of a session that was solved."""
+    """Open and solve a calibration; return its name."""
     record = await desk.start(BALL, ARMED)
     await solve(desk, record.id)
     return record.id

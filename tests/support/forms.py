@@ -59,7 +59,7 @@ FORMS = (
 
 def silhouettes_of(mesh: trimesh.Trimesh, rig: RigCalibration, rng: np.random.Generator) -> SilhouetteSet:
     """Silhouettes of a closed mesh in the world frame, blurred and noisy like segmented images."""
-    edges = pixel_coverage.edges_of(mesh.faces)
+    edges = pixel_coverage.mesh_edges(mesh.faces)
     return {camera.id: _silhouette(camera, mesh, edges, rng) for camera in rig.cameras}
 
 
@@ -76,7 +76,7 @@ def _silhouette(
     window = pixel_coverage.window_around(pixels_uv, MARGIN_PX + 4)
     towards_mm = camera.center_mm - mesh.triangles[:, 0]
     is_front = np.einsum("ij,ij->i", mesh.face_normals, towards_mm) > 0
-    border_uv = pixels_uv[pixel_coverage.border(edges, is_front)]
+    border_uv = pixels_uv[pixel_coverage.silhouette_edges(edges, is_front)]
     covered = cv2.GaussianBlur(
         pixel_coverage.coverage(border_uv[:, 0], border_uv[:, 1], window), (0, 0), BLUR_PX
     )

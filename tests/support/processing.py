@@ -10,7 +10,7 @@ from pipeline.frames import BundleKind, CameraId, Trigger
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob
-from service.processing.measure_job import LearnJob, MeasureJob, RigFile
+from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, NetworkUse, RigFile
 from service.processing.processing import Processing, ProcessingContext
 from service.processing.spool import Loss, SpooledBundle
 
@@ -65,12 +65,13 @@ class ScriptedPool:
         job.out_dir.mkdir()
         (job.out_dir / "mesh.ply").write_text(name)
         (job.out_dir / "mesh.ply.tmp").touch()
-        return {
+        record = {
             "bundle": name,
             "outcome": "measured",
             "background": job.background_path,
             "calibration_id": job.rig_file.calibration_id,
         }
+        return MeasuredBundle(record, NetworkUse(is_source=False, trouble=None))
 
     def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
         job.out_path.touch()  # a process that dies may leave half a file

@@ -4,25 +4,41 @@ from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
+from pydantic import BaseModel, Field
 
 from service.api.context import Context
-from service.api.problems import documented
+from service.api.problems import problem_responses
 from service.api.routes.results import MAX_SEQ
-from service.api.schemas import AccountingDocument
 
 router = APIRouter(prefix="/accounting", tags=["accounting"])
 
 SessionNumber = Annotated[int, Query(ge=1, le=MAX_SEQ)]
 
 
-@router.get("", response_model=AccountingDocument, responses=documented())
+class AccountingDocument(BaseModel):
+    """`triggers = measured + rejected + lost + in_progress`."""
+
+    session: int | None = Field(description="Session (run of the daemon) that is counted; null: all")
+    triggers: int = Field(description="Stones and balls that the light gate reported")
+    measured: int
+    rejected: int
+    lost: int
+    in_progress: int = Field(description="Triggers without an outcome yet")
+    is_balanced: bool = Field(description="Whether the sum holds; false is a fault of the service")
+    backgrounds: int = Field(description="Exposures of the empty rig; not among the triggers")
+    by_reason: dict[str, int] = Field(description="Rejected and lost triggers, by reason")
+    by_quality: dict[str, int] = Field(description="Measured triggers, by quality")
+
+
+@router.get("", response_model=AccountingDocument, responses=problem_responses())
 async def accounting(
     context: Context,
     session: Annotated[
-        SessionNumber | Literal["current"] | None, Query(description="One run of the daemon; all when absent")
+        SessionNumber | Literal["current"] | None,
+        Query(description="Count one session (run of the daemon); all when absent"),
     ] = None,
 ) -> dict[str, Any]:
-    """Count triggers and outcomes; every trigger is in exactly one of the four."""
+    """Count triggers and their outcomes; every trigger is in exactly one of the four."""
     number = context.store.session if session == "current" else session
     counts = await context.store.accounting(number)
     return {**asdict(counts), "is_balanced": counts.is_balanced, "session": number}

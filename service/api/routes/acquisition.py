@@ -1,29 +1,47 @@
-"""Arm and disarm."""
+"""Arm and disarm the rig."""
 
 from fastapi import APIRouter, Depends
+from pydantic import BaseModel, ConfigDict
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import documented
-from service.api.schemas import Acquisition, AcquisitionRequest
+from service.api.problems import problem_responses
 from service.api.settings import Scope
-from service.status import AcquisitionStatus
+from service.status import AcquisitionStatus, AcquisitionTarget
 
 router = APIRouter(prefix="/acquisition", tags=["acquisition"])
 
 
+class Acquisition(AcquisitionStatus):
+    """State of the rig; counters begin when it is armed."""
+
+
+class AcquisitionRequest(BaseModel):
+    """The state that is asked for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    state: AcquisitionTarget
+
+
 @router.get(
-    "", response_model=Acquisition, dependencies=[Depends(require(Scope.READ))], responses=documented()
+    "",
+    response_model=Acquisition,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
 )
 async def acquisition(context: Context) -> AcquisitionStatus:
-    """Whether stones are being measured."""
+    """Return whether stones are being measured, and if not, why."""
     return context.control.acquisition_status()
 
 
 @router.put(
-    "", response_model=Acquisition, dependencies=[Depends(require(Scope.OPERATE))], responses=documented(409)
+    "",
+    response_model=Acquisition,
+    dependencies=[Depends(require(Scope.OPERATE))],
+    responses=problem_responses(409),
 )
 async def set_acquisition(context: Context, wanted: AcquisitionRequest) -> AcquisitionStatus:
-    """Arm or disarm; repeating a request changes nothing, 409 when the current state forbids it."""
+    """Arm or disarm. Repeating a request changes nothing; 409 when the current state forbids it."""
     await context.control.set_acquisition(wanted.state)
     return context.control.acquisition_status()

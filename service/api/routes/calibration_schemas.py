@@ -1,4 +1,4 @@
-"""What the REST interface says of calibrations."""
+"""Schemas of calibrations in the REST interface."""
 
 from typing import Annotated, Any
 
@@ -14,60 +14,62 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class CalibrationRequest(BaseModel):
-    """What to calibrate with; all that falls from now on is observed."""
+    """What to calibrate with. Everything that falls from now on is observed."""
 
     model_config = ConfigDict(extra="forbid")
 
     ball_diameters_mm: list[DiameterMm] = Field(
         default=[],
         max_length=2,
-        description="One ball, or two that differ by a fifth or more: then outlines that are too large or too small"
-        " are found out as well; mm",
+        description="Diameter of the ball, mm. Two diameters that differ by a fifth or more also reveal outlines that"
+        " are too large or too small. Empty with `stones`",
     )
     method: Method = Field(
         default=Method.BUNDLE,
-        description="`bundle`: all cameras and balls together; `paper`: its Algorithm 1; `stones`: puts cameras that"
-        " moved back in place, from the stones that fall anyway, without any ball",
+        description="`bundle`: bundle adjustment of all cameras and balls; `paper`: Algorithm 1 of the paper; `stones`:"
+        " new poses for cameras that moved, from any stones, without a ball",
     )
-    note: Annotated[str, Field(max_length=2000)] | None = None
+    note: Annotated[str, Field(max_length=2000)] | None = Field(default=None, description="Kept with it")
     by: Name | None = Field(default=None, description="Who calibrates")
 
 
 class Signature(BaseModel):
-    """Who decides."""
+    """The person who decides."""
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Name | None = None
+    by: Name | None = Field(default=None, description="Kept with the decision")
 
 
 class CalibrationSummary(BaseModel):
-    """One calibration: a session while it is open, a version once it is accepted."""
+    """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
 
     id: str
     state: CalibrationState
     is_active: bool = Field(description="Whether stones are measured with it now")
     calibration_id: str | None = Field(
-        description="Checksum of its rig file, as results name it; null without a rig"
+        description="Checksum of its rig file, which results name; null without a rig"
     )
-    origin: Origin = Field(description="`configured`: the rig file of the configuration")
+    origin: Origin = Field(
+        description="`configured`: from the rig file of the configuration; `session`: from drops"
+    )
     method: str = Field(
-        description="Of a configured rig file `nominal`, `imported`, `paper` or `bundle`; of a session as asked for"
+        description="`bundle`, `paper` or `stones` as requested; of a configured rig file also `nominal` or `imported`"
     )
-    ball_diameters_mm: list[float] = Field(description="As entered, mm")
+    ball_diameters_mm: list[float] = Field(description="As requested, mm")
     created_at: str = Field(json_schema_extra=TIME)
-    changed_at: str = Field(description="Of its state", json_schema_extra=TIME)
+    changed_at: str = Field(description="Latest change of its state", json_schema_extra=TIME)
     by: str | None = Field(description="Who began it")
     decided_by: str | None = Field(description="Who accepted, rejected or cancelled it")
     note: str | None
-    initial_calibration_id: str | None = Field(description="Calibration in use when it was begun")
+    initial_calibration_id: str | None = Field(description="`calibration_id` in use when it was begun")
     detail: str | None = Field(
-        description="Why it was cancelled, could not be solved, or must not be accepted"
+        description="Why it was cancelled, could not be solved, or must not be accepted; null otherwise"
     )
 
 
 class ActivationDocument(BaseModel):
-    """One choice of the calibration in use."""
+    """One activation of a calibration."""
 
     id: str
     calibration_id: str
@@ -76,57 +78,61 @@ class ActivationDocument(BaseModel):
 
 
 class Calibrations(BaseModel):
-    """All sessions and versions, newest first, and what was used when."""
+    """All calibrations, newest first, and which one was in use when."""
 
-    active: ActivationDocument = Field(description="In use, since when and by whom")
+    active: ActivationDocument = Field(description="The one in use, since when and by whom")
     items: list[CalibrationSummary]
-    activations: list[ActivationDocument] = Field(description="All choices, newest first")
+    activations: list[ActivationDocument] = Field(description="All of them, newest first")
 
 
 class Drop(BaseModel):
-    """One ball of a session, or one stone."""
+    """One ball or stone that was observed."""
 
     bundle: str
     diameter_mm: float | None = Field(
-        description="Of the balls that were entered, the one it can only be; mm"
+        description="Requested diameter that is closest to its apparent size, mm; null: a stone, or too few views"
     )
-    views: list[str] = Field(description="Cameras that show it whole")
-    refused: dict[str, str] = Field(description="Views left out, each with the reason")
-    center_mm: list[float] | None = Field(description="Where it was, world frame, mm")
+    views: list[str] = Field(description="Cameras whose image shows it whole")
+    refused: dict[str, str] = Field(description="Cameras left out, each with the reason")
+    center_mm: list[float] | None = Field(
+        description="Centre of the ball in the frame of the rig, mm; null when it was not located"
+    )
     residuals_px: dict[str, float] = Field(
-        description="With the calibration it was measured with, px: a ball's centre in each view against all views"
-        " together; a stone's median epipolar residual"
+        description="Per camera, px, with the calibration in use when it fell: centre of the ball against its position"
+        " from all views; of a stone the median epipolar residual"
     )
-    problem: str | None = Field(description="Why nothing was observed")
+    problem: str | None = Field(description="Why nothing was observed; null otherwise")
 
 
 class CameraCoverageDocument(BaseModel):
     """What one camera saw of the drops."""
 
     n_drops: int
-    field_share: float = Field(description="Of its image that showed a drop, 0..1")
+    field_share: float = Field(description="Share of the image in which drops were seen, 0..1")
 
 
 class CoverageDocument(BaseModel):
     """How the drops fill the measuring volume and the images."""
 
     is_sufficient: bool
-    missing: str | None = Field(description="What to drop next")
-    n_drops: int = Field(description="Located, by two cameras or more")
-    extent_mm: list[float] = Field(description="Of their centres along x, y, z; mm")
-    spread_mm: list[float] = Field(description="Sd of their centres along their principal axes, mm")
+    missing: str | None = Field(description="What to drop next; null when nothing is missing")
+    n_drops: int = Field(description="Drops located by two cameras or more")
+    extent_mm: list[float] = Field(description="Extent of their centres along x, y, z; mm")
+    spread_mm: list[float] = Field(
+        description="Standard deviation of their centres along their principal axes, mm"
+    )
     cameras: dict[str, CameraCoverageDocument]
 
 
 class CalibrationDocument(CalibrationSummary):
-    """All that is known of one calibration."""
+    """One calibration with its drops and its report."""
 
     drops: list[Drop] = Field(description="In the order in which they fell")
     coverage: CoverageDocument
     residuals_before_px: dict[str, float] = Field(
-        description="Per camera over the drops so far, with the calibration in use when they fell; rms, px"
+        description="Per camera, rms over the drops so far, with the calibration in use when they fell, px"
     )
     report: dict[str, Any] | None = Field(
-        description="What the solution found, null before: residuals in px before and after, drops and views left"
-        " out, centres of the balls in mm, uncertainty, problems"
+        description="Result of the solution: residuals before and after (px), drops and views left out, centres of the"
+        " balls (mm), uncertainty, problems; null before it is solved"
     )

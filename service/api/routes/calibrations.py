@@ -1,4 +1,4 @@
-"""Calibrate the rig from balls while the daemon runs, choose which calibration is used, and roll back."""
+"""Calibrate the rig while the daemon runs, choose which calibration is used, and roll back."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -9,7 +9,7 @@ from fastapi.responses import FileResponse
 
 from service.api.auth import require
 from service.api.context import ApiContext, Context
-from service.api.problems import Problem, documented, found
+from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.calibration_schemas import (
     CalibrationDocument,
     CalibrationRequest,
@@ -30,10 +30,13 @@ CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id`
 
 
 @router.get(
-    "", response_model=Calibrations, dependencies=[Depends(require(Scope.READ))], responses=documented()
+    "",
+    response_model=Calibrations,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
 )
 async def calibrations(context: Context) -> dict[str, Any]:
-    """All calibrations, newest first, and which one is in use."""
+    """Return all calibrations, newest first, and which one is in use."""
     known = context.control.calibrations
     return {
         "active": asdict(known.activated),
@@ -47,15 +50,16 @@ async def calibrations(context: Context) -> dict[str, Any]:
     status_code=201,
     response_model=CalibrationSummary,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(409),
+    responses=problem_responses(409),
 )
 async def start_calibration(
     context: Context, wanted: CalibrationRequest, response: Response
 ) -> dict[str, Any]:
-    """Begin to collect drops; 409 while somebody else does, or when none would be seen.
+    """Open a calibration, which collects drops. 409 while another calibration or verification is open.
 
-    On live cameras all that falls is a `ball` until the session ends (but with `stones`): it is measured, but is no
-    stone. It ends by `accept`, `reject` or `cancel`, or when nothing was seen for ten minutes.
+    409 also when the rig cannot see drops (`held`, `disarming`, `stopping`). On live cameras everything that falls has
+    the kind `ball` while a calibration is open, except with method `stones`: it is measured, but does not count as a
+    stone. `accept`, `reject`, `cancel`, or ten minutes without a drop end it.
     """
     plan = _valid_plan(wanted)
     control = context.control
@@ -68,30 +72,30 @@ async def start_calibration(
     "/{calibration}",
     response_model=CalibrationDocument,
     dependencies=[Depends(require(Scope.READ))],
-    responses=documented(404),
+    responses=problem_responses(404),
 )
 async def calibration(context: Context, calibration: CalibrationName) -> dict[str, Any]:
-    """How far a session is: its drops, what they cover, what the calibration in use makes of them; the report."""
+    """Return one calibration: its drops, their coverage and residuals, and its report."""
     details = await context.control.calibrations.find(calibration)
-    return _document(context, found(details, "calibration", calibration))
+    return _document(context, existing(details, "calibration", calibration))
 
 
 @router.get(
     "/{calibration}/rig.json",
     response_class=FileResponse,
     dependencies=[Depends(require(Scope.READ))],
-    responses={200: {"content": {"application/json": {}}}, **documented(404)},
+    responses={200: {"content": {"application/json": {}}}, **problem_responses(404)},
 )
 async def calibration_rig(context: Context, calibration: CalibrationName) -> FileResponse:
-    """Its rig file, with the checksum; 404 before it is solved."""
+    """Return the rig file of a calibration, with its checksum; 404 before it is solved."""
     path = context.control.calibrations.rig_path(calibration)
     if path is None:
         raise Problem(404, "unknown-calibration", f"there is no calibration {calibration} with a rig")
     return FileResponse(path, media_type="application/json")
 
 
-def _offer(action: CalibrationAction, scope: Scope, text: str, status: int = 200) -> None:
-    """Add the route of an action; `text` is its description."""
+def _add_action(action: CalibrationAction, scope: Scope, text: str, status: int = 200) -> None:
+    """Add the route of an action; `text` is its description in the OpenAPI document."""
 
     @router.post(
         f"/{{calibration}}/{action}",
@@ -100,33 +104,40 @@ def _offer(action: CalibrationAction, scope: Scope, text: str, status: int = 200
         status_code=status,
         response_model=CalibrationSummary,
         dependencies=[Depends(require(scope))],
-        responses=documented(404, 409),
+        responses=problem_responses(404, 409),
     )
     async def act(
         context: Context, calibration: CalibrationName, signature: Signature | None = None
     ) -> dict[str, Any]:
         by = None if signature is None else signature.by
         record = await context.control.calibrations.act(calibration, action, by)
-        return _summary(context, found(record, "calibration", calibration))
+        return _summary(context, existing(record, "calibration", calibration))
 
 
-_offer(
+_add_action(
     CalibrationAction.SOLVE,
     Scope.OPERATE,
-    "Solve it from the drops so far, in its own process; ask for it again until it is `solved`, or `collecting` again.",
+    "Solve a calibration from the drops so far, in a process of its own. Get it again until its state is `solved`, or"
+    " `collecting` when that failed (see `detail`).",
     202,
 )
-_offer(
+_add_action(
     CalibrationAction.ACCEPT,
     Scope.CONFIGURE,
-    "Make a solution a version; 409 when its report forbids its use. It is used when it is activated.",
+    "Make a solution a version, which can be activated. 409 when its report forbids its use.",
 )
-_offer(CalibrationAction.REJECT, Scope.OPERATE, "End a session without using its solution; the record stays.")
-_offer(CalibrationAction.CANCEL, Scope.OPERATE, "End a session whatever it has come to; the record stays.")
-_offer(
+_add_action(
+    CalibrationAction.REJECT,
+    Scope.OPERATE,
+    "Close a solved calibration without using it. Its record is kept.",
+)
+_add_action(
+    CalibrationAction.CANCEL, Scope.OPERATE, "Close an open calibration in any state. Its record is kept."
+)
+_add_action(
     CalibrationAction.ACTIVATE,
     Scope.CONFIGURE,
-    "Measure with it from the next stone on; with an older one this is the roll back. Nothing is interrupted.",
+    "Measure with an accepted calibration from the next stone on, without a pause. Activate an older one to roll back.",
 )
 
 

@@ -4,36 +4,48 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
+from pydantic import BaseModel
 
 from service.api.context import ApiContext, Context
-from service.api.problems import Problem, documented
-from service.api.schemas import Camera, Cameras
+from service.api.problems import Problem, problem_responses
 from service.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
 
-CameraName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+CameraName = Annotated[
+    str, Path(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Place of the camera in the rig, such as `c01`")
+]
 
 
-@router.get("", response_model=Cameras, responses=documented())
+class Camera(CameraStatus):
+    """State of one camera; counters begin when the daemon starts, unless a field says otherwise."""
+
+
+class Cameras(BaseModel):
+    """All cameras of the rig."""
+
+    items: list[Camera]
+
+
+@router.get("", response_model=Cameras, responses=problem_responses())
 async def cameras(context: Context) -> dict[str, Any]:
-    """State and counters of all cameras."""
+    """Return state and counters of all cameras."""
     return {"items": context.control.cameras()}
 
 
-@router.get("/{camera}", response_model=Camera, responses=documented(404))
+@router.get("/{camera}", response_model=Camera, responses=problem_responses(404))
 async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
-    """State and counters of one camera."""
+    """Return state and counters of one camera."""
     return _status_of(context, camera)
 
 
 @router.get(
     "/{camera}/snapshot.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **documented(404)},
+    responses={200: {"content": {"image/png": {}}}, **problem_responses(404)},
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
-    """Show the camera's latest frame."""
+    """Return the latest frame of the camera; 404 `not-kept` before the first."""
     png = await context.control.snapshot(_status_of(context, camera).id)
     if png is None:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")

@@ -1,31 +1,59 @@
-"""Whether the process is alive, whether it can accept stones, and how it is."""
+"""Whether the process is alive, whether it is ready for stones, and every check in detail."""
 
-from typing import Any
+from typing import Any, Literal
 
 from fastapi import APIRouter, Depends
+from pydantic import BaseModel, Field
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import Problem, documented
-from service.api.schemas import HealthDocument, Live, Ready
+from service.api.problems import Problem, problem_responses
 from service.api.settings import Scope
 from service.api.version import API_VERSION
-from service.status import CheckStatus, Ne107
+from service.status import CheckStatus, HealthCheck, Ne107
 
 router = APIRouter(prefix="/health", tags=["health"])
 
-STATUS = {Ne107.GOOD: CheckStatus.PASS, Ne107.FAILURE: CheckStatus.FAIL}
+OVERALL_STATUS = {Ne107.GOOD: CheckStatus.PASS, Ne107.FAILURE: CheckStatus.FAIL}
+"""Status of the whole device; a warning in all other states."""
+RETRY_AFTER_S = 5
 
 
-@router.get("/live", response_model=Live, responses=documented())
+class HealthDocument(BaseModel):
+    """Health in detail, modelled on the expired Internet draft health+json."""
+
+    status: CheckStatus
+    ne107: Ne107 = Field(description="Device state in the terms of NAMUR NE 107")
+    ready: bool = Field(description="Whether the next stone will be measured")
+    reasons: list[str] = Field(description="Why it is not ready, or not `good`; empty when it is both")
+    version: str = Field(description="Version of this interface")
+    instance_id: str = Field(description="Identity of the history of results, as in `/results`")
+    checks: dict[str, HealthCheck] = Field(
+        description="By name, such as `gate`, `cameras`, `camera:c01`, `calibration`, `disk`"
+    )
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    status: Literal["pass"] = "pass"
+
+
+class Ready(BaseModel):
+    """Stones can be measured."""
+
+    ready: Literal[True] = True
+
+
+@router.get("/live", response_model=Live, responses=problem_responses())
 async def live() -> Live:
-    """Answer, as long as the process does; asks nothing of any other part and needs no key."""
+    """Answer as long as the process does; asks no other part and needs no key."""
     return Live()
 
 
-@router.get("/ready", response_model=Ready, responses=documented(503))
+@router.get("/ready", response_model=Ready, responses=problem_responses(503))
 async def ready(context: Context) -> Ready:
-    """Answer 200 when stones can be accepted, otherwise 503 with the reasons. Needs no key."""
+    """Answer 200 when stones can be measured, otherwise 503 with the reasons. Needs no key."""
     health = context.control.health()
     if not health.ready:
         detail = "; ".join(health.reasons) or "no reason given"
@@ -33,21 +61,24 @@ async def ready(context: Context) -> Ready:
             503,
             "not-ready",
             detail,
-            headers={"Retry-After": "5"},
+            headers={"Retry-After": str(RETRY_AFTER_S)},
             reasons=list(health.reasons),
-            retry_after_s=5,
+            retry_after_s=RETRY_AFTER_S,
         )
     return Ready()
 
 
 @router.get(
-    "", response_model=HealthDocument, dependencies=[Depends(require(Scope.READ))], responses=documented()
+    "",
+    response_model=HealthDocument,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
 )
 async def health(context: Context) -> dict[str, Any]:
-    """Look at cameras, gate, progress, queue, workers, background, calibration, store and disk; always 200."""
+    """Return every check: cameras, gate, progress, queue, workers, calibration, store, disk and more; always 200."""
     state = context.control.health()
     return {
-        "status": STATUS.get(state.ne107, CheckStatus.WARN),
+        "status": OVERALL_STATUS.get(state.ne107, CheckStatus.WARN),
         "ne107": state.ne107,
         "ready": state.ready,
         "reasons": state.reasons,

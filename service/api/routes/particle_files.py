@@ -1,106 +1,186 @@
-"""The files of a particle as a client asked for them. All of it blocks: keep it off the event loop."""
+"""The files of one particle: mesh, preview, views and silhouettes.
 
-from enum import StrEnum
-from io import BytesIO
+They never change: content negotiation and caching go as far as immutable files need them (RFC 9110, sections 12.5.1
+and 13).
+"""
+
+import asyncio
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
 
-from drivers.errors import RecordingError
-from drivers.files.durable import replacing
-from drivers.files.recording import read_bundle, read_header
-from drivers.files.silhouette_file import read_silhouettes
-from pipeline.frames import CameraId
-from pipeline.preview import render_preview
+from service.api.context import ApiContext, Context
+from service.api.problems import Problem, problem_responses
+from service.api.renditions import (
+    MeshFormat,
+    NotKeptError,
+    mesh_bytes,
+    preview_png,
+    silhouette_png,
+    view_png,
+)
+from service.api.routes.cameras import CameraName
+from service.api.routes.particles import ParticleKey, find_record
+from service.results.fields import Outcome
+from service.store import Record
 
-if TYPE_CHECKING:
-    import trimesh
+router = APIRouter(prefix="/particles", tags=["particles"])
 
-PREVIEW_SIZE_PX = 480
-MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""From the rig's frame to glTF 2.0, section 3.4: right-handed, metres, +y up; so x stays and z becomes y."""
+MEDIA_TYPES = {
+    MeshFormat.PLY: "model/ply",
+    MeshFormat.STL: "model/stl",
+    MeshFormat.GLB: "model/gltf-binary",
+}
+CACHE_FOREVER = "private, max-age=31536000, immutable"
 
-
-class MeshFormat(StrEnum):
-    """How a mesh is written; PLY (as stored) and STL in mm, GLB in metres with y up."""
-
-    PLY = "ply"
-    STL = "stl"
-    GLB = "glb"
-
-
-class NotKeptError(Exception):
-    """The file does not exist: never made, or removed since."""
-
-
-def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
-    """Write the particle's mesh in a format; raise `NotKeptError` without one."""
-    stored = _stored(folder / "mesh.ply")
-    if mesh_format is MeshFormat.PLY:
-        return stored.read_bytes()
-    mesh = _mesh(stored)
-    if mesh_format is MeshFormat.GLB:
-        mesh.vertices = mesh.vertices @ MM_Z_UP_TO_M_Y_UP.T
-    exported = BytesIO()
-    mesh.export(exported, file_type=mesh_format)
-    return exported.getvalue()
+Responses = dict[int | str, dict[str, Any]]
+NOT_MODIFIED: Responses = {304: {"description": "Unchanged: the client has this file already"}}
+IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404)}
+MESH: Responses = {
+    200: {"content": {media_type: {} for media_type in MEDIA_TYPES.values()}},
+    **NOT_MODIFIED,
+}
 
 
-def preview_png(folder: Path) -> bytes:
-    """Render the mesh, once: the picture is kept beside it. Raise `NotKeptError` without a mesh."""
-    kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
-    if kept.exists():
-        return kept.read_bytes()
-    mesh = _mesh(_stored(folder / "mesh.ply"))
-    image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
-    png = encode_png(image_rgb[..., ::-1])
-    with replacing(kept) as unfinished:
-        unfinished.write_bytes(png)
-    return png
+@router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(404, 406)})
+async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+    """Return the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up."""
+    formats = list(MEDIA_TYPES)
+    choice = best_match(request.headers.get("accept"), list(MEDIA_TYPES.values()))
+    if choice is None:
+        raise Problem(
+            406,
+            "not-acceptable",
+            "a mesh comes as " + ", ".join(MEDIA_TYPES.values()),
+            headers={"Vary": "Accept"},
+        )
+    return await _mesh_response(context, request, particle_id, formats[choice])
 
 
-def view_png(folder: Path, camera: str) -> bytes:
-    """Take one camera's image out of the archived bundle; raise `NotKeptError` where there is none."""
-    archive = _stored(folder / "bundle.tiff")
+@router.get(
+    "/{particle_id}/mesh.{mesh_format}",
+    response_class=Response,
+    responses={**MESH, **problem_responses(404)},
+)
+async def mesh_file(
+    context: Context, request: Request, particle_id: ParticleKey, mesh_format: MeshFormat
+) -> Response:
+    """Return the mesh in the format of the suffix: PLY or STL in mm with z up, or GLB in metres with y up."""
+    return await _mesh_response(context, request, particle_id, mesh_format)
+
+
+@router.get("/{particle_id}/preview.png", response_class=Response, responses=IMAGE)
+async def preview(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+    """Return a rendered picture of the mesh."""
+    record = await find_record(context, particle_id)
+    return await _file(context, request, record, "preview", "image/png", preview_png)
+
+
+@router.get("/{particle_id}/views/{camera}.png", response_class=Response, responses=IMAGE)
+async def view(context: Context, request: Request, particle_id: ParticleKey, camera: CameraName) -> Response:
+    """Return the image of one camera; 404 `not-kept` when the raw images were not kept or are gone."""
+    record = await _record_with_view(context, particle_id, camera)
+    return await _file(context, request, record, camera, "image/png", lambda folder: view_png(folder, camera))
+
+
+@router.get("/{particle_id}/views/{camera}/silhouette.png", response_class=Response, responses=IMAGE)
+async def silhouette(
+    context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
+) -> Response:
+    """Return the stone's silhouette in one view: 0 outside, 128 unknown, 255 inside."""
+    record = await _record_with_view(context, particle_id, camera)
+    return await _file(
+        context,
+        request,
+        record,
+        f"{camera}.silhouette",
+        "image/png",
+        lambda folder: silhouette_png(folder, camera),
+    )
+
+
+async def _record_with_view(context: ApiContext, key: str, camera: str) -> Record:
+    record = await find_record(context, key)
+    names_all_views = (
+        record["outcome"] != Outcome.REJECTED
+    )  # a rejection names only the views that it is about
+    if names_all_views and camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
+        raise Problem(404, "unknown-camera", f"particle {record['id']} has no view of a camera {camera!r}")
+    return record
+
+
+async def _mesh_response(
+    context: ApiContext, request: Request, key: str, mesh_format: MeshFormat
+) -> Response:
+    record = await find_record(context, key)
+    response = await _file(
+        context,
+        request,
+        record,
+        mesh_format,
+        MEDIA_TYPES[mesh_format],
+        lambda folder: mesh_bytes(folder, mesh_format),
+    )
+    response.headers["Vary"] = "Accept"
+    return response
+
+
+async def _file(
+    context: ApiContext,
+    request: Request,
+    record: Record,
+    name: str,
+    media_type: str,
+    load: Callable[[Path], bytes],
+) -> Response:
+    """Answer with a file of the particle, which the client may cache for ever; 304 when it has it."""
+    etag = f'"{record["id"]}.{name}"'
+    headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER}
+    if has_version(request.headers.get("if-none-match"), etag):
+        return Response(status_code=304, headers=headers)
     try:
-        header = read_header(archive)
-        bundle = read_bundle(archive, [*header.frames, *header.missing])
-    except RecordingError as err:
-        raise NotKeptError(err.problem) from err
-    frame = bundle.frames.get(CameraId(camera))
-    if frame is None:
-        raise NotKeptError(f"the view is missing: {bundle.missing.get(CameraId(camera), 'unknown camera')}")
-    return encode_png(frame.image)
+        async with context.rendering:
+            content = await asyncio.to_thread(load, context.store.particles_dir / record["id"])
+    except NotKeptError as err:
+        members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
+        raise Problem(
+            404, "not-kept", f"particle {record['id']} ({record['outcome']}): {err}", **members
+        ) from err
+    return Response(content, media_type=media_type, headers=headers)
 
 
-def silhouette_png(folder: Path, camera: str) -> bytes:
-    """Read one camera's silhouette (0 outside, 128 unknown, 255 inside); raise `NotKeptError` without it."""
-    try:
-        silhouettes = read_silhouettes(_stored(folder / "silhouettes.tiff"))
-    except RecordingError as err:
-        raise NotKeptError(err.problem) from err
-    labels = silhouettes.get(CameraId(camera))
-    if labels is None:
-        raise NotKeptError("the view is missing")
-    return encode_png(labels)
+def best_match(accept: str | None, offers: Sequence[str]) -> int | None:
+    """Return the index of the offer that the `Accept` header prefers, the earlier among equals; None without one."""
+    ranges = dict(_media_range(part) for part in (accept or "*/*").split(",") if part.strip())
+    weights = [_weight(offer, ranges) for offer in offers]
+    best = max(weights)
+    return weights.index(best) if best > 0 else None
 
 
-def encode_png(image: NDArray[np.uint8]) -> bytes:
-    """Encode a grey (H, W) or BGR (H, W, 3) image; fast rather than small."""
-    _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    return encoded.tobytes()
+def has_version(if_none_match: str | None, etag: str) -> bool:
+    """Return whether the `If-None-Match` header names this version."""
+    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
+    return etag in tags or "*" in tags
 
 
-def _stored(path: Path) -> Path:
-    if not path.is_file():
-        raise NotKeptError(f"{path.name} is not there")
-    return path
+def _media_range(part: str) -> tuple[str, float]:
+    """Return a media range of an `Accept` header and its weight; one that cannot be read weighs nothing."""
+    media_range, *parameters = (piece.strip().lower() for piece in part.split(";"))
+    for parameter in parameters:
+        if parameter.startswith("q="):
+            try:
+                return media_range, float(parameter[2:])
+            except ValueError:
+                return media_range, 0.0
+    return media_range, 1.0
 
 
-def _mesh(path: Path) -> "trimesh.Trimesh":
-    import trimesh  # here: with all that it brings it is a tenth of the daemon's start
-
-    return trimesh.load_mesh(path, process=False)
+def _weight(offer: str, ranges: dict[str, float]) -> float:
+    """Return the weight of the most specific media range that covers the offer."""
+    for media_range in (offer, f"{offer.split('/')[0]}/*", "*/*"):
+        if media_range in ranges:
+            return ranges[media_range]
+    return 0.0

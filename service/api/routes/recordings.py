@@ -1,4 +1,4 @@
-"""Record what the cameras see, while measuring."""
+"""Record bundles of images while measuring."""
 
 from dataclasses import asdict
 from typing import Annotated, Any, Self
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import Problem, documented, found
+from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.recording.live_recording import RecordingState
@@ -19,22 +19,22 @@ router = APIRouter(prefix="/recordings", tags=["recordings"])
 
 NAME = r"^[A-Za-z0-9_-]{1,64}$"
 RecordingName = Annotated[str, Path(pattern=NAME)]
-STATUS = {Refusal.EXISTS: 409, Refusal.RUNNING: 409, Refusal.NO_ROOM: 507}
+STATUS_OF_REFUSAL = {Refusal.EXISTS: 409, Refusal.RUNNING: 409, Refusal.NO_ROOM: 507}
 
 
 class Recording(BaseModel):
-    """A recording: `complete` ones can be replayed and measured, `failed` ones have left nothing to use."""
+    """State of a recording. A `complete` one can be replayed and measured, a `failed` one left no usable files."""
 
     name: str
     state: RecordingState
     created_at: str = Field(description="RFC 3339 UTC", json_schema_extra=TIME)
-    bundles: int = Field(description="Written so far, exposures of the empty rig included")
+    bundles: int = Field(description="Bundles written so far, exposures of the empty rig included")
     bytes: int = Field(description="Size of the bundles on disk")
     ended_by: str | None = Field(
-        description="`count`, `duration` or `stop` as asked for; `low_disk` or `slow_disk`: it is shorter than"
-        " that; null while it runs"
+        description="Why it ended: `count`, `duration` or `stop` as requested; `low_disk` or `slow_disk`: earlier than"
+        " requested; null while it runs"
     )
-    reason: str | None = Field(description="Why it failed, for people")
+    reason: str | None = Field(description="Why it failed, in words; null unless `failed`")
     made_by: dict[str, Any] = Field(description="How it was made, as in recording.json")
 
 
@@ -45,15 +45,22 @@ class Recordings(BaseModel):
 
 
 class RecordingRequest(BaseModel):
-    """What to record. It ends with whatever of `count` and `duration_s` comes first."""
+    """What to record. It ends when `count` or `duration_s` is reached, whichever comes first."""
 
     model_config = ConfigDict(extra="forbid")
 
-    name: str = Field(pattern=NAME)
-    count: int | None = Field(default=None, ge=1, le=1_000_000, description="So many stones from now on")
-    duration_s: float | None = Field(default=None, gt=0, le=86_400, description="So many seconds from now on")
+    name: str = Field(pattern=NAME, description="Name of its folder; must be new")
+    count: int | None = Field(
+        default=None, ge=1, le=1_000_000, description="Number of stones to record from now on"
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, le=86_400, description="Seconds to record from now on"
+    )
     pre_trigger: int = Field(
-        default=0, ge=0, le=1000, description="So many stones before now as well, as far as they are kept"
+        default=0,
+        ge=0,
+        le=1000,
+        description="Number of stones before now to record as well, as far as their frames are kept",
     )
 
     @model_validator(mode="after")
@@ -64,10 +71,10 @@ class RecordingRequest(BaseModel):
 
 
 @router.get(
-    "", response_model=Recordings, dependencies=[Depends(require(Scope.READ))], responses=documented()
+    "", response_model=Recordings, dependencies=[Depends(require(Scope.READ))], responses=problem_responses()
 )
 async def recordings(context: Context) -> dict[str, Any]:
-    """All recordings, and those that failed since the daemon was started."""
+    """Return all recordings, including those that failed since the daemon was started."""
     return {"items": [asdict(status) for status in await context.control.recordings.all()]}
 
 
@@ -76,14 +83,14 @@ async def recordings(context: Context) -> dict[str, Any]:
     status_code=201,
     response_model=Recording,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(409, 507),
+    responses=problem_responses(409, 507),
 )
 async def start_recording(context: Context, wanted: RecordingRequest, response: Response) -> dict[str, Any]:
-    """Begin a recording, one at a time; 409 when one is under way or the name is taken, 507 without room."""
+    """Begin a recording. 409 while another one is running or when the name is taken, 507 without disk space."""
     try:
         status = await context.control.recordings.start(RecordingPlan(**wanted.model_dump()))
     except RecordingRefusedError as err:
-        raise Problem(STATUS[err.refusal], err.refusal, str(err)) from err
+        raise Problem(STATUS_OF_REFUSAL[err.refusal], err.refusal, str(err)) from err
     response.headers["Location"] = f"{BASE}/recordings/{status.name}"
     return asdict(status)
 
@@ -92,19 +99,19 @@ async def start_recording(context: Context, wanted: RecordingRequest, response: 
     "/{name}",
     response_model=Recording,
     dependencies=[Depends(require(Scope.READ))],
-    responses=documented(404),
+    responses=problem_responses(404),
 )
 async def recording(context: Context, name: RecordingName) -> dict[str, Any]:
-    """How far a recording is, or what it has become."""
-    return asdict(found(await context.control.recordings.find(name), "recording", repr(name)))
+    """Return the state of one recording."""
+    return asdict(existing(await context.control.recordings.find(name), "recording", repr(name)))
 
 
 @router.post(
     "/{name}/stop",
     response_model=Recording,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(404),
+    responses=problem_responses(404),
 )
 async def stop_recording(context: Context, name: RecordingName) -> dict[str, Any]:
-    """End a recording early, keep what it has, and answer when it is complete; repeating changes nothing."""
-    return asdict(found(await context.control.recordings.stop(name), "recording", repr(name)))
+    """End a recording early, keep what it has, and answer when it is complete. Repeating changes nothing."""
+    return asdict(existing(await context.control.recordings.stop(name), "recording", repr(name)))

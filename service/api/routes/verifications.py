@@ -1,4 +1,4 @@
-"""Verify the rig with a ball of a known diameter while the daemon runs."""
+"""Verify the rig with a ball of known diameter while the daemon runs."""
 
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import documented, found
+from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.calibration.verifications import Verification, VerificationPlan, VerificationState
@@ -20,12 +20,12 @@ VerificationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id
 
 
 class VerificationRequest(BaseModel):
-    """What to verify with: the next balls that fall."""
+    """What to verify with."""
 
     model_config = ConfigDict(extra="forbid")
 
-    diameter_mm: float = Field(default=15.0, ge=1, le=50, description="Of the ball, mm")
-    count: int = Field(default=5, ge=2, le=100, description="So many balls are measured")
+    diameter_mm: float = Field(default=15.0, ge=1, le=50, description="Diameter of the ball, mm")
+    count: int = Field(default=5, ge=2, le=100, description="Number of drops to measure")
     note: Annotated[str, Field(max_length=2000)] | None = None
     by: Annotated[str, Field(min_length=1, max_length=200)] | None = None
 
@@ -34,33 +34,37 @@ class VerifiedBallDocument(BaseModel):
     """One ball as it was measured."""
 
     bundle: str
-    equivalent_diameter_mm: float | None = Field(description="Null when it was rejected")
-    vertical_minus_horizontal_mm: float | None = Field(description="Of its diameter, mm")
-    detail: str | None = Field(description="Why it was rejected")
+    equivalent_diameter_mm: float | None = Field(
+        description="Diameter of the sphere of equal volume, mm; null when rejected"
+    )
+    vertical_minus_horizontal_mm: float | None = Field(
+        description="Vertical minus horizontal diameter, mm; null: unknown"
+    )
+    detail: str | None = Field(description="Why it was rejected; null when it was measured")
 
 
 class VerificationSummary(BaseModel):
-    """Over the balls measured so far."""
+    """Averages over the balls measured so far; the limits are those of `[verification]` in the configuration."""
 
     error_mm: float = Field(
-        description="Mean of the equivalent diameter minus the true one, mm; limit 0.10 either way by default"
+        description="Mean of the equivalent diameters minus the true one, mm; default limit 0.10 either way"
     )
-    sd_mm: float = Field(description="Of the equivalent diameter, mm; limit 0.05 by default")
+    sd_mm: float = Field(description="Standard deviation of the equivalent diameters, mm; default limit 0.05")
     vertical_minus_horizontal_mm: float | None = Field(
-        description="Mean of the diameter, mm; limit 0.05 either way by default"
+        description="Mean of vertical minus horizontal diameter, mm; default limit 0.05 either way"
     )
 
 
 class VerificationDocument(BaseModel):
-    """A verification, under way or with its verdict."""
+    """A verification: its balls, and its verdict once they are complete."""
 
     id: str
     state: VerificationState
-    diameter_mm: float = Field(description="Of the ball, as entered; mm")
-    count: int = Field(description="Balls to measure; rejected ones do not count")
-    calibration_id: str = Field(description="Calibration that is verified")
+    diameter_mm: float = Field(description="Diameter of the ball as requested, mm")
+    count: int = Field(description="Number of drops to measure; rejected ones do not count")
+    calibration_id: str = Field(description="`calibration_id` of the calibration that is verified")
     created_at: str = Field(json_schema_extra=TIME)
-    changed_at: str = Field(description="The last ball, or the end", json_schema_extra=TIME)
+    changed_at: str = Field(description="The latest ball, or the end", json_schema_extra=TIME)
     by: str | None
     note: str | None
     summary: VerificationSummary | None = Field(description="Null before the first ball")
@@ -75,10 +79,13 @@ class Verifications(BaseModel):
 
 
 @router.get(
-    "", response_model=Verifications, dependencies=[Depends(require(Scope.READ))], responses=documented()
+    "",
+    response_model=Verifications,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
 )
 async def verifications(context: Context) -> dict[str, Any]:
-    """All verifications, newest first."""
+    """Return all verifications, newest first."""
     return {"items": [_document(each) for each in context.control.calibrations.verifications.all()]}
 
 
@@ -87,15 +94,16 @@ async def verifications(context: Context) -> dict[str, Any]:
     status_code=201,
     response_model=VerificationDocument,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(409),
+    responses=problem_responses(409),
 )
 async def start_verification(
     context: Context, wanted: VerificationRequest, response: Response
 ) -> dict[str, Any]:
-    """Measure the next balls with the calibration in use; ask for it again until there is a verdict.
+    """Measure the next balls with the calibration in use. Get it again until its state is `passed` or `failed`.
 
-    409 while somebody else waits for balls, or when none would be seen. On live cameras all that falls is a `ball`
-    until then. A failed verification makes the rig *out of specification*, it does not stop it.
+    409 while another verification or a calibration is open, or when the rig cannot see drops (`held`,
+    `disarming`, `stopping`). On live cameras everything that falls until the verdict has the kind `ball`. A failed
+    verification puts the rig *out of specification*; it keeps measuring.
     """
     control = context.control
     plan = VerificationPlan(**wanted.model_dump())
@@ -108,24 +116,24 @@ async def start_verification(
     "/{verification}",
     response_model=VerificationDocument,
     dependencies=[Depends(require(Scope.READ))],
-    responses=documented(404),
+    responses=problem_responses(404),
 )
 async def verification(context: Context, verification: VerificationName) -> dict[str, Any]:
-    """How far a verification is, or its verdict."""
+    """Return one verification."""
     known = context.control.calibrations.verifications.find(verification)
-    return _document(found(known, "verification", verification))
+    return _document(existing(known, "verification", verification))
 
 
 @router.post(
     "/{verification}/cancel",
     response_model=VerificationDocument,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=documented(404),
+    responses=problem_responses(404),
 )
 async def cancel_verification(context: Context, verification: VerificationName) -> dict[str, Any]:
-    """End a verification without a verdict; one that has ended stays as it is."""
-    cancelled = await context.control.calibrations.verifications.cancel(verification, "somebody cancelled it")
-    return _document(found(cancelled, "verification", verification))
+    """Cancel a verification: it ends without a verdict. One that has ended stays as it is."""
+    cancelled = await context.control.calibrations.verifications.cancel(verification, "cancelled on request")
+    return _document(existing(cancelled, "verification", verification))
 
 
 def _document(verification: Verification) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.bundles import stream, without_views
 from pipeline.synthesis.stones import stone
+from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.quality import Quality, ViewsParameters
 
 RIG = rendered.rig()
@@ -75,7 +76,7 @@ def test_density_makes_a_mass() -> None:
 def test_missing_views_lower_the_quality(missing: list[str], quality: Quality) -> None:
     result = measured(lacking(missing))
     assert result.quality is quality
-    assert dict.fromkeys(missing, "no frame") == dict(result.dropped)
+    assert dict.fromkeys(missing, DroppedView(DropCause.NO_FRAME, "no frame")) == dict(result.dropped)
     assert set(result.views) == set(RIG.camera_ids) - set(missing)
     measurement = result.measurement
     assert measurement is not None
@@ -101,7 +102,7 @@ def test_a_wrong_view_is_dropped_and_named() -> None:
     result = measured(replace(bundle, frames=frames))
     assert result.quality is Quality.GOOD
     assert list(result.dropped) == ["c06"]
-    assert "contradicts" in result.dropped[CameraId("c06")]
+    assert result.dropped[CameraId("c06")].cause is DropCause.CONTRADICTION
     assert "c06" not in result.views
     measurement = result.measurement
     assert measurement is not None
@@ -113,7 +114,7 @@ def test_an_empty_view_is_dropped_and_named() -> None:
     empty = rendered.bundle_of(number=6).frames[CameraId("c09")]
     result = measured(replace(bundle, frames={**bundle.frames, CameraId("c09"): empty}))
     assert result.quality is Quality.GOOD
-    assert dict(result.dropped) == {"c09": "empty"}
+    assert dict(result.dropped) == {"c09": DroppedView(DropCause.UNUSABLE, "empty")}
 
 
 def test_the_empty_rig_is_rejected_as_empty() -> None:

@@ -1,4 +1,4 @@
-"""What is wrong with drops, told before anything is solved; drops are analytic, no image is rendered."""
+"""Problems of drops, found before anything is solved; drops are analytic, no image is rendered."""
 
 import re
 from collections.abc import Sequence

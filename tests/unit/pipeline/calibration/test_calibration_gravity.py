@@ -1,4 +1,4 @@
-"""Where down is, from balls exposed at different times of their fall."""
+"""Direction of gravity, from balls exposed at different times of their fall."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Balls in images: the outline is where it must be, and what is no ball is refused."""
+"""Balls in images: their outlines are accurate, and other bodies are refused."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ def seen(bundle: FrameBundle) -> BallDrop:
 
 
 def offsets_px(drop: BallDrop, rig: RigCalibration, at_mm: Sequence[float]) -> np.ndarray:
-    """(V, 3) by how much each view is too large, and off in u and v."""
+    """Return by how much each view (V, 3) is too large, and off in u and v."""
     truth = Solution(
         initial=rig.cameras,
         parameters=np.zeros((len(rig.cameras), N_CAMERA)),

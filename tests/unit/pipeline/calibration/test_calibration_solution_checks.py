@@ -1,4 +1,4 @@
-"""What is wrong with a solution, told from the solution; drops are analytic, no image is rendered."""
+"""Problems of a solution; drops are analytic, no image is rendered."""
 
 import re
 from collections.abc import Sequence

@@ -22,7 +22,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import SilhouetteSet
 from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
 from pipeline.synthesis.bundles import stream
-from pipeline.synthesis.irregular_bodies import irregular
+from pipeline.synthesis.irregular_bodies import irregular_body
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 from pipeline.views.prepared import prepare_views
@@ -51,7 +51,7 @@ def body(name: str, rng: np.random.Generator) -> Body:
         case "flaky":
             return stone("flaky", 18.0, rng)
         case "two-lobed":
-            return irregular("two-lobed", 20.0, rng)
+            return irregular_body("two-lobed", 20.0, rng)
     return form(name, rng)
 
 

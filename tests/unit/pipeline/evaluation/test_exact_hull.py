@@ -1,4 +1,4 @@
-"""The floor of all hulls: exact ones against analytic and polyhedral ones."""
+"""Exact hulls against analytic and polyhedral ones."""
 
 from typing import Literal
 
@@ -17,7 +17,7 @@ from pipeline.measuring import sphere_hull_excess
 from pipeline.meshing import mesh_hull
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.irregular_bodies import irregular
+from pipeline.synthesis.irregular_bodies import irregular_body
 from pipeline.views.prepared import prepare_views
 
 NOMINAL = nominal_rig()
@@ -35,7 +35,7 @@ def posed(mesh: trimesh.Trimesh, seed: int) -> tuple[trimesh.Trimesh, NDArray[np
 
 
 def polyhedral_hull_volume(corners_mm: NDArray[np.float64], rig: RigCalibration) -> float:
-    """Visual hull of a convex body as the intersection of all planes that touch it from a camera."""
+    """Return the volume of a convex body's visual hull, the intersection of all planes that touch it from a camera."""
     planes = []
     for camera in rig.cameras:
         rays = (corners_mm - camera.center_mm) @ camera.R.T
@@ -162,12 +162,12 @@ def test_star_center() -> None:
     moved = CUBE.copy()
     moved.apply_translation([3, 4, 5])
     np.testing.assert_allclose(star_center_mm(moved), [3, 4, 5], atol=1e-6)
-    horseshoe = irregular("horseshoe", 20.0, np.random.default_rng(0))
+    horseshoe = irregular_body("horseshoe", 20.0, np.random.default_rng(0))
     assert star_center_mm(horseshoe.mesh) is None
 
 
 def test_every_point_of_an_l_is_seen_from_its_corner_alone() -> None:
-    tromino = irregular("tromino", 20.0, np.random.default_rng(1)).mesh
+    tromino = irregular_body("tromino", 20.0, np.random.default_rng(1)).mesh
     center_mm = star_center_mm(tromino)
     assert center_mm is not None
     seen_from = np.einsum("ij,ij->i", tromino.triangles_center - center_mm, tromino.face_normals)

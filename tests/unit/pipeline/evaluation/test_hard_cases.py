@@ -1,4 +1,4 @@
-"""Hard views: reproducible, and their truth is what was photographed."""
+"""Hard views are reproducible, and their truth is what was rendered."""
 
 from functools import cache
 
@@ -16,7 +16,7 @@ def view(case: HardCase, seed: int = 31, with_background: bool = True) -> HardVi
 
 
 def expected(hard: HardView) -> np.ndarray:
-    """What the empty rig would show in this flash, without any trouble."""
+    """Return what the empty rig would show in this flash, without any disturbance."""
     known = hard.background[hard.frame.camera]
     return known.mean * flash_gain(hard.frame.image.astype(np.float32), known.mean)
 

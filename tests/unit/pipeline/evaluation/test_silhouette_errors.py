@@ -1,4 +1,4 @@
-"""Silhouettes of discs, whose every error is known."""
+"""Errors of silhouettes of discs, where every error is known."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def radii(center_uv: tuple[float, float]) -> NDArray[np.float64]:
 
 
 def disc(radius_px: float, center_uv: tuple[float, float] = MIDDLE) -> NDArray[np.float32]:
-    """Coverage (H, W) by a disc behind a lens that blurs 0.7 px."""
+    """Return the coverage (H, W) by a disc behind a lens that blurs 0.7 px."""
     return ndtr((radius_px - radii(center_uv)) / 0.7).astype(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Distances between surfaces against formulas, and rigs against rigs that were moved."""
+"""Distances between surfaces against formulas, and errors of rigs against rigid motions."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ def test_samples_are_even() -> None:
 
 
 def transformed(rig: RigCalibration, turn: Rotation, t_mm: np.ndarray, scale: float) -> RigCalibration:
-    """The rig that images scale * (turn x + t) where `rig` images x."""
+    """Return the rig that images scale * (turn x + t) where `rig` images x."""
     cameras = []
     for camera in rig.cameras:
         R = camera.R @ turn.inv().as_matrix()

@@ -13,17 +13,16 @@ from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 from support.quick_and_full import examples
 
+from pipeline.arrays import Singles
 from pipeline.carving import LEAF, VisualHull, all_leaves
 from pipeline.meshing import Mesher, mesh_hull
 from pipeline.meshing.cubes import march
-
-Field = NDArray[np.float32]
 
 SHAPES = st.tuples(*[st.integers(3, 14)] * 3)
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def noise(shape: tuple[int, ...], seed: int, smoothness: float = 0.0) -> Field:
+def noise(shape: tuple[int, ...], seed: int, smoothness: float = 0.0) -> Singles:
     """Samples about 0, never on it; the outermost ones are negative."""
     values = gaussian_filter(np.random.default_rng(seed).normal(size=shape), smoothness)
     values[np.abs(values) < 1e-3] = 1e-3
@@ -33,26 +32,26 @@ def noise(shape: tuple[int, ...], seed: int, smoothness: float = 0.0) -> Field:
     return field
 
 
-def ball(n: int, radius: float, center: tuple[float, float, float]) -> Field:
+def ball(n: int, radius: float, center: tuple[float, float, float]) -> Singles:
     from_center = np.indices((n, n, n)) - np.reshape(center, (3, 1, 1, 1))
     field = (radius - np.linalg.norm(from_center, axis=0)).astype(np.float32)
     field[field == 0] = 1e-4
     return field
 
 
-def surface(field: Field, level: float = 0.0) -> trimesh.Trimesh:
+def surface(field: Singles, level: float = 0.0) -> trimesh.Trimesh:
     vertices, faces = march(field, level, all_leaves(field.shape))
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def skimage_surface(
-    field: Field, level: float = 0.0, method: Literal["lewiner", "lorensen"] = "lorensen"
+    field: Singles, level: float = 0.0, method: Literal["lewiner", "lorensen"] = "lorensen"
 ) -> trimesh.Trimesh:
     vertices, faces, _, _ = marching_cubes(field, level, gradient_direction="ascent", method=method)
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def hull_of(field: Field, leaves: NDArray[np.int32] | None = None) -> VisualHull:
+def hull_of(field: Singles, leaves: NDArray[np.int32] | None = None) -> VisualHull:
     return VisualHull(
         field=field,
         leaves=all_leaves(field.shape) if leaves is None else leaves,
@@ -70,7 +69,7 @@ def assert_same_points(points: NDArray[np.float64], others: NDArray[np.float64])
     assert len(np.unique(nearest)) == len(others)
 
 
-def assert_closed_over_all_cut_edges(field: Field) -> None:
+def assert_closed_over_all_cut_edges(field: Singles) -> None:
     mesh = surface(field)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -130,13 +129,13 @@ def test_faces_look_towards_where_the_field_is_lower() -> None:
     assert (np.einsum("ij,ij->i", mesh.face_normals, outwards) > 0).all()
 
 
-def cut_leaves(field: Field, first: int = 0) -> NDArray[np.int32]:
+def cut_leaves(field: Singles, first: int = 0) -> NDArray[np.int32]:
     """Leaves that begin at `first` along each axis, and that the surface cuts."""
     leaves = first + all_leaves(tuple(n - first for n in field.shape))
     return leaves[[0 < np.mean(block_at(field, leaf) > 0) < 1 for leaf in leaves]]
 
 
-def block_at(field: Field, leaf: NDArray[np.int32]) -> Field:
+def block_at(field: Singles, leaf: NDArray[np.int32]) -> Singles:
     """The samples of a leaf's cubes, as a view."""
     return field[tuple(slice(first, first + LEAF + 1) for first in leaf)]
 

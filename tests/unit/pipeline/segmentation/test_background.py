@@ -1,4 +1,4 @@
-"""The background learns light and dust, never a stone; the light of one exposure is read off that exposure."""
+"""The background learns light and dust, never a stone; the light of one exposure is estimated from that exposure."""
 
 from functools import cache
 
@@ -31,7 +31,7 @@ V, U = np.mgrid[-1 : 1 : HEIGHT * 1j, -1 : 1 : WIDTH * 1j].astype(np.float32)
 
 @cache
 def wall() -> NDArray[np.float32]:
-    """A wall with vignetting, a seam and two dark dots."""
+    """Return a wall with vignetting, a seam and two dark dots."""
     grey = 200 * (1 - 0.06 * (U**2 + V**2))
     grey[:, 300:306] *= 0.85
     for center in ((120, 90), (500, 400)):
@@ -40,7 +40,7 @@ def wall() -> NDArray[np.float32]:
 
 
 def seen(grey: NDArray[np.float32], seed: int) -> Frame:
-    """A frame of these grey levels with the sensor's noise."""
+    """Return a frame of these grey levels with the sensor's noise."""
     noisy = grey + np.random.default_rng(seed).normal(0, 2, grey.shape)
     image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     return Frame(camera=C02, image=image, frame_id=seed, device_ns=0, received_ns=0)
@@ -49,7 +49,7 @@ def seen(grey: NDArray[np.float32], seed: int) -> Frame:
 def with_disc(
     center_uv: tuple[float, float], radius_px: float, grey: float = 70.0, share: float = 1.0
 ) -> NDArray[np.float32]:
-    """The wall behind a body, or a cloud that covers a share of it."""
+    """Return the wall behind a body, or behind a cloud that covers a share of it."""
     distance = np.hypot((U + 1) / 2 * (WIDTH - 1) - center_uv[0], (V + 1) / 2 * (HEIGHT - 1) - center_uv[1])
     cover = share * np.clip(radius_px - distance + 0.5, 0, 1)
     return (wall() * (1 - cover) + grey * cover).astype(np.float32)
@@ -67,7 +67,7 @@ def after(model: dict[CameraId, CameraBackground], *greys: NDArray[np.float32]) 
 
 
 def deviation(known: CameraBackground) -> float:
-    """Greatest error of the model against the wall, in blocks that average the noise."""
+    """Return the greatest error of the model against the wall, in blocks that average the noise."""
     return float(np.abs(coarsen(known.mean) - coarsen(wall())).max())
 
 
@@ -153,7 +153,7 @@ def compared_view(image: NDArray[np.uint8], known: CameraBackground) -> Compared
 
 
 def light_of(grey: NDArray[np.float32], seed: int = 7) -> NDArray[np.float32]:
-    """As the segmenter finds it, from one pixel of each block."""
+    """Return the light that the segmenter finds, from one pixel of each block."""
     empty = compared_view(seen(grey, seed).image, learnt())
     gain = np.full(empty.seen.shape, empty.gain, np.float32)
     return gain if empty.light is None else gain * empty.light
@@ -189,7 +189,7 @@ def test_a_bright_body_lights_nothing(grey: float) -> None:
 
 @pytest.mark.parametrize("free", [8, 33, 130])
 def test_a_body_that_leaves_a_strip_of_the_wall(free: int) -> None:
-    """From a tenth of the view on its light is told; of less there is some light at least."""
+    """A visible tenth of the view determines the light; with less the light is finite at least."""
     tilted = (0.9 + 0.1 * U).astype(np.float32)
     hidden = np.where(np.arange(WIDTH) < free, wall(), 60) * tilted
     found = light_of(hidden.astype(np.float32))

@@ -1,4 +1,4 @@
-"""The edge between what is surely body and what may be: against arrays and formulas."""
+"""Sub-pixel edges between the core and what is possible, against arrays and formulas."""
 
 import os
 import subprocess
@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 from support.flat_delineation import flat_delineation
 from support.quick_and_full import examples
 
+from pipeline.arrays import Floats, GreyImage, Mask, PointsUV
 from pipeline.segmentation import edge_refinement, local_threshold, subpixel_edge
 from pipeline.segmentation.delineation import Delineation, delineate
 from pipeline.segmentation.local_threshold import trimap_of
@@ -24,11 +24,10 @@ from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE
 
 SIZE_PX = 220
 WALL, BODY, BRIGHT = 130.0, 30.0, 230.0
-Mask = NDArray[np.bool_]
 
 
-def blob_px(rng: np.random.Generator, radius_px: float) -> NDArray[np.float64]:
-    """Distances (h, w), nearly, to the edge of a disc with bumps, positive within."""
+def blob_px(rng: np.random.Generator, radius_px: float) -> Floats:
+    """Return approximate distances (h, w) to the edge of a disc with bumps, positive within."""
     v, u = np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2 + rng.uniform(-3, 3, size=(2, 1, 1))
     angle, bumps = np.arctan2(v, u), np.zeros((SIZE_PX, SIZE_PX))
     for waves in (2, 3, 5):
@@ -36,33 +35,31 @@ def blob_px(rng: np.random.Generator, radius_px: float) -> NDArray[np.float64]:
     return radius_px * (1 + bumps) - np.hypot(u, v)
 
 
-def photographed(
-    true_px: NDArray[np.float64], rng: np.random.Generator, noise: float, grey: float = BODY
-) -> NDArray[np.uint8]:
+def photographed(true_px: Floats, rng: np.random.Generator, noise: float, grey: float = BODY) -> GreyImage:
     image = WALL + (grey - WALL) * ndtr(true_px / 0.8) + noise * rng.normal(size=true_px.shape)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def masks_of(true_px: NDArray[np.float64]) -> tuple[Mask, Mask, Mask]:
-    """Core, possible and unknown (h, w)."""
+def masks_of(true_px: Floats) -> tuple[Mask, Mask, Mask]:
+    """Return masks (h, w) of core, possible and unknown pixels."""
     return blocky(true_px > 4.5), blocky(true_px > -4.5), np.zeros(true_px.shape, bool)
 
 
 def blocky(mask: Mask) -> Mask:
-    """The mask (h, w) with the same for each block of 2 x 2."""
+    """Return the mask (h, w) made constant over blocks of 2 x 2."""
     height, width = mask.shape
     return np.asarray(mask[::2, ::2].repeat(2, axis=0).repeat(2, axis=1)[:height, :width])
 
 
-def halved(*masks: Mask) -> NDArray[np.uint8]:
+def halved(*masks: Mask) -> GreyImage:
     return trimap_of(*(mask[::2, ::2] for mask in masks))
 
 
-def wall() -> NDArray[np.uint8]:
+def wall() -> GreyImage:
     return np.full((SIZE_PX, SIZE_PX), WALL, np.uint8)
 
 
-def outline_of(found: Delineation) -> NDArray[np.float64]:
+def outline_of(found: Delineation) -> PointsUV:
     assert found.edge is not None
     return found.edge.outline_uv
 
@@ -161,7 +158,7 @@ def test_a_step_within_the_body_is_not_taken_for_its_edge() -> None:
     assert found.edge.seen.mean() > 0.45, "the other half is seen"
 
 
-def blurred(image: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
+def blurred(image: Floats, rng: np.random.Generator) -> GreyImage:
     noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(size=image.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 

@@ -45,7 +45,7 @@ def simulated() -> SimulatedRig:
 
 @cache
 def one_camera() -> SimulatedRig:
-    """The dirty one, in the same housing."""
+    """Return the rig with the dirty camera alone, in the same housing."""
     whole = simulated()
     return SimulatedRig(
         rig=whole.rig.subset([DIRTY]), backgrounds=whole.backgrounds, parameters=whole.parameters
@@ -61,20 +61,20 @@ def background() -> BackgroundModel:
 
 
 def measured(disturbances: Mapping[CameraId, Disturbance]) -> ParticleResult:
-    """A 15 mm sphere; the noise of the images is always the same."""
+    """Measure a 15 mm sphere; the noise of the images is always the same."""
     bundle = render_bundle([BODY], simulated(), stream(7, 2), sequence=2, disturbances=disturbances)
     return measure_bundle(bundle, rig(), background(), BackgroundSegmenter(), PipelineParameters())
 
 
 def light(loss: float, *, one_sided: bool) -> Disturbance:
-    """Less light for all that a camera sees, or from nothing at its left border to twice as much at its right."""
+    """Dim all that a camera sees, or ramp its light from nothing at the left border to twice as much at the right."""
     share = np.broadcast_to(1 - loss * (1 + U if one_sided else np.ones_like(U)), SIZE_PX[::-1])
     return Disturbance(wall_light=share, body_light=share)
 
 
 @cache
 def true_figures() -> tuple[float, float]:
-    """Diameters of volume and of the hull, mm, in the light that the background was learnt in."""
+    """Return the diameters of volume and of the hull, mm, in the light that the background was learnt in."""
     return diameters_mm(measured({}))
 
 
@@ -114,7 +114,7 @@ def test_a_window_that_gets_dusty_is_told_and_measures_on() -> None:
 
 
 def test_a_splash_of_mud_before_the_outline_costs_what_it_hides() -> None:
-    """E1, the last of it: what nobody can see does not carve, what the others contradict is left out."""
+    """E1, at its worst: hidden pixels do not carve, a view that the others contradict is left out."""
     (camera,) = rig().subset([DIRTY]).cameras
     ((u, v),) = camera.project([CENTER_MM])[0]
     away_px = np.hypot(*np.meshgrid(np.arange(SIZE_PX[0]) - u - 170, np.arange(SIZE_PX[1]) - v))

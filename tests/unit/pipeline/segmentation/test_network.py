@@ -1,4 +1,4 @@
-"""ONNX files as networks: what is taken, what is refused, and where they run."""
+"""ONNX files as networks: which are accepted, which are refused, and where they run."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ from pipeline.segmentation.u2net import saliency, u2net_input
 
 
 def _disc(height: int, width: int, radius_px: int) -> Singles:
-    """A dark disc in the middle before a wall of 1."""
+    """Return a dark disc in the middle before a wall of 1."""
     v, u = np.mgrid[:height, :width]
     inside = np.hypot(u - width / 2, v - height / 2) < radius_px
     return np.where(inside, 0.3, 1.0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The rectangle of an image that the network is given, and what lies behind it."""
+"""The rectangle of an image that the network sees, and the background in it."""
 
 import cv2
 import numpy as np

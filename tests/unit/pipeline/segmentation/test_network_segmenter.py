@@ -1,4 +1,4 @@
-"""Both segmenters on the same views, and what only the network's one can do."""
+"""Both segmenters on the same views, and what only the network segmenter can do."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -59,7 +59,7 @@ def frame_of(image: np.ndarray) -> Frame:
 def scene(
     *discs: tuple[int, int, int], size_px: tuple[int, int] = (640, 512), grey: float = 70.0
 ) -> tuple[Frame, BackgroundModel]:
-    """Blurred dark discs (u, v, radius) before a wall of 200, without noise."""
+    """Return blurred dark discs (u, v, radius) before a wall of 200, without noise."""
     width, height = size_px
     v, u = np.mgrid[:height, :width].astype(np.float32)
     covered = np.zeros((height, width), np.float32)
@@ -132,7 +132,7 @@ def test_without_a_background_the_light_around_the_body_will_do() -> None:
 
 
 def off_outline_px(silhouette: Silhouette, other: Silhouette) -> np.ndarray:
-    """How far the outline points of one silhouette are outside of another's edge."""
+    """Return how far the outline points of one silhouette are outside of another's edge."""
     u, v = ((silhouette.outline_uv - other.offset_uv).T / FINE_PX).astype(np.float32)
     return -cv2.remap(other.fine_px, u[:, None], v[:, None], cv2.INTER_LINEAR).ravel()
 
@@ -223,7 +223,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
     segmenter = NetworkSegmenter(network, PARAMETERS)
     frame, background = scene((300, 250, 120))
     good, flagged = segmenter(frame, background), segmenter(frame, background)
-    assert (good.status, good.fallback) == (ViewStatus.OK, None)
+    assert (good.status, good.fallback, good.network_trouble) == (ViewStatus.OK, None, None)
     assert flagged.fallback is not None
     assert flagged.fallback.startswith(f"{GPU} failed, the CPU computes: ")
     np.testing.assert_array_equal(flagged.outline_uv, good.outline_uv)
@@ -231,6 +231,7 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
     choosing = ChoosingSegmenter(classical=BackgroundSegmenter(PARAMETERS), network=segmenter)
     chosen = choosing(frame, {})
     assert (chosen.found_by, chosen.fallback) == ("network", f"no background yet; {flagged.fallback}")
+    assert flagged.network_trouble == chosen.network_trouble == flagged.fallback
     wanted = replace(choosing, wanted="onnx")(frame, background)
     assert (wanted.found_by, wanted.fallback) == ("network", flagged.fallback)
     assert segmenter(*scene()).fallback == flagged.fallback

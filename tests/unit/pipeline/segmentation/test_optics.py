@@ -86,7 +86,7 @@ def truth() -> Silhouette:
 
 
 def transmitted(trouble: Disturbance) -> float:
-    """Mean light on the wall with this trouble, the veil included."""
+    """Return the mean light on the wall with this disturbance, the veil included."""
     clean = view().backgrounds[C05].radiance
     is_wall = clean > 0.5 * np.median(clean)
     return float(np.mean((clean * trouble.transmission + trouble.veil)[is_wall] / clean[is_wall]))
@@ -200,7 +200,7 @@ def test_without_a_background_to_compare_with_there_are_none(model: Mapping) -> 
 
 @st.composite
 def lights(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
-    """Uneven light (h, w), and where there is wall."""
+    """Return uneven light (h, w), and where there is wall."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     shape = draw(st.integers(2, 20)), draw(st.integers(2, 24))
     light = (1 + draw(st.floats(0, 0.2)) * rng.normal(size=shape)).astype(np.float32)
@@ -210,7 +210,7 @@ def lights(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sums_of(light: np.ndarray, is_wall: np.ndarray) -> np.ndarray:
-    """What `_fill_light` adds up in each column."""
+    """Return the sums that `_fill_light` forms in each column."""
     v = np.broadcast_to((2 * np.arange(len(light))[:, None] + 1) / len(light) - 1, light.shape)
     return np.stack(
         [

@@ -1,20 +1,18 @@
-"""What differs around a body, and at its rim: against dilations and erosions by OpenCV."""
+"""Shares that differ around a body and at its rim, against dilations and erosions by OpenCV."""
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from support.quick_and_full import examples
 
+from pipeline.arrays import Mask
 from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN
 
-Bits = NDArray[np.uint8]
 
-
-def grown(mask: NDArray[np.bool_], blocks: int) -> NDArray[np.bool_]:
+def grown(mask: Mask, blocks: int) -> Mask:
     square = np.ones((2 * blocks + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(mask.astype(np.uint8), square) > 0)
 

@@ -1,4 +1,4 @@
-"""What compiled loops mark is what numpy and OpenCV say, pixel by pixel."""
+"""Compiled loops mark the same pixels as numpy and OpenCV."""
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ sides = st.integers(1, 40)
 
 
 def view(height: int, width: int, seed: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """A wall with dark dots, and an image of it with blobs before it."""
+    """Return a wall with dark dots, and an image of it with blobs before it."""
     rng = np.random.default_rng(seed)
     wall = np.full((height, width), 200, np.uint8)
     wall[rng.random((height, width)) < 0.02] = 40

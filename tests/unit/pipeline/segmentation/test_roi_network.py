@@ -1,4 +1,4 @@
-"""The network that is shipped: the file it claims to be, small, and it finds bodies in views it never saw."""
+"""The shipped network: its checksum and size, and that it finds bodies in views it never saw."""
 
 import hashlib
 import json
@@ -11,12 +11,12 @@ import pytest
 
 from pipeline.evaluation.hard_cases import HardCase
 from pipeline.segmentation.network import FORMAT, load_network
-from pipeline.training.scores import Exam, Score, exam, score
+from pipeline.training.scores import Score, ValidationView, score, validation_view
 
 MODEL = files("pipeline.segmentation").joinpath("roi_network.onnx")
 DESCRIPTION = files("pipeline.segmentation").joinpath("roi_network.json")
 SEED = 8_000_001
-"""Neither trained nor examined on: those of the examination that came with the training are others."""
+"""Used neither for training nor for the scores that came with the training."""
 
 
 @cache
@@ -24,7 +24,7 @@ def content() -> bytes:
     return MODEL.read_bytes()
 
 
-def scored(one: Exam) -> Score:
+def scored(one: ValidationView) -> Score:
     (found,) = score([one], load_network(content()).probability).values()
     return found
 
@@ -59,10 +59,10 @@ def test_it_is_small() -> None:
     ],
 )
 def test_it_finds_the_body(case: HardCase, least_iou: float) -> None:
-    found = scored(exam(case, SEED))
+    found = scored(validation_view(case, SEED))
     assert found.iou > least_iou
     assert found.surely_wrong < 0.002
 
 
 def test_it_finds_the_body_without_a_background() -> None:
-    assert scored(exam(HardCase.CLEAN, SEED, with_background=False)).iou > 0.96
+    assert scored(validation_view(HardCase.CLEAN, SEED, with_background=False)).iou > 0.96

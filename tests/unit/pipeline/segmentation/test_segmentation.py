@@ -1,4 +1,4 @@
-"""Silhouettes on rendered images: the edge is unbiased, and what cannot be told is not guessed."""
+"""Silhouettes on rendered images: the edge is unbiased, and what cannot be decided is unknown."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ RIG = rendered.rig()
 
 
 def outline_errors_px(silhouette: Silhouette, center_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances of the outline to the true outline of the 15 mm sphere, positive outside."""
+    """Return distances of the outline to the true outline of the 15 mm sphere, positive outside."""
     camera = RIG.subset([silhouette.camera]).cameras[0]
     offset = center_mm - camera.center_mm
     angle = np.arccos(camera.rays(silhouette.outline_uv) @ offset / np.linalg.norm(offset))
@@ -127,7 +127,7 @@ def test_a_body_cut_by_the_border_is_told() -> None:
 
 
 def test_noise_is_no_body(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a broken sensor; to follow the contours of one such view took a minute, and every stone its deadline."""
+    """Noise of a broken sensor: following the contours of one such view took a minute, and every stone its deadline."""
     contours: list[int] = []
     find = cv2.findContours
 
@@ -152,7 +152,7 @@ def test_a_camera_without_background_is_told() -> None:
 
 
 def dotted(center_uv: tuple[int, int], radius_px: int) -> tuple[Frame, dict]:
-    """View c02 of the sphere with a dark dot of the background at a place of our choice, half hidden or not."""
+    """Return view c02 of the sphere with a dark dot of the background at a given place, half hidden or not."""
     camera = CameraId("c02")
     frame, known = rendered.sphere_bundle().frames[camera], rendered.background()[camera]
     dot = np.zeros(known.mean.shape, np.float32)

@@ -1,4 +1,4 @@
-"""Which segmenter a view is given to: each rule on made-up views, and the whole on photographed ones."""
+"""The choice of the segmenter: each rule on made-up views, and all of them on rendered ones."""
 
 from dataclasses import dataclass, field, replace
 
@@ -68,7 +68,7 @@ def known(image: Image) -> BackgroundModel:
 
 @dataclass
 class Network:
-    """A network that always sees the same, and notes how often it was asked."""
+    """A network that always returns the same, and records for which views it was asked."""
 
     status: ViewStatus = ViewStatus.OK
     outline_uv: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -121,7 +121,7 @@ def test_on_a_clean_rig_the_network_is_never_asked(image: Image, status: ViewSta
 
 
 def striped() -> Image:
-    """Shadows of something narrow, finer than the light is followed, and too weak to be bodies."""
+    """Cast narrow shadows, finer than the light is followed, and too weak to be bodies."""
     return np.where(U // 20 % 2 == 0, 0.88, 1.0) * wall()
 
 
@@ -130,7 +130,7 @@ def faint_stone() -> Image:
 
 
 def far_shadow() -> Image:
-    """Dark enough to be taken for a second body."""
+    """Cast a shadow dark enough to be taken for a second body."""
     return np.where(disc(60, 60, 40), 0.8 * WALL, with_stone(wall()))
 
 
@@ -173,7 +173,7 @@ def test_an_unusable_answer_is_not_taken(image: Image, behind: Image, reason: st
 
 
 @pytest.mark.parametrize(("unknown", "is_taken"), [(0.0, True), (0.25, True), (1.0, False)])
-def test_of_what_is_hidden_the_one_that_hides_less_is_taken(unknown: float, is_taken: bool):
+def test_the_silhouette_that_hides_less_is_taken(unknown: float, is_taken: bool):
     """The aperture leaves a third of the outline and half of the body unknown; of the network's outline it is more."""
     half = np.linspace(0, 1.2 * np.pi, 240)
     outline_uv = np.column_stack(
@@ -259,6 +259,7 @@ def test_a_network_that_breaks_is_no_reason_to_stop(wanted: SegmenterKind):
     assert (found.status, found.found_by) == (ViewStatus.OK, "background")
     assert found.fallback is not None
     assert found.fallback.endswith("model x: cannot be run: out of memory")
+    assert found.network_trouble == "model x: cannot be run: out of memory"
 
 
 @examples(0.25)
@@ -292,7 +293,7 @@ def test_no_image_is_too_strange(seed: int, shape: tuple[int, int]):
 
 @pytest.fixture(scope="module")
 def built_in() -> ChoosingSegmenter:
-    """With the network that comes with the program."""
+    """Return a segmenter with the built-in network."""
     parameters = SegmentationParameters()
     network = NetworkSegmenter(load_network(read_model()), parameters)
     return ChoosingSegmenter(classical=BackgroundSegmenter(parameters), network=network)
@@ -300,7 +301,7 @@ def built_in() -> ChoosingSegmenter:
 
 @pytest.fixture(scope="module")
 def shadowed() -> FrameBundle:
-    """A sphere of 15 mm, in three views a shadow on the wall behind it, and thick dust on three more windows."""
+    """Render a sphere of 15 mm, in three views with a shadow on the wall, in three with thick dust on the window."""
     simulated = rendered.simulated()
     shadows = {
         camera.id: cast_shadow(0.4, stream(rendered.SEED, 8, number), camera.image_size_px)

@@ -20,7 +20,7 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.renderer import SimulatedRig, View, illuminated, photograph, simulate_rig, view_of
+from pipeline.synthesis.renderer import SimulatedRig, View, illuminate, photograph, simulate_rig, view_of
 
 SIZE_PX = (1280, 1024)
 
@@ -38,8 +38,8 @@ def camera() -> CameraCalibration:
 
 
 def view(camera: CameraCalibration, disturbance: Disturbance) -> View:
-    """A sphere before the camera, always in the same light."""
-    surface = illuminated(rendered.placed(sphere()), np.random.default_rng(0))
+    """Return the view of a sphere before the camera, always in the same light."""
+    surface = illuminate(rendered.placed(sphere()), np.random.default_rng(0))
     return view_of([surface], camera, simulated(), disturbance)
 
 
@@ -101,7 +101,7 @@ def test_a_panel_that_fails_is_dark_itself_and_leaves_the_side_that_looks_at_it_
 
 def test_a_long_exposure_smears_along_the_fall(camera: CameraCalibration) -> None:
     def edge_px(profile: NDArray[np.float32]) -> float:
-        """Width of the rise from 10 to 90 %."""
+        """Return the width of the rise from 10 to 90 %."""
         rise = profile[: np.argmax(profile > 0.999)]
         return float(np.count_nonzero((rise > 0.1) & (rise < 0.9)))
 

@@ -1,4 +1,4 @@
-"""Bodies of other generators than the stones', and that the renderer takes them."""
+"""Irregular bodies have the size and form they are asked for, and their images cover what rays hit."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,15 @@ from support import rendered
 
 from pipeline.evaluation.trials import random_body
 from pipeline.measuring import measure_shape
-from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS, irregular
-from pipeline.synthesis.pixel_coverage import border, coverage, edges_of, window_around
+from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS, irregular_body
+from pipeline.synthesis.pixel_coverage import coverage, mesh_edges, silhouette_edges, window_around
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.shading import embree_scene
 
 
 @pytest.mark.parametrize("form", IRREGULAR_FORMS)
 def test_forms(form: str) -> None:
-    bodies = [irregular(form, 20.0, np.random.default_rng(seed)) for seed in (1, 2)]
+    bodies = [irregular_body(form, 20.0, np.random.default_rng(seed)) for seed in (1, 2)]
     assert bodies[0].mesh.volume != pytest.approx(bodies[1].mesh.volume, rel=1e-3)
     shape = measure_shape(bodies[0].mesh.vertices, bodies[0].mesh.faces)
     assert shape.max_feret_mm == pytest.approx(20.0, rel=1e-3)
@@ -27,15 +27,15 @@ def test_forms(form: str) -> None:
 
 @pytest.mark.parametrize("form", ["horseshoe", "rough"])
 def test_the_image_of_a_body_that_is_not_star_shaped(form: str) -> None:
-    """What the outline covers is what rays hit: no body must be star-shaped to be photographed."""
+    """The covered pixels are those that rays hit: bodies need not be star-shaped to be rendered."""
     rng = np.random.default_rng(5)
-    body = irregular(form, 20.0, rng)
+    body = irregular_body(form, 20.0, rng)
     mesh = tumble(body, rendered.rig(), rng).world_mesh
     for camera in rendered.rig().cameras[::5]:
         pixels_uv, _ = camera.project(mesh.vertices)
         window = window_around(pixels_uv, 2)
         is_front = np.einsum("ij,ij->i", mesh.face_normals, camera.center_mm - mesh.triangles[:, 0]) > 0
-        edges = pixels_uv[border(edges_of(mesh.faces), is_front)]
+        edges = pixels_uv[silhouette_edges(mesh_edges(mesh.faces), is_front)]
         covered = coverage(edges[:, 0], edges[:, 1], window)
         u, v = np.meshgrid(window.left + np.arange(window.width), window.top + np.arange(window.height))
         rays = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)).astype(np.float32)

@@ -2,25 +2,24 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from support.synthetic_rigs import rig_of
 
+from pipeline.arrays import FloatImage, PointsUV
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.pixel_coverage import (
     LINES_PER_PIXEL,
     Window,
-    border,
     coverage,
-    edges_of,
     intersection,
+    mesh_edges,
+    silhouette_edges,
     window_around,
 )
 
-Array = NDArray[np.float64]
 coordinates = st.floats(-5, 45)
 
 
-def covered_by(loop_uv: Array, window: Window) -> NDArray[np.float32]:
+def covered_by(loop_uv: PointsUV, window: Window) -> FloatImage:
     return coverage(loop_uv, np.roll(loop_uv, -1, axis=0), window)
 
 
@@ -61,7 +60,7 @@ def test_what_is_covered_twice_counts_once() -> None:
 
 
 def test_an_open_border_is_refused() -> None:
-    with pytest.raises(ValueError, match="not closed"):
+    with pytest.raises(ValueError, match="no closed loops"):
         coverage(np.array([[1.0, 0.0]]), np.array([[1.0, 9.0]]), Window(0, 0, 10, 10))
 
 
@@ -74,7 +73,7 @@ def test_a_sphere_covers_its_circle_without_bias(offset_mm: tuple[float, float])
     pixels_uv, _ = camera.project(vertices_mm)
     toward_camera = camera.center_mm - vertices_mm[mesh.faces[:, 0]]
     is_front = np.einsum("ij,ij->i", mesh.face_normals, toward_camera) > 0
-    edges_uv = pixels_uv[border(edges_of(mesh.faces), is_front)]
+    edges_uv = pixels_uv[silhouette_edges(mesh_edges(mesh.faces), is_front)]
     covered = coverage(edges_uv[:, 0], edges_uv[:, 1], window_around(pixels_uv, 2))
     radius_px = np.sqrt(covered.sum(dtype=np.float64) / np.pi)
     # 0.0047 px of the difference are the facets: their outline is 0.0002 mm outside the ideal one
@@ -83,7 +82,7 @@ def test_a_sphere_covers_its_circle_without_bias(offset_mm: tuple[float, float])
 
 def test_the_border_of_a_cube_seen_along_an_edge_is_two_of_its_faces() -> None:
     mesh = cube().mesh
-    edges = border(edges_of(mesh.faces), mesh.face_normals @ [1.0, 1.0, 0.0] > 0.1)
+    edges = silhouette_edges(mesh_edges(mesh.faces), mesh.face_normals @ [1.0, 1.0, 0.0] > 0.1)
     lengths_mm = np.linalg.norm(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]], axis=1)
     assert lengths_mm.sum() == pytest.approx(6 * 15)  # 2 upright edges, 4 level ones
     starts, ends = np.sort(edges[:, 0]), np.sort(edges[:, 1])

@@ -36,14 +36,14 @@ def coarse() -> SimulatedRig:
 
 
 def darkening(rig: SimulatedRig, placed: PlacedBody) -> NDArray[np.float64]:
-    """Covered share of each pixel of the first camera: a black body takes away all light."""
+    """Return the covered share of each pixel of the first camera: a black body absorbs all light."""
     black = replace(placed, body=replace(placed.body, grey=0.0))
     image = photograph([black], rig, np.random.default_rng(0))[C05]
     return 1 - image / rig.backgrounds[C05].radiance.astype(np.float64)
 
 
 def moments(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centroid and variances (2,) as (u, v) of what is clearly covered."""
+    """Return centroid and variances (2,) as (u, v) of what is clearly covered."""
     weights = np.where(weights > 0.02, weights, 0)
     axes = np.arange(weights.shape[1]), np.arange(weights.shape[0])
     sums = weights.sum(axis=0), weights.sum(axis=1)

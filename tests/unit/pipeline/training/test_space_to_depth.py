@@ -1,4 +1,4 @@
-"""What is computed in blocks is what was computed before."""
+"""The network in blocks computes what the original one does."""
 
 import numpy as np
 import onnx
@@ -6,13 +6,13 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from pipeline.segmentation.network import start_session
-from pipeline.training.space_to_depth import in_blocks
+from pipeline.training.space_to_depth import to_space_to_depth
 
 SIZE_PX = 32
 
 
 def exported(rng: np.random.Generator) -> onnx.ModelProto:
-    """The upper levels of a `BodyNetwork`, as PyTorch exports them, with random weights."""
+    """Return the upper levels of a `BodyNetwork`, as PyTorch exports them, with random weights."""
     weights = {}
 
     def convolution(source: str, target: str, n_in: int, n_out: int, size: int = 3, stride: int = 1):
@@ -68,7 +68,9 @@ def exported(rng: np.random.Generator) -> onnx.ModelProto:
 def test_blocks_change_no_result(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = exported(rng)
-    plain, blocks = (start_session(each.SerializeToString(), []) for each in (model, in_blocks(model)))
+    plain, blocks = (
+        start_session(each.SerializeToString(), []) for each in (model, to_space_to_depth(model))
+    )
     view = rng.uniform(0, 2, (1, 2, SIZE_PX, SIZE_PX)).astype(np.float32)
     (expected,), (found,) = (session.run(["body"], {"view": view}) for session in (plain, blocks))
     assert expected.std() > 0.01
@@ -77,7 +79,7 @@ def test_blocks_change_no_result(seed: int) -> None:
 
 def test_the_size_is_open_and_the_deep_layers_are_kept() -> None:
     model = exported(np.random.default_rng(0))
-    blocks = in_blocks(model)
+    blocks = to_space_to_depth(model)
     session = start_session(blocks.SerializeToString(), [])
     assert session.get_inputs()[0].shape == [1, 2, "height", "width"]
     (found,) = session.run(["body"], {"view": np.ones((1, 2, 16, 48), np.float32)})

@@ -1,4 +1,4 @@
-"""Training samples without PyTorch: what the network will see, and the truth beside it."""
+"""Training samples, composed without PyTorch: the network's input and the truth."""
 
 from functools import cache
 from itertools import islice
@@ -86,7 +86,7 @@ def test_samples_show_all_that_is_to_be_learnt() -> None:
 
 
 def test_a_background_shows_what_is_behind_the_body() -> None:
-    """Where nothing is in front and nothing went wrong, both channels agree."""
+    """Beside the bodies and without disturbances, both channels agree."""
     differences = [
         float(np.median(np.abs(view[0] - view[1])[coverage == 0]))
         for view, coverage in samples()

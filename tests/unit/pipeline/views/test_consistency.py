@@ -36,7 +36,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile_and_good_views_agree() -> 
         clearance._cast_rays,
         tangent_planes._clip,
         tangency._touch,
-        outline_hull._find_corners,
+        outline_hull._look_for_gaps,
         lens._undistort,
     ]
     assert warm_up().is_consistent

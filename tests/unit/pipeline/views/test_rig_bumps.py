@@ -70,7 +70,7 @@ def test_half_a_degree_is_named_and_dropped_and_nothing_else_changes(bundles: Se
     )
     assert not right.dropped
     assert list(wrong.dropped) == ["c05"]
-    assert wrong.dropped[C05].startswith("contradicts the other views: its tangents miss theirs by")
+    assert str(wrong.dropped[C05]).startswith("contradicts the other views: its tangents miss theirs by")
     assert (wrong.quality, len(wrong.views)) == (Quality.GOOD, 15)
     assert right.measurement is not None
     assert wrong.measurement is not None

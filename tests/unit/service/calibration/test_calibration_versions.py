@@ -64,7 +64,7 @@ async def test_when_the_one_in_use_is_damaged_the_one_before_is_used(
         == read_rig(tmp_path / "calibrations/0001/rig.json").calibration_id
     )
     (tmp_path / "calibrations/activations.json").write_text("{")
-    with pytest.raises(RecordingError, match=r"activations\.json.*removed"):
+    with pytest.raises(RecordingError, match=r"activations\.json.*remove the file"):
         open_desk(tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""Sessions of calibration, without cameras: the table, the drops, the solution, the restart."""
+"""Calibrations without cameras: transitions, drops, solution, restart."""
 
 import time
 from pathlib import Path
@@ -38,7 +38,7 @@ from service.processing.worker_pool import JobLostError
 from service.status import AcquisitionState
 
 
-def test_the_table_ends_every_session_and_asks_twice_for_free():
+def test_every_open_calibration_can_be_cancelled_and_requests_can_be_repeated():
     for state in CalibrationState:
         assert (state in OPEN) == ((state, CalibrationAction.CANCEL) in TRANSITIONS and state != "cancelled")
     for (_, action), following in TRANSITIONS.items():
@@ -103,18 +103,22 @@ async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
     assert told == ["another", "small"]
 
 
-async def test_somebody_is_at_work_already(tmp_path: Path):
+async def test_only_one_calibration_or_verification_is_open(tmp_path: Path):
     desk = open_desk(tmp_path)
     version = await accepted(desk)
     for state in (AcquisitionState.HELD, AcquisitionState.STOPPING):
         with pytest.raises(CalibrationConflictError, match=f"acquisition is {state}"):
             await desk.start(BALL, state)
     await desk.start(BALL, ARMED)
-    with pytest.raises(CalibrationConflictError, match="0003 is collecting: end it first"):
+    with pytest.raises(
+        CalibrationConflictError, match="0003 is collecting: accept, reject or cancel it first"
+    ):
         await desk.start(BALL, ARMED)
-    with pytest.raises(CalibrationConflictError, match="0003 is collecting: end it first"):
+    with pytest.raises(
+        CalibrationConflictError, match="0003 is collecting: accept, reject or cancel it first"
+    ):
         await desk.verify(VerificationPlan(), ARMED)
-    with pytest.raises(CalibrationConflictError, match="0003 is collecting and rests on 0001: end it first"):
+    with pytest.raises(CalibrationConflictError, match="0003 is collecting and starts from 0001"):
         await desk.act(version, CalibrationAction.ACTIVATE)
     await desk.act("0003", CalibrationAction.CANCEL)
     await desk.verify(VerificationPlan(), ARMED)
@@ -122,7 +126,7 @@ async def test_somebody_is_at_work_already(tmp_path: Path):
         await desk.start(BALL, ARMED)
 
 
-async def test_a_stone_session_leaves_stones_stones(tmp_path: Path):
+async def test_while_stones_calibrate_they_count_as_stones(tmp_path: Path):
     desk = open_desk(tmp_path)
     await desk.start(CalibrationPlan(method=Method.STONES), ARMED)
     assert desk.collector is not None
@@ -159,7 +163,7 @@ async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: 
     assert desk.wants_balls
 
 
-async def test_a_session_that_was_cancelled_before_it_was_solved_stays_so(tmp_path: Path):
+async def test_a_calibration_that_was_cancelled_before_it_was_solved_stays_so(tmp_path: Path):
     solver = MadeUpSolver()
     desk = open_desk(tmp_path, solver=solver)
     record = await desk.start(BALL, ARMED)
@@ -171,7 +175,7 @@ async def test_a_session_that_was_cancelled_before_it_was_solved_stays_so(tmp_pa
     assert len(solver.jobs) == 1
 
 
-async def test_a_session_survives_a_restart_without_its_unfinished_solution(tmp_path: Path):
+async def test_an_open_calibration_survives_a_restart_without_its_unfinished_solution(tmp_path: Path):
     desk = open_desk(tmp_path)
     record = await desk.start(BALL, ARMED)
     assert desk.collector is not None
@@ -198,7 +202,7 @@ async def test_a_session_survives_a_restart_without_its_unfinished_solution(tmp_
     assert state_of(changed, record.id) is CalibrationState.CANCELLED
 
 
-async def test_an_idle_session_ends_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+async def test_an_idle_calibration_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     desk = open_desk(tmp_path)
     await desk.start(BALL, ARMED)
     monkeypatch.setattr(calibrations, "IDLE_CHECK_S", 0.001)

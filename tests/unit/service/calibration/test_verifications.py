@@ -100,7 +100,7 @@ async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.Mon
     await let_fall(desk, [15.0])
     desk = opened(tmp_path)  # the daemon was killed
     second = await desk.start(PLAN, "rig")
-    await desk.cancel(second.id, "somebody cancelled it")
+    await desk.cancel(second.id, "cancelled on request")
     third = await desk.start(PLAN, "rig")
     await desk.cancel_idle()
     assert desk.current == third
@@ -129,7 +129,7 @@ async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
         is_writing.release()
 
     monkeypatch.setattr(verifications, "write_json", write_slowly)
-    await asyncio.gather(let_fall(desk, [15.0]), desk.cancel(name, "somebody cancelled it"))
+    await asyncio.gather(let_fall(desk, [15.0]), desk.cancel(name, "cancelled on request"))
     found = opened(tmp_path).find(name)
     assert found is not None
     assert (found.state, len(found.balls)) == (VerificationState.CANCELLED, 1)

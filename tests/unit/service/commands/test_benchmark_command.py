@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from pipeline.evaluation.comparison import SurfaceDistances
 from typer.testing import CliRunner, Result
 
+from pipeline.evaluation.surface_distances import SurfaceDistances
 from pipeline.evaluation.trials import METHODS, ShapeErrors, Trial
 from service.benchmarks import performance as performance_bench
 from service.benchmarks import scaling as scaling_bench

@@ -28,7 +28,7 @@ REPORT = {
 }
 
 
-def session(state: str, n_drops: int = 0, *, report: dict[str, Any] | None = None) -> dict[str, Any]:
+def details(state: str, n_drops: int = 0, *, report: dict[str, Any] | None = None) -> dict[str, Any]:
     drops = [
         {
             "bundle": f"{number}",
@@ -102,10 +102,10 @@ def daemon(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pretender]:
 
 def test_drops_are_shown_as_they_fall(daemon: Pretender):
     daemon.answers = [
-        (201, session("collecting")),
-        (200, session("collecting", 1)),
-        (200, session("collecting", 2)),
-        (200, session("accepted", 2, report=REPORT)),
+        (201, details("collecting")),
+        (200, details("collecting", 1)),
+        (200, details("collecting", 2)),
+        (200, details("accepted", 2, report=REPORT)),
     ]
     done = daemon.run("start", "--ball-diameter-mm", "10", "--by", "me", "--key", "secret", "--follow")
     assert done.exit_code == 0, done.output
@@ -122,19 +122,19 @@ def test_drops_are_shown_as_they_fall(daemon: Pretender):
 
 
 def test_it_waits_for_the_solution_and_tells_why_there_is_none(daemon: Pretender):
-    failed = {**session("collecting"), "detail": "too few drops"}
-    daemon.answers = [(202, session("solving")), (200, session("solving")), (200, failed)]
+    failed = {**details("collecting"), "detail": "too few drops"}
+    daemon.answers = [(202, details("solving")), (200, details("solving")), (200, failed)]
     done = daemon.run("solve", "0002")
     assert done.exit_code == 1
     assert "too few drops" in str(done.exception)
-    daemon.answers = [(202, session("solving")), (200, session("solved", report=REPORT))]
+    daemon.answers = [(202, details("solving")), (200, details("solved", report=REPORT))]
     done = daemon.run("solve", "0002", "--json")
     assert json.loads(done.output)["report"] == REPORT
 
 
 @pytest.mark.parametrize("action", ["accept", "reject", "cancel", "activate"])
 def test_every_decision_is_one_request(daemon: Pretender, action: str):
-    daemon.answers = [(200, {**session("accepted"), "is_active": action == "activate"})]
+    daemon.answers = [(200, {**details("accepted"), "is_active": action == "activate"})]
     done = daemon.run(action, "0002", "--by", "me")
     assert daemon.asked == [("POST", f"/api/v1/calibrations/0002/{action}", None, {"by": "me"})]
     assert done.output == f"calibration 0002 is {'in use' if action == 'activate' else 'accepted'}\n"

@@ -25,6 +25,7 @@ from drivers.replay.camera import ReplayCamera
 from pipeline.frames import BundleKind, FrameBundle
 from service.commands import record
 from service.errors import ServiceError
+from service.status import DeviceState
 
 BUNDLES = [
     make_bundle(0, kind=BundleKind.BACKGROUND, name="empty"),
@@ -107,7 +108,7 @@ def test_cameras_that_are_not_to_be_had(
 
 def test_one_cause_is_told_once():
     def status(camera: str, state: str, last_error: str | None) -> SimpleNamespace:
-        return SimpleNamespace(id=camera, state=state, last_error=last_error)
+        return SimpleNamespace(id=camera, state=DeviceState(state), last_error=last_error)
 
     def rig(trouble: str | None, gate: str = "armed") -> SimpleNamespace:
         cameras = [
@@ -117,7 +118,7 @@ def test_one_cause_is_told_once():
         ]
         return SimpleNamespace(
             trouble=trouble,
-            gate=SimpleNamespace(state=gate),
+            gate=SimpleNamespace(state=DeviceState(gate)),
             cameras=SimpleNamespace(statuses=lambda: cameras),
         )
 

@@ -1,56 +1,43 @@
-"""Whether the network runs as it should, told from what results say of it."""
+"""Whether the network runs as it should, told from what workers say of each bundle."""
 
-import numpy as np
-from support.networks import GPU, difference_network, start_on_gpu
-
-from pipeline.segmentation.network import load_network
 from service.health.segmentation_watch import WINDOW, SegmentationWatch
+from service.processing.measure_job import NetworkUse
 from service.processing.segmenters import SegmenterPlan
 
 PLAN = SegmenterPlan(wanted="auto", model=b"model")
+RUNS = NetworkUse(is_source=True, trouble=None)
+NOT_ASKED = NetworkUse(is_source=False, trouble=None)
+ON_CPU = NetworkUse(is_source=True, trouble="GPU failed, the CPU computes")
+CANNOT_RUN = NetworkUse(is_source=False, trouble="model x: cannot be run: out of memory")
 
 
-def record(flag: str | None = None, found_by: str = "network") -> dict[str, dict[str, str]]:
-    flags = {} if flag is None else {"c02": flag}
-    return {"segmenters": {"c01": "background", "c02": found_by}, "segmentation_flags": flags}
-
-
-def failed_in_a_run() -> str:
-    network = load_network(difference_network(), (GPU,), start=start_on_gpu(n_runs=0))
-    network.probability(np.ones((2, 256, 256), np.float32))
-    assert network.fallback is not None
-    return network.fallback
-
-
-def test_doubts_are_no_trouble() -> None:
+def test_a_network_that_runs_or_is_not_asked_is_no_trouble() -> None:
     watch = SegmentationWatch(PLAN)
-    for flag in (None, "no background yet", "30% of the outline unseen; the network sees no more"):
-        watch.feed(record(flag))
-    watch.feed({"outcome": "lost"})
+    for use in (RUNS, NOT_ASKED):
+        watch.feed(use)
     assert watch.warning is None
 
 
 def test_a_provider_that_fails_in_a_run_is_told_until_the_network_runs_again() -> None:
     watch = SegmentationWatch(PLAN)
-    fallback = failed_in_a_run()
-    watch.feed(record(f"no background yet; {fallback}"))
-    assert watch.warning == fallback
+    watch.feed(ON_CPU)
+    assert watch.warning == ON_CPU.trouble
     for _ in range(2 * WINDOW):
-        watch.feed(record(None, "background"))  # nobody asked it
+        watch.feed(NOT_ASKED)
     for _ in range(WINDOW - 1):
-        watch.feed(record("no background yet"))
-    assert watch.warning == fallback
-    watch.feed(record())
+        watch.feed(RUNS)
+    assert watch.warning == ON_CPU.trouble
+    watch.feed(RUNS)
     assert watch.warning is None
 
 
 def test_a_network_that_cannot_be_run_is_told_though_the_background_took_its_place() -> None:
     watch = SegmentationWatch(PLAN)
-    watch.feed(record("40% of the outline unseen; model x: cannot be run: out of memory", "background"))
-    assert watch.warning == "model x: cannot be run: out of memory"
+    watch.feed(CANNOT_RUN)
+    assert watch.warning == CANNOT_RUN.trouble
 
 
 def test_what_was_known_from_the_start_stays() -> None:
     watch = SegmentationWatch(SegmenterPlan(wanted="auto", trouble="roi.onnx: is damaged"))
-    watch.feed(record(None))
+    watch.feed(RUNS)
     assert watch.warning == "classical mode: roi.onnx: is damaged"

@@ -9,9 +9,9 @@ import pytest
 from support.rest import add, measured, particle_files, rejected, trigger
 
 from pipeline.frames import BundleKind, rfc3339
-from service.api.schemas import Result
 from service.errors import StoreError
-from service.results.record import ALGORITHM_VERSION
+from service.results.fields import Result
+from service.results.version import ALGORITHM_VERSION
 from service.store import ParticleFilter, Store, open_store
 from service.store.store import NOTE_EVERY
 

@@ -1,12 +1,12 @@
-"""Bundle adjustment of drops some of which are no good: what contradicts the rest is found, named and left out."""
+"""Bundle adjustment with outliers: views and drops that contradict the others are found, named and left out."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Values
 from pipeline.calibration.bundle_adjustment import (
     N_CAMERA,
     Noise,
@@ -24,27 +24,28 @@ from pipeline.errors import CalibrationError, Problem, ProblemCode
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 
-Array = NDArray[np.float64]
-
 APPROACH = (Noise(point_px=20.0, wide_px=1e6), Noise(point_px=1.0, wide_px=5.0))
-"""From far away the tolerances must outweigh the outlines, whose misfit is not linear in 70 px of 100."""
-LEAST_VIEWS = 3
-LEAST_DROPS = 3
-LEAST_NOISE_PX = 0.002
+"""Noise assumed in the first fits: far from the solution the priors must outweigh the outlines, whose residuals of
+some 70 px are not linear in the parameters."""
+MIN_VIEWS = 3
+"""Least number of views of a drop."""
+MIN_DROPS = 3
+"""Least number of drops that must agree."""
+MIN_NOISE_PX = 0.002
 OUTLIER_SIGMAS = 8.0
-LEAST_OUTLIER_PX = 0.3
-"""What is less off does little harm: soft-L1 bounds it."""
+MIN_OUTLIER_PX = 0.3
+"""A view that is less off is no outlier: soft-L1 bounds its effect."""
 ROUNDS = 12
-"""In each of them every camera may lose one view."""
-LEAST_SIZE_RATIO = 1.1
-"""Balls closer in diameter than this tell no offset of the outlines from a scale."""
+"""Largest number of rounds, in each of which every camera may lose one view."""
+MIN_SIZE_RATIO = 1.1
+"""Least ratio of two balls' diameters by which an offset of the outlines can be told from a scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adjusted:
-    """The solution and what it rests on."""
+    """A solution with the drops and views it rests on."""
 
-    drops: tuple[BallDrop, ...]  # used
+    drops: tuple[BallDrop, ...]  # those used, without the views left out
     drops_left_out: Mapping[str, str]
     views_left_out: Mapping[str, Mapping[CameraId, str]]
     sightings: Sightings
@@ -54,7 +55,7 @@ class Adjusted:
 
 
 def adjust(drops: Sequence[BallDrop], initial: RigCalibration, tolerances: Tolerances) -> Adjusted:
-    """The rig that explains most of the drops.
+    """Solve for the rig that explains most of the drops.
 
     Raises
     ------
@@ -77,7 +78,7 @@ def adjust(drops: Sequence[BallDrop], initial: RigCalibration, tolerances: Toler
     )
     for noise in APPROACH:
         solution = solve(solution, sightings, noise=noise, tolerances=tolerances)
-    # the noise is that of the approach at first
+    # twice, since the first time the noise is estimated from the approach's residuals
     solution = _refitted(solution, sightings, tolerances, _has_two_sizes(used))
     for _ in range(ROUNDS):
         solution = _refitted(solution, sightings, tolerances, _has_two_sizes(used))
@@ -102,7 +103,7 @@ def adjust(drops: Sequence[BallDrop], initial: RigCalibration, tolerances: Toler
 
 
 def _refitted(solution: Solution, sightings: Sightings, tolerances: Tolerances, free_edge: bool) -> Solution:
-    """The solution for the noise that the present residuals show."""
+    """Solve again with the noise estimated from the present residuals."""
     return solve(
         solution if free_edge else replace(solution, edge_px=0.0),
         sightings,
@@ -117,7 +118,7 @@ def _seen_enough(
     views_left_out: Mapping[str, Mapping[CameraId, str]],
     left_out: dict[str, str],
 ) -> list[BallDrop]:
-    """The drops that enough views agree on; why the others are left out is put down."""
+    """Return the drops with enough agreeing views; the reasons for the others are added to `left_out`."""
     kept = []
     for drop in drops:
         n_views, n_bad = len(drop.views), len(views_left_out.get(drop.name, ()))
@@ -126,14 +127,14 @@ def _seen_enough(
                 f"{n_bad} of {n_bad + n_views} views contradict the other drops: a ball of another size, "
                 "or not all cameras exposed together"
             )
-        elif n_views < LEAST_VIEWS:
-            left_out[drop.name] = f"only {n_views} usable views, {LEAST_VIEWS} are needed"
+        elif n_views < MIN_VIEWS:
+            left_out[drop.name] = f"only {n_views} usable views, {MIN_VIEWS} are needed"
         else:
             kept.append(drop)
-    if len(kept) < LEAST_DROPS:
+    if len(kept) < MIN_DROPS:
         problem = Problem(
             code=ProblemCode.TOO_FEW_DROPS,
-            detail=f"only {len(kept)} of {len(kept) + len(left_out)} drops agree with one another, {LEAST_DROPS} are "
+            detail=f"only {len(kept)} of {len(kept) + len(left_out)} drops agree with one another, {MIN_DROPS} are "
             "needed: check that each exposure shows one ball, of the diameter entered, and drop more",
         )
         raise CalibrationError([problem])
@@ -142,16 +143,16 @@ def _seen_enough(
 
 def _has_two_sizes(drops: Sequence[BallDrop]) -> bool:
     sizes_mm = [drop.diameter_mm for drop in drops if drop.diameter_mm is not None]
-    return bool(sizes_mm) and max(sizes_mm) / min(sizes_mm) > LEAST_SIZE_RATIO
+    return bool(sizes_mm) and max(sizes_mm) / min(sizes_mm) > MIN_SIZE_RATIO
 
 
 def _noise(solution: Solution, sightings: Sightings) -> Noise:
-    """What the residuals say of the noise: the errors of a view's points belong together, so its centre is judged."""
+    """Estimate the noise from the centres' residuals, since the errors of one view's points are correlated."""
     offsets_px = view_offsets_px(sightings, linearized(solution, sightings).residuals_px)[:, 1:]
     n_unknowns = solution.parameters.size + solution.centers_mm.size
-    # the tolerances take care of what few drops do not determine
+    # with few drops the priors determine part of the unknowns
     freedom = max(1 - n_unknowns / (3 * len(sightings)), 0.25)
-    center_px = max(1.4826 * float(np.median(np.abs(offsets_px))) / sqrt(freedom), LEAST_NOISE_PX)
+    center_px = max(1.4826 * float(np.median(np.abs(offsets_px))) / sqrt(freedom), MIN_NOISE_PX)
     point_px = center_px * sqrt(N_SECTORS / 2)
     return Noise(point_px=point_px, wide_px=3 * point_px)
 
@@ -163,15 +164,15 @@ def _without_worst(
     tolerances: Tolerances,
     left_out: dict[str, dict[CameraId, str]],
 ) -> list[BallDrop]:
-    """The drops without, for each camera, the worst of those views that are outliers.
+    """Return the drops without the worst outlier of each camera, which is added to `left_out`.
 
-    An outlier shows the ball elsewhere, or of another size, than all views together. It also bends its camera and
-    draws its ball aside, so that sound views seem to be off: these wait until it is gone.
+    An outlier is a view that shows the ball elsewhere, or of another size, than all views together. It also bends its
+    camera and shifts its ball, so that sound views seem to be off: these are judged after its removal.
     """
     offsets_px = view_offsets_px(sightings, linearized(solution, sightings).residuals_px)
     noise = _noise(solution, sightings)
     misfits_px = _studentized_px(solution, sightings, noise, tolerances)
-    greatest_px = max(OUTLIER_SIGMAS * noise.center_px, LEAST_OUTLIER_PX)
+    greatest_px = max(OUTLIER_SIGMAS * noise.center_px, MIN_OUTLIER_PX)
     worst_of_drop_px = np.zeros(len(drops))
     np.maximum.at(worst_of_drop_px, sightings.drop, misfits_px)
     kept = list(drops)
@@ -187,16 +188,16 @@ def _without_worst(
         left_out.setdefault(drops[number].name, {})[camera.id] = (
             f"{np.hypot(du, dv):.2f} px beside its place and {larger:+.2f} px in radius, by all views together"
         )
-        views = {its: view for its, view in kept[number].views.items() if its != camera.id}
-        kept[number] = replace(kept[number], views=views)
+        others = {owner: view for owner, view in kept[number].views.items() if owner != camera.id}
+        kept[number] = replace(kept[number], views=others)
     return kept
 
 
-def _studentized_px(solution: Solution, sightings: Sightings, noise: Noise, tolerances: Tolerances) -> Array:
-    """(V,) how far each view is off, counting how far it has drawn the solution towards itself.
+def _studentized_px(solution: Solution, sightings: Sightings, noise: Noise, tolerances: Tolerances) -> Values:
+    """Return how far each view (V,) is off in px, corrected for how much it has pulled the solution towards itself.
 
-    Without the view the sum of squares would fall by e^T W (I - H)^-1 e, with the part H of the residuals that the fit
-    follows; one camera's few views of far drops are followed so well that the residuals alone accuse the others.
+    Without the view the sum of squares would fall by e^T W (I - H)^-1 e, where H is the hat matrix of its points. A
+    camera with few views of far drops pulls so strongly that the plain residuals would blame the other cameras.
     """
     blocks = linearized(solution, sightings)
     weights = point_weights(blocks, sightings, noise)
@@ -206,6 +207,6 @@ def _studentized_px(solution: Solution, sightings: Sightings, noise: Noise, tole
     own = inverse[blocks.unknowns[:, :, None], blocks.unknowns[:, None, :]]
     followed = blocks.jacobian @ own @ blocks.jacobian.transpose(0, 2, 1) * weights[:, None, :]
     unbent_px = np.linalg.solve(np.eye(N_SECTORS) - followed, blocks.residuals_px[..., None])[..., 0]
-    # in units of a shift, of which a circle's points show half the square on average
+    # as a shift of the circle, half of whose square appears in its points' radial residuals on average
     squares = (sightings.weights * blocks.residuals_px * unbent_px).sum(axis=1)
     return np.sqrt(np.maximum(squares, 0) / (N_SECTORS / 2))

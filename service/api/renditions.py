@@ -1,0 +1,106 @@
+"""Meshes and images of a stored particle in the formats that clients ask for. Everything blocks: call it in threads."""
+
+from enum import StrEnum
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import RecordingError
+from drivers.files.durable import replacing
+from drivers.files.recording import read_bundle, read_header
+from drivers.files.silhouette_file import read_silhouettes
+from pipeline.frames import CameraId
+from pipeline.preview import render_preview
+
+if TYPE_CHECKING:
+    import trimesh
+
+PREVIEW_SIZE_PX = 480
+MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""From the frame of the rig to that of glTF 2.0, section 3.4: right-handed, metres, +y up; x stays, z becomes y."""
+
+
+class MeshFormat(StrEnum):
+    """File format of a mesh: PLY (as stored) and STL in mm with z up, GLB in metres with y up."""
+
+    PLY = "ply"
+    STL = "stl"
+    GLB = "glb"
+
+
+class NotKeptError(Exception):
+    """The file was never written, or was removed since."""
+
+
+def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
+    """Return the mesh as a file of this format; raise `NotKeptError` without a mesh."""
+    stored = _stored(folder / "mesh.ply")
+    if mesh_format is MeshFormat.PLY:
+        return stored.read_bytes()
+    mesh = _mesh(stored)
+    if mesh_format is MeshFormat.GLB:
+        mesh.vertices = mesh.vertices @ MM_Z_UP_TO_M_Y_UP.T
+    exported = BytesIO()
+    mesh.export(exported, file_type=mesh_format)
+    return exported.getvalue()
+
+
+def preview_png(folder: Path) -> bytes:
+    """Return a picture of the mesh, rendered once and kept beside it; raise `NotKeptError` without a mesh."""
+    kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
+    if kept.exists():
+        return kept.read_bytes()
+    mesh = _mesh(_stored(folder / "mesh.ply"))
+    image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
+    png = encode_png(image_rgb[..., ::-1])
+    with replacing(kept) as unfinished:
+        unfinished.write_bytes(png)
+    return png
+
+
+def view_png(folder: Path, camera: str) -> bytes:
+    """Return the image of one camera from the archived bundle; raise `NotKeptError` where there is none."""
+    archive = _stored(folder / "bundle.tiff")
+    try:
+        header = read_header(archive)
+        bundle = read_bundle(archive, [*header.frames, *header.missing])
+    except RecordingError as err:
+        raise NotKeptError(err.problem) from err
+    frame = bundle.frames.get(CameraId(camera))
+    if frame is None:
+        raise NotKeptError(f"the view is missing: {bundle.missing.get(CameraId(camera), 'unknown camera')}")
+    return encode_png(frame.image)
+
+
+def silhouette_png(folder: Path, camera: str) -> bytes:
+    """Return one silhouette (0 outside, 128 unknown, 255 inside); raise `NotKeptError` where there is none."""
+    try:
+        silhouettes = read_silhouettes(_stored(folder / "silhouettes.tiff"))
+    except RecordingError as err:
+        raise NotKeptError(err.problem) from err
+    labels = silhouettes.get(CameraId(camera))
+    if labels is None:
+        raise NotKeptError("the view is missing")
+    return encode_png(labels)
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """Return a grey (H, W) or BGR (H, W, 3) image as PNG; fast rather than small."""
+    _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return encoded.tobytes()
+
+
+def _stored(path: Path) -> Path:
+    if not path.is_file():
+        raise NotKeptError(f"{path.name} was not kept")
+    return path
+
+
+def _mesh(path: Path) -> "trimesh.Trimesh":
+    import trimesh  # here: with its dependencies it takes a tenth of the daemon's start
+
+    return trimesh.load_mesh(path, process=False)
