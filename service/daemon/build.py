@@ -123,8 +123,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         results=WatchedResults(store, rig_watch, optical_watch),
         calibration=calibrations,
         kept_background=_kept_background(settings, configured),
-        on_empty_rig=optical_watch.note,
-        on_network=segmentation_watch.note,
+        on_empty_rig=optical_watch.feed_optics,
+        on_network=segmentation_watch.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(

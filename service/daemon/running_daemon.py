@@ -76,7 +76,7 @@ class Daemon:
                 acquisition=self.acquisition.status(),
                 blind_triggers=self.acquisition.cameras.blind_triggers,
                 cameras=self.cameras(),
-                all_lost=self.acquisition.cameras.common_cause,
+                common_cause=self.acquisition.cameras.common_cause,
                 views=self.settings.views,
                 waiting=self.spool.n_queued,
                 max_waiting=self.spool.max_bundles,
@@ -97,7 +97,7 @@ class Daemon:
                 left_out=self.archive.left_out,
                 archive_trouble=self.archive.trouble,
                 suspicions=self.rig_watch.suspicions(),
-                optics=self.optical_watch.findings(),
+                optical_findings=self.optical_watch.findings(),
             )
         )
 

@@ -105,7 +105,7 @@ def test_a_window_that_gets_dusty_is_told_and_measures_on() -> None:
         silhouettes = segment_all(frames, background(), BackgroundSegmenter())
         watch = OpticalWatch(rig(), OpticalParameters())
         for _ in range(MIN_EXPOSURES):
-            watch.note(optics_record(observe_all(frames, background(), silhouettes)))
+            watch.feed_optics(optics_record(observe_all(frames, background(), silhouettes)))
         findings = watch.findings()
         assert all(finding.cameras == (DIRTY,) for finding in findings)
         told.append(max((finding.severity for finding in findings), default=Severity.NOTHING))

@@ -69,7 +69,7 @@ def test_few_exposures_are_no_opinion() -> None:
     watch = after(*[dusty] * (MIN_EXPOSURES - 1))
     assert not watch.findings()
     assert watch.optics()[C05].dust is None
-    watch.note(dusty)  # of the empty rig
+    watch.feed_optics(dusty)  # of the empty rig
     assert the_finding(watch).cameras == (C05,)
 
 
