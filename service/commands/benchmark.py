@@ -1,4 +1,4 @@
-"""`stonefall benchmark`: how fast the processing is on this machine, or how accurate the whole chain is."""
+"""`stonefall benchmark`: speed of the processing on this machine, or accuracy of the whole measuring chain."""
 
 import json
 import sys
@@ -42,29 +42,29 @@ PUBLISHED_MM = {
     "cube": (0.289, 0.374),
     STONES: (0.434, None),
 }
-"""Mean and greatest distance that the paper measured on its real parts and on its stones."""
+"""Mean and greatest distance that the paper reports for its real parts and stones."""
 MAX_RADIUS_MM = 24.0
-WIDTH = 150
-"""Of a table that is written into a file."""
-SCALED_MM = 25.0
-"""Of the stone whose time is told for several grids, views and workers."""
+FILE_TABLE_WIDTH = 150
+"""Width in characters of a table that is not printed to a terminal."""
+SCALING_STONE_MM = 25.0
+"""Size of the stone that is timed with several grids, views and workers."""
 
 Outcome = TypeVar("Outcome")
 
 
 def command(
     accuracy: Annotated[
-        bool, typer.Option("--accuracy", help="Distances to true surfaces instead of times.")
+        bool, typer.Option("--accuracy", help="Measure distances to true surfaces instead of times.")
     ] = False,
     scaling: Annotated[
         bool,
-        typer.Option("--scaling", help="How the time grows with voxels and views, and with workers shrinks."),
+        typer.Option("--scaling", help="Time one stone with several numbers of voxels, views and workers."),
     ] = False,
     bodies: Annotated[
         str,
         typer.Option(
-            help=f"Separated by commas: {', '.join(STANDARDS)}, {STONES} ({', '.join(STONE_FORMS)}), "
-            f"{IRREGULAR} ({', '.join(IRREGULAR_FORMS)}), single ones of these, or closed mesh files in mm."
+            help=f"What to measure, separated by commas: {', '.join(STANDARDS)}, {STONES} ({', '.join(STONE_FORMS)}), "
+            f"{IRREGULAR} ({', '.join(IRREGULAR_FORMS)}), single classes of these, or closed mesh files in mm."
         ),
     ] = f"{','.join(STANDARDS)},{STONES},{IRREGULAR}",
     poses: Annotated[
@@ -72,20 +72,27 @@ def command(
         typer.Option(
             min=1,
             max=1000,
-            help="Random poses of a body; without --accuracy stones of a size, with --scaling repetitions.",
+            help="Random poses of each body; without --accuracy stones of each size, with --scaling repetitions.",
         ),
     ] = 10,
-    seed: Annotated[int, typer.Option(min=0, help="Of rig, images, bodies and poses.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Equal seeds give equal rigs, images, bodies and poses.")
+    ] = 1,
     rigs: Annotated[
-        str, typer.Option(help="The true one, calibrated as in the paper (8 drops), ours (20 drops).")
+        str,
+        typer.Option(
+            help="true: the one that took the images; paper: its calibration, 8 drops; ours: 20 drops."
+        ),
     ] = ",".join(RIGS),
     pictures: Annotated[
         Path | None,
-        typer.Option(help="Folder for pictures of the first pose of each body, coloured by distance."),
+        typer.Option(help="Folder for pictures of each body's first pose, coloured by distance."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Everything, each trial too, as JSON.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print all results as JSON, with each trial.")
+    ] = False,
 ) -> None:
-    """How fast the processing is here; with --accuracy, the paper's Tables 2 and 3 re-made on rendered images."""
+    """Time the processing on this machine; with --accuracy repeat the paper's Tables 2 and 3 on rendered images."""
     if not accuracy:
         _time_stones(poses, seed, scaling=scaling, as_json=as_json)
         return
@@ -99,11 +106,11 @@ def command(
         methods=dict.fromkeys(_rigs(rigs), METHODS),
         pictures=pictures,
     )
-    result = _with_progress("measuring", lambda tell: run_accuracy_bench(plan, tell))
+    result = _with_progress("measuring", lambda on_progress: run_accuracy_bench(plan, on_progress))
     if as_json:
         typer.echo(json.dumps(_document(plan, result), indent=2, allow_nan=False))
         return
-    console = Console(width=None if sys.stdout.isatty() else WIDTH)
+    console = Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH)
     for line in _rig_lines(plan, result):
         console.print(line, highlight=False)
     console.print(accuracy_table(plan, result))
@@ -112,28 +119,28 @@ def command(
 
 def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None:
     if scaling:
-        found = run_scaling_bench(SCALED_MM, poses, seed)
+        found = run_scaling_bench(SCALING_STONE_MM, poses, seed)
         document: Any = asdict(found) | {"exponents": found.exponents()}
         tables = scaling_tables(found, seed)
     else:
-        times = _with_progress("timing", lambda tell: run_performance_bench(poses, seed, tell))
+        times = _with_progress("timing", lambda on_progress: run_performance_bench(poses, seed, on_progress))
         document = [asdict(row) for row in times]
         tables = [stage_table(times, seed)]
     if as_json:
         typer.echo(json.dumps(document, indent=2))
         return
-    console = Console(width=None if sys.stdout.isatty() else WIDTH)
+    console = Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH)
     for table in tables:
         console.print(table)
 
 
 def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
-    """All averages, body by body; the paper's own figures first, where it has some."""
+    """Return the averages by body, with the paper's published figures first where there are some."""
     table = Table(
         title=f"distance to the true surface, mm, and errors of volume and area; averages over"
         f" random poses or bodies, seed {plan.seed}",
         caption="max: mean of the greatest distances; back: true surface to measured one; volume: as reported, "
-        "mesh: of the mesh. published: the paper's real parts. exact hull: the floor of every hull, by the true rig.",
+        "mesh: of the mesh. published: the paper's real parts. exact hull: with the true rig, the limit of every hull.",
     )
     for column in ("body", "rig", "method", "n"):
         table.add_column(column, no_wrap=True)
@@ -157,7 +164,7 @@ def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
 
 
 def size_table(plan: BenchPlan, result: BenchResult) -> Table:
-    """Return the errors of the sizes that standards ask for, body by body, as bias and rms."""
+    """Return bias and rms of the sizes that standards define, by body."""
     table = Table(
         title=f"errors of sizes, mm: bias (mean of measured less true) and rms over the same trials, seed {plan.seed}",
         caption="true: the same functions on the true body's mesh. sieve: smallest square aperture; Feret: greatest "
@@ -177,7 +184,7 @@ def size_table(plan: BenchPlan, result: BenchResult) -> Table:
 
 
 def _summaries(plan: BenchPlan, result: BenchResult) -> dict[str, list[Summary]]:
-    """Of each body, and of all stones when there are several classes."""
+    """Return the averages of each body, and of all stones together if there are several classes."""
     summaries = {name: summarize([t for t in result.trials if t.body == name]) for name in plan.poses}
     stones = [trial for trial in result.trials if trial.body in STONE_FORMS]
     if len({trial.body for trial in stones}) > 1:
@@ -225,7 +232,7 @@ def _size_cells(summary: Summary) -> list[str]:
 
 
 def _rig_lines(plan: BenchPlan, result: BenchResult) -> list[str]:
-    """How good each calibration is, against the true rig, and every failure by its reason."""
+    """Return the error of each calibration against the true rig, and all failures by reason, as lines of text."""
     true_rig = as_built(nominal_rig(), plan.seed)
     lines = []
     for name, report in result.reports.items():
@@ -247,9 +254,9 @@ def _rig_lines(plan: BenchPlan, result: BenchResult) -> list[str]:
 
 
 def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
-    """JSON-ready; what no trial gave is null."""
+    """Return everything JSON-ready; an average of no trial is null."""
 
-    def cleaned(values: dict[str, Any]) -> dict[str, Any]:
+    def without_nan(values: dict[str, Any]) -> dict[str, Any]:
         return {key: None if value != value else value for key, value in values.items()}
 
     true_rig = as_built(nominal_rig(), plan.seed)
@@ -267,14 +274,14 @@ def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
         },
         "refused": dict(result.refused),
         "summaries": [
-            cleaned(asdict(summary)) for group in _summaries(plan, result).values() for summary in group
+            without_nan(asdict(summary)) for group in _summaries(plan, result).values() for summary in group
         ],
         "trials": [asdict(trial) for trial in result.trials],
     }
 
 
 def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:
-    """Names of what is tried, each once, and those that are mesh files."""
+    """Return the names of the bodies, each once, and the bodies that were read from mesh files."""
     groups = {STONES: tuple(STONE_FORMS), IRREGULAR: tuple(IRREGULAR_FORMS)}
     own_bodies: dict[str, Body] = {}
     names: list[str] = []
@@ -286,7 +293,7 @@ def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:
         else:
             body = _body_from_file(name, [*STANDARDS, *groups, *STONE_FORMS, *IRREGULAR_FORMS])
             if body.name in own_bodies:
-                raise UsageError(f"{name}: another mesh file is named {body.name} too; rename one of them")
+                raise UsageError(f"{name}: another mesh file is also named {body.name}; rename one of them")
             own_bodies[body.name] = body
             names.append(body.name)
     if not names:
@@ -305,7 +312,7 @@ def _body_from_file(name: str, known: Sequence[str]) -> Body:
     except (UsageError, MeshError) as err:
         raise UsageError(f"{path}: {err}") from err
     if path.stem in known:
-        raise UsageError(f"{path}: is named as one of the bodies that are generated; rename the file")
+        raise UsageError(f"{path}: has the name of a generated body; rename the file")
     if body.radius_mm > MAX_RADIUS_MM:
         raise UsageError(
             f"{path}: reaches {body.radius_mm:.0f} mm from its centre, more than the {MAX_RADIUS_MM:g} mm that"

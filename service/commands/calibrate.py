@@ -1,4 +1,4 @@
-"""`stonefall calibrate`: the rig's geometry from a recording of balls that fell through it."""
+"""`stonefall calibrate`: calibrate the rig from a recording of falling balls or stones."""
 
 import json
 import os
@@ -50,44 +50,46 @@ def command(
     ball_diameter_mm: Annotated[
         list[float] | None,
         typer.Option(
-            help="Known diameter of the ball; twice for balls of two sizes. Without it lengths are only as good as "
-            "the initial rig's."
+            help="Known diameter of the ball, mm; give it twice for balls of two sizes. Without it lengths are only as "
+            "accurate as those of the initial rig."
         ),
     ] = None,
     method: Annotated[
         Method,
         typer.Option(
-            help="paper is the Algorithm 1 of the paper; stones puts cameras that moved back, from any stones."
+            help="bundle: bundle adjustment; paper: Algorithm 1 of the paper; stones: new poses for cameras that moved,"
+            " from any stones."
         ),
     ] = Method.BUNDLE,
     force: Annotated[
         bool, typer.Option("--force", help="Write the rig even if it should not be used.")
     ] = False,
-    workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Threads that observe drops.")] = os.cpu_count()
+    or 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
 ) -> None:
-    """Calibrate a rig from the drops of a ball of known diameter; refuses what should not be used.
+    """Calibrate the rig from drops of a ball of known diameter; a solution that should not be used is refused.
 
     Drops are the recording's bundles of kind `ball`; if it has none, all that do not show the empty rig.
     """
     diameters_mm = _distinct_diameters_mm(ball_diameter_mm or [])
     if method is Method.STONES and diameters_mm:
         raise typer.BadParameter(
-            "stones do not show the scale; leave it out", param_hint="--ball-diameter-mm"
+            "method stones cannot tell the scale; leave this option out", param_hint="--ball-diameter-mm"
         )
     if out.is_dir():
-        raise UsageError(f"--out {out} is a folder; name a rig file")
-    threadpool_limits(1)  # many threads on matrices as small as these only wait for one another
+        raise UsageError(f"--out {out} is a folder; name a file")
+    threadpool_limits(1)  # on matrices as small as these, threads only wait for one another
     source = open_recording(recording)
     start = read_rig(initial)
     require_rig_of(source, start, initial)
     unreadable = [str(error) for error in source.unreadable]
-    # never the network: a view that cannot be compared with the empty rig is better left out of a calibration
+    # never the network, whose training an edge must not depend on: views without comparison are left out
     background, segmenter = _learn_background(source, unreadable), BackgroundSegmenter()
     kind = BundleKind.PARTICLE if method is Method.STONES else BundleKind.BALL
     drops = _observed(
         source,
-        _fallen(source, kind),
+        _drop_headers(source, kind),
         lambda bundle: observe_drop(bundle, background, segmenter, kind),
         workers,
         unreadable,
@@ -116,7 +118,7 @@ def command(
     else:
         print_ball_report(solved.evidence, covered, unreadable)
     if solved.refusal is not None and not force:
-        raise UsageError(f"{out} was not written: {solved.refusal} (--force writes it nevertheless)")
+        raise UsageError(f"{out} was not written: {solved.refusal} (--force writes it all the same)")
     out.parent.mkdir(parents=True, exist_ok=True)
     write_rig(out, solved.rig)
 
@@ -130,12 +132,12 @@ def _distinct_diameters_mm(diameters_mm: Sequence[float]) -> list[float]:
             )
     distinct = sorted(set(diameters_mm))
     if len(distinct) > 2:
-        raise typer.BadParameter("at most two diameters", param_hint="--ball-diameter-mm")
+        raise typer.BadParameter("give one diameter, or two", param_hint="--ball-diameter-mm")
     return distinct
 
 
 def _learn_background(source: Recording, unreadable: list[str]) -> BackgroundModel:
-    """What the cameras see of the empty rig; damaged bundles go to `unreadable`."""
+    """Learn the background from the exposures of the empty rig; damaged bundles are added to `unreadable`."""
     model: BackgroundModel = {}
     for header in playback_order(source):
         if header.kind is BundleKind.BACKGROUND:
@@ -145,14 +147,14 @@ def _learn_background(source: Recording, unreadable: list[str]) -> BackgroundMod
                 unreadable.append(str(err))
     if not model:
         raise UsageError(
-            f"{source.path} has no exposure of the empty rig, from which the balls are told: record some first, "
+            f"{source.path} has no exposure of the empty rig, which drops are compared with: record some, "
             "or name the folders that show it with `stonefall import --background`"
         )
     return model
 
 
-def _fallen(source: Recording, kind: BundleKind) -> list[BundleHeader]:
-    """Return what fell: the balls where balls are wanted and the recording names some, else everything."""
+def _drop_headers(source: Recording, kind: BundleKind) -> list[BundleHeader]:
+    """Return the bundles with drops: balls where wanted and the recording has some, else all but the empty rig."""
     fell = [header for header in playback_order(source) if header.kind is not BundleKind.BACKGROUND]
     balls = [header for header in fell if header.kind is BundleKind.BALL]
     return balls if balls and kind is BundleKind.BALL else fell
@@ -165,10 +167,7 @@ def _observed(
     workers: int,
     unreadable: list[str],
 ) -> list[BallDrop]:
-    """Return the drops in the bundles, in their order whatever the number of workers.
-
-    Damaged bundles go to `unreadable`.
-    """
+    """Observe the drops in the bundles, in their order; damaged bundles are added to `unreadable`."""
 
     def read(header: BundleHeader) -> BallDrop | RecordingError:
         try:
@@ -177,7 +176,7 @@ def _observed(
             return err
         return observe(bundle)
 
-    # threads: nearly all of it is spent in OpenCV and NumPy, which let others run
+    # threads: nearly all time is spent in OpenCV and NumPy, which release the GIL
     with ThreadPoolExecutor(workers) as pool:
         console = Console(file=sys.stderr)
         found = list(track(pool.map(read, headers), "observing", total=len(headers), console=console))

@@ -1,4 +1,4 @@
-"""`stonefall calibration`: calibrate the rig of a running daemon; a thin client of its REST interface."""
+"""`stonefall calibration`: calibrate and verify the rig of a running daemon, as a client of its REST interface."""
 
 import json
 import time
@@ -18,42 +18,44 @@ DEFAULT_URL = "http://127.0.0.1:8080"
 
 command = typer.Typer(
     no_args_is_help=True,
-    help="Calibrate the rig of a running daemon from balls, choose what it measures with, roll back.",
+    help="Calibrate and verify the rig of a running daemon, choose the calibration in use, roll back.",
 )
 
-Url = Annotated[str, typer.Option(help="Where the daemon serves.", envvar="STONEFALL_URL")]
+Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
 Key = Annotated[
     str | None,
     typer.Option(
-        help="Bearer token, where the daemon asks for one.", envvar="STONEFALL_KEY", show_envvar=True
+        help="Token of a key, if the daemon requires one.", envvar="STONEFALL_KEY", show_envvar=True
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer.")]
-Name = Annotated[str, typer.Argument(metavar="ID", help="Which calibration, as `list` shows it.")]
-By = Annotated[str | None, typer.Option(help="Who decides; it is kept.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
+Name = Annotated[str, typer.Argument(metavar="ID", help="Number of the calibration, as `list` shows it.")]
+Note = Annotated[str | None, typer.Option(help="Remark; kept with it.")]
+Follow = Annotated[bool, typer.Option("--follow", help="Print each drop as it is observed.")]
+By = Annotated[str | None, typer.Option(help="Who decides; kept with the calibration.")]
 
 
 @command.command()
 def start(
     ball_diameter_mm: Annotated[
         list[float] | None,
-        typer.Option(help="Diameter of the ball; give it twice for balls of two sizes."),
+        typer.Option(help="Diameter of the ball, mm; give it twice for balls of two sizes."),
     ] = None,
-    method: Annotated[str, typer.Option(help="bundle, paper, or stones (no ball needed).")] = "bundle",
-    note: Annotated[str | None, typer.Option()] = None,
+    method: Annotated[str, typer.Option(help="bundle, paper, or stones (without a ball).")] = "bundle",
+    note: Note = None,
     by: By = None,
-    follow: Annotated[bool, typer.Option("--follow", help="Show the balls as they fall.")] = False,
+    follow: Follow = False,
     url: Url = DEFAULT_URL,
     key: Key = None,
     as_json: AsJson = False,
 ) -> None:
-    """Begin to collect balls. Drop them through the whole field of view, then `solve`."""
+    """Open a calibration. Drop the ball through the whole field of view, then `solve`."""
     wanted = {"ball_diameters_mm": ball_diameter_mm or [], "method": method, "note": note, "by": by}
     record = ask(url, "/calibrations", key, wanted)
     if as_json and not follow:
         typer.echo(json.dumps(record))
         return
-    typer.echo(f"calibration {record['id']}: what falls now is observed")
+    typer.echo(f"calibration {record['id']}: everything that falls now is observed")
     if follow:
         _follow(url, key, record["id"], as_json)
 
@@ -61,12 +63,12 @@ def start(
 @command.command()
 def status(
     name: Name,
-    follow: Annotated[bool, typer.Option("--follow", help="Show the balls as they fall.")] = False,
+    follow: Follow = False,
     url: Url = DEFAULT_URL,
     key: Key = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show how far a calibration is: its balls, what they cover, the residuals before and after."""
+    """Show a calibration: its drops, their coverage, the residuals before and after."""
     if follow:
         _follow(url, key, name, as_json)
         return
@@ -78,7 +80,7 @@ def status(
 def solve(
     name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
 ) -> None:
-    """Solve a calibration from the balls so far, and show what came of it."""
+    """Solve a calibration from the drops so far, and show the result."""
     ask(url, f"/calibrations/{name}/solve", key, {"by": by})
     while (details := ask(url, f"/calibrations/{name}", key))["state"] == CalibrationState.SOLVING:
         time.sleep(0.2)
@@ -88,7 +90,7 @@ def solve(
 
 
 def _decision(action: CalibrationAction, text: str) -> None:
-    """Add the command of an action that is done when the daemon answers; `text` is its help."""
+    """Add the command of an action that takes effect at once; `text` is its help."""
 
     @command.command(action, help=text)
     def decide(
@@ -100,25 +102,25 @@ def _decision(action: CalibrationAction, text: str) -> None:
 
 
 _decision(CalibrationAction.ACCEPT, "Make a solution a version that can be activated.")
-_decision(CalibrationAction.REJECT, "End a session without using its solution.")
-_decision(CalibrationAction.CANCEL, "End a session whatever it has come to.")
+_decision(CalibrationAction.REJECT, "Close a solved calibration without using it.")
+_decision(CalibrationAction.CANCEL, "Close an open calibration in any state.")
 _decision(
     CalibrationAction.ACTIVATE,
-    "Measure with a version from the next stone on; with an older one this is the roll back.",
+    "Measure with an accepted calibration from the next stone on. Activate an older one to roll back.",
 )
 
 
 @command.command()
 def verify(
-    diameter_mm: Annotated[float, typer.Option(help="Of the ball.")] = 15.0,
-    count: Annotated[int, typer.Option(help="So many balls are measured.")] = 5,
-    note: Annotated[str | None, typer.Option()] = None,
+    diameter_mm: Annotated[float, typer.Option(help="Diameter of the ball, mm.")] = 15.0,
+    count: Annotated[int, typer.Option(help="Number of drops to measure.")] = 5,
+    note: Note = None,
     by: By = None,
     url: Url = DEFAULT_URL,
     key: Key = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the next balls with the calibration in use, and judge the rig; exit 1 when it fails."""
+    """Verify the calibration in use with the next balls; exit 1 when it fails."""
     wanted = {"diameter_mm": diameter_mm, "count": count, "note": note, "by": by}
     found = ask(url, "/verifications", key, wanted)
     typer.echo(f"verification {found['id']}: drop the ball {count} times", err=as_json)
@@ -138,10 +140,10 @@ def verify(
         raise DaemonError(f"verification {found['id']} {found['state']}: {'; '.join(found['problems'])}")
     if not as_json:
         summary = found["summary"]
-        uneven_mm = summary["vertical_minus_horizontal_mm"]
+        difference_mm = summary["vertical_minus_horizontal_mm"]
         typer.echo(
             f"passed: diameter {summary['error_mm']:+.3f} mm off, scatter {summary['sd_mm']:.3f} mm, vertical minus"
-            f" horizontal {'unknown' if uneven_mm is None else f'{uneven_mm:+.3f} mm'}"
+            f" horizontal {'unknown' if difference_mm is None else f'{difference_mm:+.3f} mm'}"
         )
 
 
@@ -168,7 +170,7 @@ def list_all(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -
 
 
 def _follow(url: str, key: str | None, name: str, as_json: bool) -> None:
-    """Print each ball as it is observed, until the session ends."""
+    """Print each drop as it is observed, until the calibration is accepted, rejected or cancelled."""
     n_shown = 0
     while True:
         details = ask(url, f"/calibrations/{name}", key)
@@ -189,7 +191,7 @@ def _line(number: int, ball: Mapping[str, Any], details: Mapping[str, Any]) -> s
     worst_px = max(ball["residuals_px"].values(), default=0.0)
     coverage = details["coverage"]
     return f"ball {number:3d}: {len(ball['views'])} views, {where}, residual up to {worst_px:.2f} px; " + (
-        ball["problem"] or f"still missing: {coverage['missing'] or 'nothing, solve it'}"
+        ball["problem"] or f"still missing: {coverage['missing'] or 'nothing: solve it'}"
     )
 
 

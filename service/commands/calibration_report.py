@@ -1,4 +1,4 @@
-"""What people read of a calibration: a table of the cameras, then what else was found, a line each."""
+"""The printed report of a calibration: a table of the cameras, and a line for each further finding."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,12 +13,12 @@ from pipeline.calibration.self_calibration import StoneCalibration
 
 
 def print_ball_report(report: CalibrationReport, covered: Coverage, unreadable: Sequence[str]) -> None:
-    """Print a calibration from balls, and what the drops cover."""
+    """Print a calibration from balls, and the coverage of its drops."""
     _print(_table(report, covered), _lines(report, covered, unreadable))
 
 
 def print_stone_report(found: StoneCalibration, unreadable: Sequence[str]) -> None:
-    """Print which cameras were put back from stones."""
+    """Print which cameras were given new poses from stones."""
     table = Table("camera", "before px", "after px", "turned °", "shifted mm")
     for camera in found.rig.camera_ids:
         movement = found.moved.get(camera)
@@ -74,7 +74,7 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
     yield from (f"unreadable: {each}" for each in unreadable)
     yield from (f"left out: {name}: {reason}" for name, reason in report.drops_left_out.items())
     extent = " x ".join(f"{each:.1f}" for each in covered.extent_mm)
-    yield f"drops: {len(report.drops_used)} across {extent} mm; wanted: {covered.missing or 'nothing'}"
+    yield f"drops: {len(report.drops_used)} across {extent} mm; missing: {covered.missing or 'nothing'}"
     if report.held_out_px is not None:
         yield f"drops not used in the fit: {report.held_out_px:.3f} px rms"
     if report.scale is ScaleSource.BALL_DIAMETER:

@@ -1,4 +1,4 @@
-"""`stonefall cameras`: which GigE cameras answer, and what they can be set to."""
+"""`stonefall cameras`: find GigE cameras, and print the GenICam description of one."""
 
 import json
 from dataclasses import asdict
@@ -15,7 +15,7 @@ from drivers.gvcp import DiscoveredCamera, discover, local_addresses
 
 
 def ipv4_address(text: str) -> str:
-    """Refuse what is no IPv4 address."""
+    """Return the address as it is usually written; raise `typer.BadParameter` when it is none."""
     try:
         return str(IPv4Address(text))
     except ValueError as err:
@@ -36,12 +36,14 @@ def command(
         typer.Option(
             metavar="IP",
             parser=ipv4_address,
-            help="Look only out of this machine's port with that address; may be repeated.",
+            help="Search only the network port of this machine with this address; may be repeated.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a camera.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print a JSON list with one object for each camera.")
+    ] = False,
 ) -> None:
-    """Find all GigE cameras on the networks of this machine, whoever uses them."""
+    """List all GigE cameras on the networks of this machine, also those in use."""
     if xml is not None:
         typer.echo(genicam_xml(xml))
         return
@@ -51,7 +53,7 @@ def command(
     elif found:
         Console().print(_table(found))
     else:
-        typer.echo(f"No camera answers out of {', '.join(interface or local_addresses())}.")
+        typer.echo(f"No camera answers on the networks of {', '.join(interface or local_addresses())}.")
 
 
 def _table(devices: list[DiscoveredCamera]) -> Table:
@@ -61,5 +63,5 @@ def _table(devices: list[DiscoveredCamera]) -> Table:
     for device in devices:
         model = f"{device.vendor} {device.model} {device.version}"
         cells = (device.address, device.serial, device.user_name, model, device.mac)
-        table.add_row(*map(Text, cells))  # a MAC with :cd: in it is no picture of a disc
+        table.add_row(*map(Text, cells))  # as text: rich would print the :cd: of a MAC as a picture of a disc
     return table

@@ -1,4 +1,4 @@
-"""`stonefall compile`: what the first start would compile."""
+"""`stonefall compile`: compile the loops that the first start would compile."""
 
 import asyncio
 from pathlib import Path
@@ -15,9 +15,9 @@ from service.processing.worker_pool import WorkerPool
 def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
-    """Compile all loops and keep them where the daemon looks for them (NUMBA_CACHE_DIR), so that it starts at once.
+    """Compile all loops ahead of the first start, into the cache that the daemon uses (NUMBA_CACHE_DIR).
 
-    To be run with every installation, by the user that the daemon runs as.
+    Run it after every installation, as the user that the daemon runs as.
     """
     asyncio.run(_compile(load_settings(config)))
 

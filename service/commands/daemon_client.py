@@ -1,4 +1,4 @@
-"""Asking a running daemon: a thin client of its REST interface, for commands."""
+"""A small client of the REST interface, for the commands that talk to a running daemon."""
 
 import json
 import urllib.error
@@ -11,23 +11,23 @@ from urllib.parse import urlsplit
 from service.api.version import BASE
 from service.errors import ServiceError
 
-ANSWER_S = 30.0
+TIMEOUT_S = 30.0
 
 
 class DaemonError(ServiceError):
-    """The daemon cannot be reached, or refuses what was asked for."""
+    """The daemon cannot be reached, or refuses a request."""
 
 
 def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the daemon's answer; with a `body` it is asked to do something.
+    """Return the answer to a GET request, or with a `body` to a POST request; members that are None are not sent.
 
     Raises
     ------
     DaemonError
-        It does not answer, or refuses; in its own words.
+        It does not answer, or refuses; carries the reason it gives.
     """
     if urlsplit(url).scheme not in ("http", "https"):
-        raise DaemonError(f"--url {url}: begin with http:// or https://")
+        raise DaemonError(f"--url {url}: must begin with http:// or https://")
     headers = {"Accept": "application/json"}
     data = None
     if body is not None:
@@ -37,14 +37,14 @@ def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = N
         headers["Authorization"] = f"Bearer {key}"
     request = urllib.request.Request(f"{url.rstrip('/')}{BASE}{path}", data, headers)  # noqa: S310 - http or https, see above
     try:
-        with urllib.request.urlopen(request, timeout=ANSWER_S) as answer:  # noqa: S310 - as above
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:  # noqa: S310 - as above
             return dict(json.load(answer))
     except urllib.error.HTTPError as err:
         with err:
             raise DaemonError(_refusal(err)) from None
     except (OSError, HTTPException, ValueError) as err:
         reason = getattr(err, "reason", err)
-        raise DaemonError(f"no answer from {url}: {reason}: does the daemon run there?") from None
+        raise DaemonError(f"no answer from {url}: {reason}: is the daemon running there?") from None
 
 
 def _refusal(error: urllib.error.HTTPError) -> str:

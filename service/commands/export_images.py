@@ -1,4 +1,4 @@
-"""`stonefall export`: the images of a recording, as `stonefall import` reads them."""
+"""`stonefall export`: write the images of a recording in the layout that `stonefall import` reads."""
 
 import sys
 from pathlib import Path
@@ -19,11 +19,13 @@ from pipeline.frames import BundleKind
 
 def command(
     recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
-    out: Annotated[Path, typer.Argument(help="Folder for one folder a bundle, in it <camera id>.png each.")],
+    out: Annotated[
+        Path, typer.Argument(help="New folder, with a folder for each bundle and in it <camera id>.png.")
+    ],
 ) -> None:
-    """Write a recording as PNG images, with its rig.json and the names of the empty rig in backgrounds.txt.
+    """Write a recording as PNG images, with its rig.json.
 
-    What is damaged is left out and named.
+    backgrounds.txt lists the bundles that show the empty rig. Damaged images are left out and named.
     """
     source = open_recording(recording)
     console = Console(file=sys.stderr)

@@ -1,4 +1,4 @@
-"""`stonefall fit-volume`: the volume's correction from stones that were measured and weighed."""
+"""`stonefall fit-volume`: fit the volume correction to stones that were measured and weighed."""
 
 import csv
 import io
@@ -15,26 +15,31 @@ from service.errors import VolumeModelError
 from service.results.fields import Outcome
 
 MAX_VOLUME_MM3 = 1e6
-"""Of a cube of 100 mm: more than the cameras see."""
+"""Volume of a cube of 100 mm, which is larger than the field of view."""
 
 
 def command(
     results: Annotated[Path, typer.Argument(help="results.jsonl of `stonefall measure`.")],
-    weighed: Annotated[Path, typer.Argument(help="CSV with the columns bundle and mass_g.")],
+    weighed: Annotated[Path, typer.Argument(help="CSV file with the columns bundle and mass_g.")],
     density_g_cm3: Annotated[
-        float, typer.Option("--density-g-cm3", min=0.1, max=25, help="Of the particles.")
+        float, typer.Option("--density-g-cm3", min=0.1, max=25, help="Density of the stones, g/cm³.")
     ],
-    out: Annotated[Path, typer.Option(help="File for [measuring] volume_model of the configuration.")],
-    as_json: Annotated[bool, typer.Option("--json")] = False,
+    out: Annotated[
+        Path, typer.Option(help="File to write, for [measuring] volume_model of the configuration.")
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the coefficients as JSON.")] = False,
 ) -> None:
-    """Fit the volume's correction to weighed stones; a stone may have fallen several times, one line each."""
+    """Fit the volume correction to weighed stones.
+
+    A stone may have been measured several times, each with a line of its own.
+    """
     measured = _measured(results)
     masses_g = _masses_g(weighed)
     unknown = sorted(set(masses_g) - set(measured))
     if unknown:
         raise VolumeModelError(
             f"{weighed}: {results} has no measured bundle {', '.join(unknown[:3])};"
-            " remove these lines or name the results of the same stones"
+            " remove these lines, or give the results of the same stones"
         )
     hull_mm3 = [measured[bundle][0] for bundle in masses_g]
     estimate_mm3 = [measured[bundle][1] for bundle in masses_g]
@@ -62,7 +67,7 @@ def command(
 
 
 def _measured(path: Path) -> dict[str, tuple[float, float]]:
-    """Volumes of hull and estimate, in mm3, of the measured stones by bundle."""
+    """Return the volumes of hull and estimate, mm³, of the measured stones by bundle."""
     volumes_mm3: dict[str, tuple[float, float]] = {}
     for number, line in enumerate(_text(path).splitlines(), start=1):
         where = f"{path}: line {number}"
@@ -70,7 +75,7 @@ def _measured(path: Path) -> dict[str, tuple[float, float]]:
             record = json.loads(line)
             bundle, is_measured = str(record["bundle"]), record["outcome"] == Outcome.MEASURED
         except (ValueError, LookupError, TypeError) as err:
-            raise VolumeModelError(f"{where}: is no result of stonefall measure") from err
+            raise VolumeModelError(f"{where}: is not a result of stonefall measure") from err
         if is_measured:
             volumes_mm3[bundle] = (
                 _volume_mm3(record, "volume_raw_mm3", where),
@@ -87,7 +92,7 @@ def _volume_mm3(record: dict[str, Any], field: str, where: str) -> float:
 
 
 def _masses_g(path: Path) -> dict[str, float]:
-    """Masses by bundle, in the order of the file."""
+    """Return the masses by bundle, in the order of the file."""
     masses_g: dict[str, float] = {}
     rows = csv.DictReader(io.StringIO(_text(path), newline=""))
     if not {"bundle", "mass_g"} <= set(rows.fieldnames or ()):
@@ -103,7 +108,9 @@ def _masses_g(path: Path) -> dict[str, float]:
                 f"{path}: line {rows.line_num}: mass_g must be a positive number, not {row['mass_g']!r}"
             )
         if bundle in masses_g:
-            raise VolumeModelError(f"{path}: line {rows.line_num}: {bundle} was weighed before")
+            raise VolumeModelError(
+                f"{path}: line {rows.line_num}: {bundle} is there twice; keep one line for each bundle"
+            )
         masses_g[bundle] = mass_g
     return masses_g
 
@@ -112,4 +119,4 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as err:
-        raise VolumeModelError(f"{path}: is not written in UTF-8; save it again as such") from err
+        raise VolumeModelError(f"{path}: is not written in UTF-8; save it as UTF-8") from err

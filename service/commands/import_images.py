@@ -1,4 +1,4 @@
-"""`stonefall import`: a recording from images that others took."""
+"""`stonefall import`: make a recording from PNG images."""
 
 import re
 import sys
@@ -21,21 +21,22 @@ from service.errors import UsageError
 SPACING_NS = 250_000_000
 EXPOSURE_DELAY_NS = 247_400_000
 TRANSFER_NS = 12_000_000
-"""Images carry no times: these are those of the paper's rig at four stones a second."""
+"""Times that are given to the images, which carry none: those of the paper's rig at four stones a second."""
 
 
 def command(
     source: Annotated[
-        Path, typer.Argument(help="Folder with one folder a bundle, in it <camera id>.png each.")
+        Path, typer.Argument(help="Folder with a folder for each bundle and in it <camera id>.png.")
     ],
     out: Annotated[Path, typer.Argument(help="Folder of the new recording.")],
     rig: Annotated[Path, typer.Option(help="Rig file of the cameras.")],
     background: Annotated[
-        list[str] | None, typer.Option(help="Name of a folder that shows the empty rig; may be repeated.")
+        list[str] | None,
+        typer.Option(help="Name of a bundle's folder that shows the empty rig; may be repeated."),
     ] = None,
-    simulated: Annotated[bool, typer.Option("--simulated", help="The images are not photographs.")] = False,
+    simulated: Annotated[bool, typer.Option("--simulated", help="Mark the images as synthetic.")] = False,
 ) -> None:
-    """Make a recording from folders of 8-bit grey PNG images; a missing file is a missing view."""
+    """Make a recording from folders of 8-bit grey PNG images; a missing file means a missing view."""
     calibration = read_rig(rig)
     folders = _bundle_folders(source, background or [])
     size_px = calibration.cameras[0].image_size_px
@@ -55,7 +56,7 @@ def command(
 
 
 def _bundle_folders(source: Path, backgrounds: Sequence[str]) -> list[tuple[Path, BundleKind]]:
-    """The folders in the order of their names, numbers by value, those of the empty rig first."""
+    """Return the folders in the order of their names, numbers by value, those of the empty rig first."""
     if not source.is_dir():
         raise RecordingError(source, "is not a folder")
     folders = [path for path in source.iterdir() if path.is_dir() and not path.name.startswith(".")]
@@ -64,14 +65,14 @@ def _bundle_folders(source: Path, backgrounds: Sequence[str]) -> list[tuple[Path
     if unknown := sorted(set(backgrounds) - {folder.name for folder in folders}):
         raise UsageError(f"--background {unknown[0]}: {source} has no such folder")
 
-    def in_order(folder: Path) -> tuple[bool, list[tuple[int, str]], str]:
+    def sort_key(folder: Path) -> tuple[bool, list[tuple[int, str]], str]:
         numbers_and_words = re.findall(r"(\d+)|(\D+)", folder.name)
         key = [(int(number or 0), word) for number, word in numbers_and_words]
         return folder.name not in backgrounds, key, folder.name
 
     return [
         (folder, BundleKind.BACKGROUND if folder.name in backgrounds else BundleKind.PARTICLE)
-        for folder in sorted(folders, key=in_order)
+        for folder in sorted(folders, key=sort_key)
     ]
 
 

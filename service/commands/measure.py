@@ -1,7 +1,7 @@
-"""`stonefall measure`: the daemon's processing over a recording, without the daemon around it.
+"""`stonefall measure`: measure a recording with the daemon's own processing.
 
-Bundles come from the recording instead of the spool, outcomes go to a folder instead of the store; what
-lies between is the same, so the numbers are.
+Bundles come from the recording instead of the spool, outcomes go to a folder instead of the store. Everything between
+is the same, and so are the results.
 """
 
 import asyncio
@@ -46,15 +46,15 @@ from service.processing.worker_pool import WorkerPool
 from service.results.fields import LossReason, Outcome
 
 DEADLINE_S = 600.0
-"""Nobody waits for a stone here; only a worker that hangs is ended."""
+"""Only a worker that hangs is ended: no stone waits here."""
 IN_FLIGHT = 4
-"""Bundles a worker on their way at a time."""
+"""Bundles in flight for each worker."""
 RESULTS, GRADATION = "results.jsonl", "gradation.json"
 MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
 
 
 class SegmenterName(StrEnum):
-    """What finds the outlines first; the other one where it cannot."""
+    """Segmenter that is asked first; the other one is asked where it fails."""
 
     AUTO = "auto"
     BACKGROUND = "background"
@@ -62,14 +62,14 @@ class SegmenterName(StrEnum):
 
 
 class BodyName(StrEnum):
-    """Which body is described."""
+    """Body that mesh and shape describe."""
 
     ESTIMATE = "estimate"
     HULL = "hull"
 
 
-class Field(StrEnum):
-    """Which field is carved."""
+class CarvingField(StrEnum):
+    """Field over the voxels that the surface is taken from."""
 
     SUB_VOXEL = "sub_voxel"
     VIEW_COUNT = "view_count"
@@ -77,29 +77,52 @@ class Field(StrEnum):
 
 def command(
     recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
-    out: Annotated[Path, typer.Option(help="Folder for results.jsonl, meshes/ and gradation.json.")],
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own rig.json.")] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for results.jsonl, meshes/ and gradation.json; an earlier run's are replaced."
+        ),
+    ],
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: rig.json of the recording.")] = None,
     segmenter: Annotated[
         SegmenterName | None,
-        typer.Option(help="As configured, else auto: onnx where background is in doubt."),
+        typer.Option(
+            help="Segmenter; default: as configured, else auto (onnx where background is in doubt)."
+        ),
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option(help="ONNX file, or a name of `stonefall models list`; else the built-in one."),
+        typer.Option(
+            help="ONNX file, or name of `stonefall models list`; default: as configured, else the built-in model."
+        ),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="Take the parameters of this configuration.")] = None,
-    field: Annotated[Field | None, typer.Option(help="view_count is the paper's field.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Use the parameters of this configuration file.")
+    ] = None,
+    field: Annotated[
+        CarvingField | None,
+        typer.Option(
+            help="sub_voxel: signed distances; view_count: the paper's. Default: as configured, else sub_voxel."
+        ),
+    ] = None,
     body: Annotated[
-        BodyName | None, typer.Option(help="What mesh and shape describe; as configured, else the estimate.")
+        BodyName | None,
+        typer.Option(help="Body that mesh and shape describe; default: as configured, else the estimate."),
     ] = None,
     mesher: Annotated[
-        Mesher, typer.Option(help="skimage is scikit-image's marching cubes, the reference.")
+        Mesher,
+        typer.Option(
+            help="leaves: marching cubes over the cut leaves; skimage: scikit-image's, the reference."
+        ),
     ] = Mesher.LEAVES,
-    workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1,
-    save_silhouettes: Annotated[bool, typer.Option("--save-silhouettes")] = False,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes that measure.")] = os.cpu_count()
+    or 1,
+    save_silhouettes: Annotated[
+        bool, typer.Option("--save-silhouettes", help="Write silhouettes/<bundle>/<camera>.png as well.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Measure every particle of a recording; the same numbers as the daemon's, whatever the number of workers."""
+    """Measure every stone of a recording, with the same results as the daemon's, on any number of workers."""
     source = open_recording(recording)
     rig_path = rig or source.path / "rig.json"
     if rig is None and not rig_path.exists():
@@ -118,38 +141,40 @@ def command(
         parameters=parameters,
         is_simulated=source.is_simulated,
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
-        segmentation=_plan(segmentation, segmenter, model),
+        segmentation=_segmenter_plan(segmentation, segmenter, model),
     )
     taken = [name for name in FOLDERS if (out / name).exists()]
     if taken and not (out / RESULTS).exists():
-        raise UsageError(f"{out} has {taken[0]}/ but no {RESULTS}: it is no folder of results")
+        raise UsageError(
+            f"{out} has {taken[0]}/ but no {RESULTS}: it is not a folder of results; name another --out"
+        )
     out.mkdir(parents=True, exist_ok=True)
     rig_file = RigFile(rig_path, calibration.calibration_id)
     with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as name:
-        made = Path(name)
-        records = _measure_all(source, context, rig_file, made, workers, save_silhouettes)
+        unfinished = Path(name)
+        records = _measure_all(source, context, rig_file, unfinished, workers, save_silhouettes)
         stones = [r for r in records if r["outcome"] == Outcome.MEASURED and r["kind"] == BundleKind.PARTICLE]
         curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
-        (made / GRADATION).write_text(json.dumps(asdict(curve), indent=2) + "\n")
-        _put_in_place(made, out)
-    _report(records, as_json)
+        (unfinished / GRADATION).write_text(json.dumps(asdict(curve), indent=2) + "\n")
+        _replace_results(unfinished, out)
+    _print_summary(records, as_json)
 
 
-def _put_in_place(made: Path, out: Path) -> None:
-    """Replace what an earlier run left, all of it; `results.jsonl` is there when everything is."""
+def _replace_results(unfinished: Path, out: Path) -> None:
+    """Replace all files of an earlier run; `results.jsonl` comes last, when everything else is in place."""
     for name in (RESULTS, GRADATION):
         (out / name).unlink(missing_ok=True)
     for name in FOLDERS:
         shutil.rmtree(out / name, ignore_errors=True)
     for name in (*FOLDERS, GRADATION, RESULTS):
-        if (made / name).exists():
-            (made / name).rename(out / name)
+        if (unfinished / name).exists():
+            (unfinished / name).rename(out / name)
 
 
-def _plan(
+def _segmenter_plan(
     configured: SegmentationSettings, segmenter: SegmenterName | None, model: str | None
 ) -> SegmenterPlan:
-    """As configured unless the command line says otherwise; what it names itself must be there."""
+    """Return the configured segmenter, changed by the command line; what the command line names must be usable."""
     wanted = configured.segmenter if segmenter is None else segmenter.value
     plan = plan_segmenter(
         replace(configured, segmenter=wanted, model=configured.model if model is None else model)
@@ -161,8 +186,8 @@ def _plan(
     return plan
 
 
-class _Playback:
-    """The recording in the place of the spool."""
+class _PlaybackSpool:
+    """A recording in the place of the spool."""
 
     def __init__(self, source: Recording, in_flight: int) -> None:
         self._bundles = [
@@ -187,7 +212,7 @@ class _Playback:
         self._room.release()
 
 
-class _Folder:
+class _ResultsFolder:
     """The output folder in the place of the store."""
 
     def __init__(self, out: Path, lines: IO[str]) -> None:
@@ -198,7 +223,7 @@ class _Folder:
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
     ) -> int:
-        """Keep a record, and its files where the command promises them."""
+        """Write a record, and move its mesh and silhouettes to the output folder."""
         kept = dict(record)
         if mesh := (files or {}).get(MESH):
             kept["mesh"] = f"{MESHES}/{bundle}.ply"
@@ -221,12 +246,12 @@ def _measure_all(
     workers: int,
     save_silhouettes: bool,
 ) -> list[dict[str, Any]]:
-    """All records in playback order; with their files they are in `out`."""
+    """Measure all bundles and return their records in playback order; records and files are written to `out`."""
     (out / MESHES).mkdir()
     work = out / "work"
     work.mkdir()
     with (out / RESULTS).open("w") as lines, Progress(console=Console(file=sys.stderr)) as progress:
-        results = _Folder(out, lines)
+        results = _ResultsFolder(out, lines)
         processing_context = ProcessingContext(
             session=0,
             camera_ids=source.camera_ids,
@@ -243,11 +268,11 @@ async def _run(
     context: WorkerContext,
     rig_file: RigFile,
     processing_context: ProcessingContext,
-    results: _Folder,
+    results: _ResultsFolder,
     workers: int,
     progress: Progress,
 ) -> None:
-    playback = _Playback(source, IN_FLIGHT * workers)
+    playback = _PlaybackSpool(source, IN_FLIGHT * workers)
     bar = progress.add_task("measuring", total=playback.n_particles)
     pool = WorkerPool(slots=workers, deadline_s=DEADLINE_S, prepare=prepare, context=context)
     processing = Processing(
@@ -267,7 +292,7 @@ async def _run(
         pool.close()
 
 
-def _report(records: list[dict[str, Any]], as_json: bool) -> None:
+def _print_summary(records: list[dict[str, Any]], as_json: bool) -> None:
     outcomes = [record["outcome"] for record in records]
     summary = {outcome: outcomes.count(outcome) for outcome in Outcome}
     if as_json:

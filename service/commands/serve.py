@@ -1,4 +1,4 @@
-"""`stonefall serve`: the daemon."""
+"""`stonefall serve`: run the daemon."""
 
 import asyncio
 import logging
@@ -21,9 +21,9 @@ log = logging.getLogger(__name__)
 def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
-    """Measure the stones of a rig, keep the results and serve them, until SIGTERM."""
+    """Run the daemon: measure the stones of a rig, store the results and serve them, until SIGTERM."""
     import_for_workers("service.processing.worker_imports")
-    # imported here: meanwhile
+    # imported here, while the server of worker processes does its own imports
     from service.configuration.settings import load_settings, problems
     from service.daemon.run import run
 
@@ -35,12 +35,12 @@ def command(
         asyncio.run(run(settings, service_manager(os.environ, os.getpid())))
     except BaseExceptionGroup:
         log.critical("fatal, the daemon ends", exc_info=True)
-        _end(1)
-    _end(0)
+        _exit(1)
+    _exit(0)
 
 
-def _end(code: int) -> NoReturn:
-    """Exit although a device may still keep a thread: everything else is closed by now."""
+def _exit(code: int) -> NoReturn:
+    """Exit, even if a device driver still blocks a thread; everything else is closed by now."""
     others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
     if any(CONTROL_THREAD_SUFFIX in thread.name for thread in others):
         logging.shutdown()

@@ -1,4 +1,4 @@
-"""`stonefall shape`: the pipeline's own measurement of mesh files."""
+"""`stonefall shape`: measure mesh files with the functions of the pipeline."""
 
 import json
 import struct
@@ -31,19 +31,21 @@ PARSER_ERRORS = (
     struct.error,
     trimesh.exchange.stl.HeaderError,
 )
-"""What trimesh's parsers raise on damaged files."""
+"""Exceptions of trimesh's parsers on damaged files."""
 
 ROWS = [name for name in MEASURED_FIELDS if name in {field.name for field in fields(ShapeMeasurement)}]
-"""The fields of a result that a mesh alone has."""
+"""Fields of a result that follow from a mesh alone, in the order of the result."""
 
 
 def command(
     meshes: Annotated[
         list[Path], typer.Argument(metavar="MESH...", help="Closed meshes in mm: STL, PLY, OBJ.")
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="A list of objects, one a mesh.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print a JSON list with one object for each mesh.")
+    ] = False,
 ) -> None:
-    """Measure mesh files with the very functions of the pipeline."""
+    """Measure mesh files with the functions that measure stones."""
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     measured: list[dict[str, Any]] = []
     for path in track(meshes, "Measuring", console=errors, transient=True, disable=not errors.is_terminal):
@@ -64,16 +66,16 @@ def command(
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The mesh in a file, its equal vertices merged.
+    """Read a mesh, and merge its equal vertices.
 
     Raises
     ------
     UsageError
-        The file is not a mesh that can be read.
+        The file is not a readable mesh.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise UsageError(f"is none of {', '.join(SUFFIXES)}")
+        raise UsageError(f"must be one of {', '.join(SUFFIXES)}")
     try:
         with path.open("rb") as file:
             mesh = trimesh.load_mesh(file, file_type=suffix[1:], process=False)

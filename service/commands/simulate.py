@@ -1,4 +1,4 @@
-"""`stonefall simulate`: the simulated rig, for whoever wants to see real GigE Vision packets without a camera."""
+"""`stonefall simulate`: a rig of simulated GigE Vision cameras and a light gate."""
 
 import hashlib
 import json
@@ -22,11 +22,11 @@ from service.results.version import ALGORITHM_VERSION
 
 POLL_S = 0.1
 SWITCH_INTERVAL_S = 0.0005
-"""Instead of 5 ms: sixteen cameras begin to send just before the next stone shall close the beam on time."""
+"""Python's default of 5 ms would delay the beam while sixteen cameras begin to send."""
 
 
-class Start(StrEnum):
-    """When the belt starts."""
+class BeltStart(StrEnum):
+    """What starts the belt."""
 
     AUTO = "auto"
     MANUAL = "manual"
@@ -35,44 +35,57 @@ class Start(StrEnum):
 def command(
     recording: Annotated[
         Path | None,
-        typer.Argument(help="What falls; default: --bodies, rendered once and kept for the next time."),
+        typer.Argument(help="Recording that is played; default: --bodies, rendered once and kept."),
     ] = None,
-    address: Annotated[str, typer.Option(help="Of the first camera; the others follow.")] = "127.0.0.2",
-    cameras: Annotated[int | None, typer.Option(min=1, help="The first so many of the recording.")] = None,
+    address: Annotated[
+        str, typer.Option(help="IP address of the first camera; the others get the next ones.")
+    ] = "127.0.0.2",
+    cameras: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of cameras, the first ones of the recording; default: all."),
+    ] = None,
     rate: Annotated[float, typer.Option(min=0.01, max=1000, help="Stones per second.")] = 4.0,
     start: Annotated[
-        Start,
+        BeltStart,
         typer.Option(
-            help="auto: when all cameras acquire and the gate is open; manual: by the control socket."
+            help="auto: as soon as all cameras acquire and the gate is open; manual: on request at the control socket."
         ),
-    ] = Start.AUTO,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    once: Annotated[bool, typer.Option("--once", help="Exit when everything fell and was sent.")] = False,
-    gate_link: Annotated[Path | None, typer.Option(help="Name of the gate's serial port.")] = None,
-    control: Annotated[Path | None, typer.Option(help="Name of the control socket.")] = None,
+    ] = BeltStart.AUTO,
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end of the recording.")] = False,
+    once: Annotated[
+        bool, typer.Option("--once", help="Exit when everything has fallen and was sent.")
+    ] = False,
+    gate_link: Annotated[
+        Path | None, typer.Option(help="Path of the gate's serial port; default: a temporary one.")
+    ] = None,
+    control: Annotated[
+        Path | None, typer.Option(help="Path of the control socket; default: in a temporary folder.")
+    ] = None,
     uplink: Annotated[
         float | None,
-        typer.Option(min=1, help="MB/s that all cameras share behind a switch; default: no limit."),
+        typer.Option(min=1, help="Rate that all cameras share behind a switch, MB/s; default: no limit."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of clocks, faults and rendered bodies.")] = 0,
-    bodies: Annotated[str, typer.Option(help="What to render; as in `synthesize`.")] = "stones",
-    count: Annotated[int, typer.Option(min=1, max=1000, help="How many bodies to render.")] = 10,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Equal seeds give equal clocks, faults and rendered bodies.")
+    ] = 0,
+    bodies: Annotated[str, typer.Option(help="What to render, as in `stonefall synthesize`.")] = "stones",
+    count: Annotated[int, typer.Option(min=1, max=1000, help="Number of bodies to render.")] = 10,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print what is there, and counters at the end.")
+        bool, typer.Option("--json", help="Print the addresses, and counters at the end, as JSON.")
     ] = False,
 ) -> None:
-    """Play a rig: GigE Vision cameras on loopback, a light gate on a pseudo-terminal, one belt.
+    """Simulate a rig: GigE Vision cameras on loopback, a light gate on a pseudo-terminal, and a belt.
 
     Requests to the control socket are JSON objects, one a line: {"do": "help"} lists them.
     """
     if loop and once:
-        raise typer.BadParameter("the end never comes with --loop", param_hint="--once")
+        raise typer.BadParameter("cannot be combined with --loop, which never ends", param_hint="--once")
     try:
         IPv4Address(address)
     except AddressValueError as err:
         raise typer.BadParameter(str(err), param_hint="--address") from err
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    source = open_recording(recording or _rendered(bodies, count, seed))
+    source = open_recording(recording or _rendered_recording(bodies, count, seed))
     if cameras is not None and cameras > len(source.camera_ids):
         raise UsageError(f"{source.path} has {len(source.camera_ids)} cameras, not {cameras}")
     stop = threading.Event()
@@ -90,7 +103,7 @@ def command(
             seed=seed,
         )
         with SimulatedRig(design, source) as rig:
-            if start is Start.AUTO:
+            if start is BeltStart.AUTO:
                 rig.belt.start_when(lambda: rig.is_ready)
             typer.echo(json.dumps(_document(design, rig)) if as_json else _text(design, rig))
             sys.stdout.flush()
@@ -100,8 +113,8 @@ def command(
         typer.echo(json.dumps(rig.counters()))
 
 
-def _rendered(bodies: str, count: int, seed: int) -> Path:
-    """A recording of these bodies, made the first time somebody asks for them."""
+def _rendered_recording(bodies: str, count: int, seed: int) -> Path:
+    """Return a recording of these bodies, rendered the first time and kept in the folder for temporary files."""
     wanted = json.dumps([bodies, count, seed, ALGORITHM_VERSION])
     name = f"recording-{hashlib.sha256(wanted.encode()).hexdigest()[:12]}"
     folder = Path(tempfile.gettempdir(), f"stonefall-{os.getuid()}")

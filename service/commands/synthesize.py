@@ -1,4 +1,4 @@
-"""`stonefall synthesize`: a recording of known bodies, with the truth beside it."""
+"""`stonefall synthesize`: render a recording of known bodies, with their true shapes beside it."""
 
 import json
 from collections.abc import Callable
@@ -37,13 +37,13 @@ STONES = "stones"
 MAX_RADIUS_MM = 100.0
 BALL_DIAMETERS_MM = (2.0, 40.0)
 MAX_FALL_JITTER_MS = 6.0
-"""More, and the ball falls past the field of view."""
+"""Beyond it the ball is outside the field of view."""
 
 HOUSING, BACKGROUND, PARTICLE = range(3)
-"""Keys of the random streams: what a bundle shows does not depend on how many others there are."""
+"""Keys of the random streams: the content of a bundle does not depend on the number of bundles."""
 
-Turn = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
-"""What falls when it is an item's turn for the n-th time (from 0), and its true shape."""
+BodySource = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
+"""Returns the body, and its true shape, that an item of `--bodies` stands for in the n-th round (from 0)."""
 
 
 def command(
@@ -51,7 +51,7 @@ def command(
     bodies: Annotated[
         str,
         typer.Option(
-            help=f"What falls, in turns, separated by commas: {', '.join(STANDARDS)} (of another diameter in mm: "
+            help=f"Bodies that fall in turn, separated by commas: {', '.join(STANDARDS)} (of another diameter in mm: "
             f"ball:15), {STONES} "
             f"(in turn {', '.join(STONE_FORMS)}), one of these classes, or mesh files in mm."
         ),
@@ -60,31 +60,34 @@ def command(
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal images.")] = 0,
     rig: Annotated[
         Path | None,
-        typer.Option(help="The rig that photographs; default: the design, built with seeded deviations."),
+        typer.Option(help="Rig file of the cameras; default: the design with seeded deviations."),
     ] = None,
-    backgrounds: Annotated[int, typer.Option(min=0, max=1000, help="Exposures of the empty rig, first.")] = 5,
+    backgrounds: Annotated[
+        int, typer.Option(min=0, max=1000, help="Number of exposures of the empty rig, before the bodies.")
+    ] = 5,
     size_mm: Annotated[
-        float | None, typer.Option(min=1, max=45, help="Greatest diameter of the stones; default: 5 to 40.")
+        float | None,
+        typer.Option(min=1, max=45, help="Greatest diameter of the stones, mm; default: 5 to 40, at random."),
     ] = None,
     exposure_us: Annotated[
-        float, typer.Option(min=0, max=1000, help="Motion blur is 1 px per 20 us.")
+        float, typer.Option(min=0, max=1000, help="Exposure time, us; motion blur is 1 px in 20 us.")
     ] = 20.0,
     rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0,
     spread_mm: Annotated[
         tuple[float, float, float],
-        typer.Option(metavar="X Y Z", help="Balls are dropped up to this far from the centre."),
+        typer.Option(metavar="X Y Z", help="Balls fall up to this far from the centre, mm."),
     ] = SPREAD_MM,
     fall_jitter_ms: Annotated[
         float,
         typer.Option(
             min=0,
             max=MAX_FALL_JITTER_MS,
-            help="Balls are photographed up to this much early or late, and so higher or lower.",
+            help="Balls are exposed up to this much early or late, ms, and so higher or lower.",
         ),
     ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Render a recording of known bodies as the rig would photograph them, with the truth beside it."""
+    """Render a recording of known bodies as the cameras would see them, with their true shapes beside it."""
     if backgrounds + count == 0:
         raise typer.BadParameter("there is nothing to render", param_hint="--count")
     if not all(0 <= each <= MAX_RADIUS_MM for each in spread_mm):
@@ -115,7 +118,7 @@ def command(
         gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": rate_hz},
     )
     with writer:
-        turns = [_turn(name, size_mm) for name in names]
+        sources = [_body_source(name, size_mm) for name in names]
         simulated = simulate_rig(true_rig, stream(seed, HOUSING), ExposureParameters(exposure_us=exposure_us))
         if rig is None:
             write_rig(writer.folder / "rig-nominal.json", design)
@@ -129,9 +132,9 @@ def command(
                     rng = stream(seed, BACKGROUND, sequence)
                     writer.add(render_empty(simulated, rng, sequence=sequence, period_ns=period_ns))
                     continue
-                turn, time = turns[index % len(turns)], index // len(turns)
+                source, round_number = sources[index % len(sources)], index // len(sources)
                 rng = stream(seed, PARTICLE, index)
-                body, shape = turn(time, rng)
+                body, shape = source(round_number, rng)
                 if body.kind is BundleKind.BALL:
                     late_ms = fall_jitter_ms * float(rng.uniform(-1, 1))
                     placed = drop_across(body, true_rig, rng, spread_mm, _fallen_mm(late_ms))
@@ -163,24 +166,24 @@ def command(
 
 
 def _fallen_mm(late_ms: float) -> float:
-    """How far a body falls from when it is expected to `late_ms` later."""
+    """Return how far a body falls, mm, from the expected exposure to `late_ms` after it."""
     late_s = late_ms / 1e3
     return Fall().speed_at_center_mm_s * late_s + GRAVITY_MM_S2 / 2 * late_s**2
 
 
-def _turn(name: str, size_mm: float | None) -> Turn:
-    """What an item of `--bodies` stands for."""
+def _body_source(name: str, size_mm: float | None) -> BodySource:
+    """Return what an item of `--bodies` stands for."""
     if name in STONE_FORMS or name == STONES:
         forms = list(STONE_FORMS) if name == STONES else [name]
 
-        def next_stone(time: int, rng: np.random.Generator) -> tuple[Body, ShapeMeasurement]:
-            body = stone(forms[time % len(forms)], size_mm or random_size_mm(rng), rng)
+        def next_stone(round_number: int, rng: np.random.Generator) -> tuple[Body, ShapeMeasurement]:
+            body = stone(forms[round_number % len(forms)], size_mm or random_size_mm(rng), rng)
             return body, measure_shape(body.mesh.vertices, body.mesh.faces)
 
         return next_stone
     body = _single_body(name)
     shape = measure_shape(body.mesh.vertices, body.mesh.faces)
-    return lambda time, rng: (body, shape)
+    return lambda round_number, rng: (body, shape)
 
 
 def _single_body(name: str) -> Body:

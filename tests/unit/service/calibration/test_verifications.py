@@ -108,7 +108,7 @@ async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.Mon
     await desk.cancel_idle()
     assert [(each.id, each.state, each.problems[0][:12]) for each in opened(tmp_path).all()] == [
         (third.id, VerificationState.CANCELLED, "no ball fell"),
-        (second.id, VerificationState.CANCELLED, "somebody can"),
+        (second.id, VerificationState.CANCELLED, "cancelled on"),
         (first.id, VerificationState.CANCELLED, "the daemon w"),
     ]
     assert await desk.cancel("0009", "why") is None

@@ -94,7 +94,7 @@ def test_two_files_of_one_name(wedge: Path, tmp_path: Path) -> None:
     other.write_bytes(wedge.read_bytes())
     result = run("--bodies", f"{wedge},{other}")
     assert result.exit_code == 1
-    assert "another mesh file is named wedge too" in str(result.exception)
+    assert "another mesh file is also named wedge" in str(result.exception)
 
 
 def test_errors_of_sizes_are_told_as_bias_and_rms() -> None:

@@ -137,9 +137,9 @@ def test_a_recording_without_the_empty_rig_is_refused(folder: Path, tmp_path: Pa
     ("arguments", "message"),
     [
         (["--ball-diameter-mm", "100"], "must be 1 to 45"),
-        ([f"--ball-diameter-mm={d}" for d in (5, 10, 15)], "at most two diameters"),
+        ([f"--ball-diameter-mm={d}" for d in (5, 10, 15)], "give one diameter, or two"),
         (["--method", "magic"], "'magic' is not one of"),
-        (["--method", "stones", "--ball-diameter-mm", "10"], "stones do not show the scale"),
+        (["--method", "stones", "--ball-diameter-mm", "10"], "method stones cannot tell the scale"),
     ],
 )
 def test_wrong_usage(folder: Path, arguments: list[str], message: str) -> None:

@@ -87,7 +87,7 @@ def test_without_a_file_the_built_in_model_is_used() -> None:
         ("000000-particle,heavy", "line 14: mass_g must be a positive number, not 'heavy'"),
         ("000000-particle,-1", "mass_g must be a positive number"),
         ("000000-particle", "mass_g must be a positive number"),
-        ("000000-particle,2.5", "000000-particle was weighed before"),
+        ("000000-particle,2.5", "000000-particle is there twice"),
         ("another,2.5", "has no measured bundle another"),
         ("lost,2.5", "has no measured bundle lost"),
         (",2.5", "has no measured bundle"),

@@ -24,7 +24,7 @@ from pipeline.synthesis.bundles import render_bundle, render_empty, stream, with
 from pipeline.synthesis.renderer import PlacedBody, simulate_rig
 from service.cli import build_app
 from service.commands import measure
-from service.commands.measure import _report
+from service.commands.measure import _print_summary
 from service.errors import UsageError
 
 APP = build_app()
@@ -282,7 +282,7 @@ def test_report_names_dropped_views(capsys: pytest.CaptureFixture[str]) -> None:
         "bundle": "b", "outcome": "measured", "quality": "reduced", "volume_mm3": 1.0, "sieve_size_mm": 1.0,
         "views": ["c01"], "detail": None, "dropped_views": {"c02": "empty"},
     }  # fmt: skip
-    _report([record], as_json=False)
+    _print_summary([record], as_json=False)
     printed = capsys.readouterr().out
     assert "c02 empty" in " ".join(printed.split())
     assert "1 bundles = 1 measured + 0 rejected + 0 lost" in printed

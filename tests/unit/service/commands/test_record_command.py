@@ -122,10 +122,10 @@ def test_one_cause_is_told_once():
             cameras=SimpleNamespace(statuses=lambda: cameras),
         )
 
-    assert record._why(rig(None)) is None
-    assert record._why(rig("all are gone")) == "all are gone; c02: dead"
-    assert record._why(rig("c02, c03: dead; 1 left")) == "c02, c03: dead; 1 left"
-    assert record._why(rig("light gate /dev/x: is gone", "lost")) == "light gate /dev/x: is gone"
+    assert record._trouble_in_full(rig(None)) is None
+    assert record._trouble_in_full(rig("all are gone")) == "all are gone; c02: dead"
+    assert record._trouble_in_full(rig("c02, c03: dead; 1 left")) == "c02, c03: dead; 1 left"
+    assert record._trouble_in_full(rig("light gate /dev/x: is gone", "lost")) == "light gate /dev/x: is gone"
 
 
 def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -88,7 +88,7 @@ NOISE = np.random.default_rng(0).bytes(500)
         ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "damaged"),
         ("words.obj", b"v a b c\nf 1 2 3\n", "damaged"),
         ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "not finite"),
-        ("model.glb", b"glTF", "none of .stl, .ply, .obj"),
+        ("model.glb", b"glTF", "must be one of .stl, .ply, .obj"),
         ("missing.stl", None, "No such file"),
     ],
 )
