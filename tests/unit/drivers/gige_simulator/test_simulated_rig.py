@@ -29,7 +29,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, Image, Trigger
 NET = f"127.32.{os.getpid() % 256}"
 FIRST_ADDRESS = f"{NET}.2"
 EXPOSURE_US = 20.0
-DELAY_US = 50_000.0
+FALL_MS = 50.0
 """A short fall: the tests shall be over soon."""
 UNSEEN = CAMERAS[1]
 """Has no view of the stone in bundle 4."""
@@ -49,7 +49,7 @@ def design(tmp_path: Path) -> RigDesign:
         control=tmp_path / "control",
         first_address=FIRST_ADDRESS,
         rate_hz=10,
-        fall_ms=DELAY_US / 1000,
+        fall_ms=FALL_MS,
         seed=1,
     )
 
@@ -152,7 +152,7 @@ def test_without_a_wire_the_host_triggers(recording_path: Path, design: RigDesig
         hosted(rig, design, source="Software") as host,
     ):
         rig.belt.start_when(lambda: rig.is_ready)
-        eventually(lambda: rig.is_over)
+        eventually(lambda: rig.is_over, 30)
         for camera in CAMERAS:
             np.testing.assert_array_equal(host.images(camera), expected_images(camera))
         assert rig.counters()["cameras"][CAMERAS[0]]["missed"] == 6  # edges on a line nobody listens to
