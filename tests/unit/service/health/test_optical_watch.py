@@ -54,7 +54,7 @@ def the_finding(watch: OpticalWatch) -> OpticalFinding:
     return finding
 
 
-def test_a_clean_rig_needs_nobody() -> None:
+def test_a_clean_rig_has_no_findings() -> None:
     rng = np.random.default_rng(1)
     watch = after(*(exposure({"brightness": 1 + 0.01 * rng.normal()}) for _ in range(100)))
     assert not watch.findings()
