@@ -1,4 +1,4 @@
-"""Where files lie: beside the configuration that names them, or in the user's cache."""
+"""The folder of what can be fetched or made again, in the home of the user."""
 
 import os
 from pathlib import Path
