@@ -1,4 +1,4 @@
-"""Print each stone as it is measured: a small client of the REST feed, as a start for your own.
+"""Print each stone as it is measured: a small client of the REST feed, and a start for a client of your own.
 
 It keeps its cursor, asks with a long poll, and needs only the standard library.
 """
@@ -19,9 +19,9 @@ HEAD = ROW.format(
     "seq", "bundle", "class", "outcome", "quality", "volume mm3", "error %", "sieve mm", "error mm", "time ms",
     "remarks",
 )  # fmt: skip
-"""The errors are those of volume and sieve size against the true ones of a synthetic recording."""
-HELD_S = 60.0
-"""With --once: longest wait for a rig that is held."""
+"""Column headings; the errors are those of volume and sieve size against the truth of a synthetic recording."""
+PATIENCE_S = 60.0
+"""Longest wait for a held rig with `--once`."""
 
 
 def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
@@ -30,33 +30,33 @@ def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
 
 
 def ask(base: str, path: str, process: int | None, timeout_s: float = 40) -> dict[str, Any] | None:
-    """Return the answer, None while there is none; exit when the process of the daemon has ended.
+    """Return the response, None while there is none; end the program when the process has ended.
 
-    While the daemon runs it keeps its port, so the answer cannot be another program's.
+    The daemon keeps its port until it ends: while it runs, no other process responds there.
     """
-    exit_without(process)
+    end_without(process)
     answer = None
     with suppress(OSError, HTTPException, json.JSONDecodeError):
         answer = get(base, path, timeout_s)
-    exit_without(process)
+    end_without(process)
     return answer
 
 
-def exit_without(process: int | None) -> None:
+def end_without(process: int | None) -> None:
     if process is not None and not is_running(process):
         sys.exit("the daemon ended")
 
 
-def wait_until_ready(base: str, process: int | None, timeout_s: float = 120) -> None:
-    deadline = time.monotonic() + timeout_s
+def wait_until_ready(base: str, process: int | None, patience_s: float = 120) -> None:
+    deadline = time.monotonic() + patience_s
     while ask(base, "/health/live", process, timeout_s=2) is None:
         if time.monotonic() > deadline:
-            sys.exit(f"no answer from {base} within {timeout_s:.0f} s")
+            sys.exit(f"no answer from {base} within {patience_s:.0f} s")
         time.sleep(0.2)
 
 
 def is_running(process: int) -> bool:
-    """Return whether a process runs; False for one that ended, even while its parent has not read its exit code."""
+    """Return whether a process runs; False for one that ended, even if its parent has not read its exit code."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -64,7 +64,7 @@ def is_running(process: int) -> bool:
 
 
 def number_of(bundle: str) -> int | None:
-    """Return the digits that a bundle's name begins with: its number in the recording, in any round of a loop."""
+    """Return the number of a bundle in its recording; a replay in a loop appends the round, live cameras count."""
     number = re.match(r"\d+", bundle)
     return int(number[0]) if number else None
 
@@ -93,15 +93,13 @@ def row(item: dict[str, Any], truth: dict[str, Any] | None) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("base", help="address of the daemon, such as http://127.0.0.1:8080")
-    parser.add_argument("--truth", type=Path, help="truth.jsonl of a synthetic recording, to print errors")
-    parser.add_argument("--once", action="store_true", help="exit when all triggers have their outcome")
+    parser.add_argument("base", help="such as http://127.0.0.1:8080")
+    parser.add_argument("--truth", type=Path, help="truth.jsonl of a synthetic recording")
+    parser.add_argument("--once", action="store_true", help="end when all triggers have their outcome")
     parser.add_argument(
-        "--stones",
-        type=int,
-        help="number of stones that fall, for --once; default: until the recording has ended",
+        "--stones", type=int, help="number of stones that will fall; without it the daemon knows the end"
     )
-    parser.add_argument("--while-process", type=int, help="exit when this process has ended")
+    parser.add_argument("--while-process", type=int, help="stop waiting when this process is gone")
     arguments = parser.parse_args()
     truth = {}
     if arguments.truth:
@@ -130,9 +128,9 @@ def main() -> int:
                 return summary(counts)
             if acquisition["state"] != "held":
                 held_since = time.monotonic()
-            elif time.monotonic() - held_since > HELD_S:
+            elif time.monotonic() - held_since > PATIENCE_S:
                 sys.exit(f"held: {acquisition['trouble']}")
-            # one more page, for results that came between the two answers
+            # then once more for what came between the two responses
             has_ended = (
                 acquisition["state"] == "disarmed"
                 if arguments.stones is None

@@ -1,11 +1,11 @@
-"""The folder of files that can be fetched or made again."""
+"""The folder of what can be fetched or made again, in the home of the user."""
 
 import os
 from pathlib import Path
 
 
 def user_cache() -> Path:
-    """Return the folder `stonefall` of the user's cache (XDG Base Directory Specification).
+    """Return the folder for what can be fetched or made again (XDG Base Directory Specification).
 
     Raises
     ------

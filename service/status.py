@@ -1,6 +1,6 @@
-"""What the daemon reports of itself: states, checks, health, cameras and calibration.
+"""What the daemon reports about itself: states, checks, health, cameras and calibration.
 
-These are the very models that the REST interface returns: a field that is added here is documented, checked and served.
+The REST interface returns these models themselves: a field that is added here is documented, checked and served.
 """
 
 from collections.abc import Mapping
@@ -16,37 +16,37 @@ from service.results.fields import always_present
 
 
 class Report(BaseModel):
-    """What one part of the daemon reports at one moment."""
+    """A report of one part of the daemon at one moment."""
 
     model_config = ConfigDict(frozen=True, json_schema_extra=always_present)
 
 
 class DeviceState(StrEnum):
-    """Where one camera or the light gate stands."""
+    """State of one camera or of the light gate."""
 
     CLOSED = "closed"
     ARMED = "armed"
     LOST = "lost"
-    """It does not do what it should; the daemon keeps trying to bring it back."""
+    """It does not work or does not answer; the daemon keeps trying to bring it back."""
 
 
 class AcquisitionState(StrEnum):
-    """Where the rig stands between stones being ignored and stones being measured."""
+    """State of the rig, from ignoring stones to measuring them."""
 
     DISARMED = "disarmed"
-    """Nobody listens to the light gate."""
+    """Triggers of the light gate are ignored."""
     ARMING = "arming"
     ARMED = "armed"
     """Every trigger becomes a bundle."""
     HELD = "held"
-    """Armed is wanted, own trouble prevents it; the daemon keeps trying."""
+    """Arming was requested, but devices are lost; the daemon keeps trying to bring them back."""
     DISARMING = "disarming"
     STOPPING = "stopping"
-    """The daemon is on its way out; nothing can be asked of it any more."""
+    """The daemon is stopping and accepts no more requests."""
 
 
 class AcquisitionTarget(StrEnum):
-    """What may be asked for."""
+    """A state of the rig that can be requested."""
 
     ARMED = "armed"
     DISARMED = "disarmed"
@@ -63,12 +63,12 @@ TRANSITIONS: Mapping[tuple[AcquisitionState, AcquisitionTarget], AcquisitionStat
     (AcquisitionState.HELD, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
     (AcquisitionState.DISARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
 }
-"""The state that follows a request; asking for what already is or comes changes nothing. A pair that is
-absent is a conflict: arming while disarming, and anything while stopping."""
+"""The state that follows a request; requesting a state that is reached or on its way changes nothing. Pairs that are
+missing are conflicts: arming while disarming, and anything while stopping."""
 
 
 class ConflictError(ServiceError):
-    """The acquisition cannot go from its current state to the one asked for."""
+    """The acquisition cannot change from its current state to the requested one."""
 
     def __init__(self, current: AcquisitionState, target: AcquisitionTarget) -> None:
         super().__init__(f"acquisition is {current} and cannot become {target} now")
@@ -77,7 +77,7 @@ class ConflictError(ServiceError):
 
 
 def next_state(current: AcquisitionState, target: AcquisitionTarget) -> AcquisitionState:
-    """Return the state after asking for `target`; raise `ConflictError` where the table has no answer."""
+    """Return the state that follows a request for `target`; raise `ConflictError` where `TRANSITIONS` has none."""
     try:
         return TRANSITIONS[current, target]
     except KeyError:
@@ -85,9 +85,9 @@ def next_state(current: AcquisitionState, target: AcquisitionTarget) -> Acquisit
 
 
 class CheckStatus(StrEnum):
-    """Of one check, from best to worst."""
+    """Result of one check, from best to worst."""
 
-    PASS = "pass"  # noqa: S105 - the word of the health+json draft
+    PASS = "pass"  # noqa: S105 - a word of the health+json draft
     WARN = "warn"
     FAIL = "fail"
 
@@ -99,15 +99,15 @@ class Ne107(StrEnum):
     CHECK_FUNCTION = "check_function"
     """Results are temporarily not to be trusted: calibration, replay, service."""
     MAINTENANCE_REQUIRED = "maintenance_required"
-    """Still right, but not for long."""
+    """Results are still as specified, but will not be for long."""
     OUT_OF_SPECIFICATION = "out_of_specification"
-    """Results are less certain than promised."""
+    """Results are less certain than specified."""
     FAILURE = "failure"
-    """No results."""
+    """There are no results."""
 
 
 class AcquisitionStatus(Report):
-    """Where the rig stands; counters are of the time since it was last armed."""
+    """State of the rig; counters are since it was last armed."""
 
     state: AcquisitionState
     trouble: str | None = Field(default=None, description="Why it is held; null when it is not")
@@ -119,7 +119,7 @@ class AcquisitionStatus(Report):
     gate: DeviceState = Field(default=DeviceState.CLOSED)
     gate_error: str | None = None
     gate_warnings: tuple[str, ...] = Field(
-        default=(), description="What works but should be looked at, with the remedy"
+        default=(), description="What works but needs attention, with the remedy"
     )
     last_stone_age_s: float | None = Field(
         default=None, description="Seconds since the last stone; null before the first"
@@ -132,22 +132,22 @@ class AcquisitionStatus(Report):
     )
     unseen: int = Field(
         default=0,
-        description="Stones that only the gate's counter knows, without announcement or image; lost",
+        description="Stones that only the gate's counter shows, without announcement or image; lost",
     )
     in_dead_time: int = Field(default=0, description="Triggers too soon after another; lost")
     triggers_ignored: int = Field(
         default=0,
-        description="Bounces and doubles of one stone, merged by the gate, and orphans announced after all",
+        description="Bounces merged by the gate with the stone before them, and late announcements of orphans",
     )
     triggers_lost: int = Field(
         default=0,
         description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen",
     )
-    events_refused: int = Field(default=0, description="Frames that the daemon was too slow for")
+    events_refused: int = Field(default=0, description="Frames dropped because the daemon was too slow")
 
 
 class HealthCheck(Report):
-    """One thing that was looked at."""
+    """Result of one check of the daemon's health."""
 
     status: CheckStatus
     observed_value: float | int | str | bool | None = None
@@ -157,7 +157,7 @@ class HealthCheck(Report):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """How the daemon judges itself."""
+    """State of the daemon, with the checks that it follows from."""
 
     ne107: Ne107
     ready: bool
@@ -172,7 +172,7 @@ class Health:
 class CameraOptics(Report):
     """How well a camera sees: medians of the latest 20 exposures, null before the fifth.
 
-    Compared with the rig when it was clean: the first exposures with these optical settings, as long as the
+    They are compared with the clean rig: the first exposures with these optical settings, as long as the
     background is kept.
     """
 
@@ -180,10 +180,10 @@ class CameraOptics(Report):
         default=None, description="Light on the wall beside the stone, 1: as in the clean rig"
     )
     gradient_u: float | None = Field(
-        default=None, description="The same, from the left border to the right one"
+        default=None, description="Change of the brightness from the left border to the right one"
     )
     gradient_v: float | None = Field(
-        default=None, description="The same, from the upper border to the lower one"
+        default=None, description="Change of the brightness from the upper border to the lower one"
     )
     flicker: float | None = Field(
         default=None, description="Standard deviation of the brightness from exposure to exposure"
@@ -212,19 +212,19 @@ class CameraStatus(Report):
     serial: str | None = None
     model: str | None = None
     address: str | None = None
-    frames: int = Field(default=0, description="Frames that arrived whole")
+    frames: int = Field(default=0, description="Frames that arrived complete")
     fps: float = Field(default=0.0, description="Frames per second over the last ten seconds")
     lost: int = Field(default=0, description="Frames reported lost")
     late: int = Field(default=0, description="Frames that came after their bundle was closed")
     duplicates: int = Field(default=0, description="Frames that came twice")
     missing: int = Field(default=0, description="Bundles without a frame of this camera")
     strays: int = Field(default=0, description="Frames without a trigger")
-    not_exposed: int = Field(default=0, description="Triggers that its frame ids did not count")
+    not_exposed: int = Field(default=0, description="Triggers that it did not expose for, by its frame ids")
     unannounced: int = Field(default=0, description="Exposures without a trigger, by its frame ids")
     failed_frames: int = Field(default=0, description="Frames received in part, since it was opened")
     missing_packets: int = Field(default=0, description="Packets that never came, since it was opened")
     resent_packets: int = Field(
-        default=0, description="Packets that came at the second request, since it was opened"
+        default=0, description="Packets that came when requested again, since it was opened"
     )
     receive_buffer_bytes: int | None = Field(
         default=None, description="Size of its socket's buffer, as the kernel granted it"
@@ -243,7 +243,7 @@ class CameraStatus(Report):
     )
     skew_us: float | None = Field(
         default=None,
-        description="How far its exposures lie beside those of the others; 20 us are a pixel of fall",
+        description="By how much its exposures are off those of the others in time; 20 us are a pixel of fall",
     )
     tangency_px: float | None = Field(
         default=None,
@@ -251,7 +251,7 @@ class CameraStatus(Report):
     )
     tangency_drift_px: float | None = Field(
         default=None,
-        description="The same against the first 20 stones since the start, or since this calibration was activated",
+        description="Its rise since the first 20 stones after the start or the activation of this calibration",
     )
     residual_px: float | None = Field(
         default=None,
@@ -259,23 +259,23 @@ class CameraStatus(Report):
     )
     residual_drift_px: float | None = Field(
         default=None,
-        description="The same against the first 20 stones since the start, or since this calibration was activated",
+        description="Its rise since the first 20 stones after the start or the activation of this calibration",
     )
     optics: CameraOptics | None = Field(default=None, description="How well it sees")
     warnings: tuple[str, ...] = Field(
-        default=(), description="What works but should be looked at, with the remedy"
+        default=(), description="What works but needs attention, with the remedy"
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationFacts:
-    """What stones are measured with now."""
+    """The calibration that stones are measured with now."""
 
     calibration_id: str
     method: str
     used_since: str
-    """RFC 3339."""
+    """Time of its activation, RFC 3339."""
     at_work: str | None = None
-    """Which calibration or verification is waiting for balls."""
+    """Which open calibration or verification collects drops, None if none does."""
     trouble: str | None = None
-    """Why its results are not to be trusted."""
+    """Why results of this calibration are not to be trusted, None if they are."""

@@ -7,14 +7,14 @@ from drivers.errors import LossCause
 
 
 @dataclass(frozen=True, slots=True)
-class Loss:
+class DeviceLoss:
     """The reason and the kind of cause for which a device is lost."""
 
     reason: str
     cause: LossCause
 
 
-def common_cause(losses: Sequence[Loss]) -> str:
+def common_cause(losses: Sequence[DeviceLoss]) -> str:
     """Return why all cameras are lost: the network if none of them answers, else the first camera's reason."""
     if all(loss.cause is LossCause.SILENT for loss in losses):
         return f"all {len(losses)} cameras are gone: look at the switch, its power and its uplink first"

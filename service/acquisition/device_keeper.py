@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from drivers.errors import DeviceError, LossCause
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
-from service.acquisition.common_cause import Loss
+from service.acquisition.common_cause import DeviceLoss
 from service.status import DeviceState
 
 log = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ class DeviceKeeper:
         self.name = name
         self.device = device
         self.state = DeviceState.CLOSED
-        self.loss: Loss | None = None
+        self.loss: DeviceLoss | None = None
         """The latest loss, None as long as there was none."""
         self.recoveries = 0
         self.vitals = CameraVitals()
@@ -125,7 +125,7 @@ class DeviceKeeper:
             self._lost_at_s = now_s
         elif reason != self.last_error:
             log.info("device still lost: %s device=%s", reason, self.name)
-        self.state, self.loss = DeviceState.LOST, Loss(reason, cause)
+        self.state, self.loss = DeviceState.LOST, DeviceLoss(reason, cause)
         self._wake.set()
 
     def examine_now(self) -> None:

@@ -173,7 +173,7 @@ class RigCameras:
                 self._cameras[event.camera].keeper.mark_lost(event.reason, event.cause)
                 self.blind_triggers = 0  # it was not there to have an image
             case CameraBack():
-                self._cameras[event.camera].image = None  # an image of before proves nothing
+                self._cameras[event.camera].image = None  # an image from before the loss proves nothing
 
     def check_bundle(self, bundle: FrameBundle) -> None:
         """Update skew and latency of the cameras in a bundle; examine those whose frame is missing."""

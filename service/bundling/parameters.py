@@ -1,4 +1,4 @@
-"""When the frames of a trigger are expected."""
+"""Parameters of bundling: when the frames of a trigger are expected."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ IN_VIEW_NS = 50_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundlingParameters:
-    """When frames are expected, and how close triggers may follow one another."""
+    """Times at which frames are expected, and the least time between two triggers."""
 
     expected_delay_ms: float = 259.4  # trigger delay 247.4, exposure, transfer
     window_ms: float = 100.0  # half width; more than jitter and packet resends take

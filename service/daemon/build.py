@@ -8,6 +8,7 @@ from pathlib import Path
 
 from drivers.factory import build_devices
 from drivers.files.rig_file import read_rig
+from drivers.replay.belt import ReplayBelt
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
@@ -19,7 +20,7 @@ from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
-from service.daemon.running_daemon import Daemon
+from service.daemon.running_daemon import Daemon, Watches
 from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
@@ -28,6 +29,7 @@ from service.processing.bundle_files import BundleFiles
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
 from service.processing.processing import Processing, ProcessingContext
+from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import RecordingSource
@@ -63,25 +65,15 @@ async def build(settings: Settings, store: Store) -> Daemon:
             Part.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_SILENCE_S,
         }
     )
-    rig_watch = RigWatch(found.rig, source.fall)
-    optical_watch = OpticalWatch(configured, settings.optics)
-    segmentation_watch = SegmentationWatch(segmentation)
-    recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
-    calibrations = await _open_calibrations(settings, store, found, session, rig_watch, recordings)
-
-    n_ahead = 2 * settings.workers.slots  # bundles that keep the workers busy
-    belt = devices.belt
-    if belt is not None:
-        # in fast pace a replay delivers a bundle for each one that is free again; the archive can take all of them
-        belt.permit(min(n_ahead + 1, settings.spool.max_bundles))
-    files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
-    archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=n_ahead)
-    spool = Spool(
-        files,
-        max_bundles=settings.spool.max_bundles,
-        camera_ids=source.camera_ids,
-        archive=archive if settings.store.keep_raw > 0 else None,
+    watches = Watches(
+        loop=LoopWatch(),
+        rig=RigWatch(found.rig, source.fall),
+        optics=OpticalWatch(configured, settings.optics),
+        segmentation=SegmentationWatch(segmentation),
     )
+    recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
+    calibrations = await _open_calibrations(settings, store, found, session, watches.rig, recordings)
+    spool, archive = _build_queue(settings, store, source, devices.belt, folder)
 
     def on_bundle(bundle: FrameBundle) -> None:
         recordings.offer(bundle)
@@ -94,21 +86,12 @@ async def build(settings: Settings, store: Store) -> Daemon:
         bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,
-        is_ball=lambda: belt is None and calibrations.wants_balls,  # a recording has the kind of each bundle
+        # a recording has the kind of each bundle
+        is_ball=lambda: devices.belt is None and calibrations.wants_balls,
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
     )
-    pool = WorkerPool(
-        slots=settings.workers.slots,
-        deadline_s=settings.workers.deadline_s,
-        prepare=prepare,
-        context=WorkerContext(
-            parameters=settings.pipeline,
-            is_simulated=source.is_simulated,
-            speed_at_gate_mm_s=source.fall.speed_at_gate_mm_s,
-            segmentation=segmentation,
-        ),
-    )
+    pool = _build_pool(settings, source, segmentation)
     processing = Processing(
         ProcessingContext(
             session=session,
@@ -120,11 +103,11 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, rig_watch, optical_watch),
+        results=WatchedResults(store, watches.rig, watches.optics),
         calibration=calibrations,
         kept_background=_kept_background(settings, configured),
-        on_empty_rig=optical_watch.note,
-        on_network=segmentation_watch.note,
+        on_empty_rig=watches.optics.feed_optics,
+        on_network=watches.segmentation.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
     )
     return Daemon(
@@ -141,10 +124,40 @@ async def build(settings: Settings, store: Store) -> Daemon:
         acquisition=acquisition,
         processing=processing,
         heartbeats=heartbeats,
-        loop_watch=LoopWatch(),
-        rig_watch=rig_watch,
-        optical_watch=optical_watch,
-        segmentation_watch=segmentation_watch,
+        watches=watches,
+    )
+
+
+def _build_queue(
+    settings: Settings, store: Store, source: RecordingSource, belt: ReplayBelt | None, folder: Path
+) -> tuple[Spool, RawArchive]:
+    """Build the spool of bundles, and the archive that takes over the files of the newest stones."""
+    n_ahead = 2 * settings.workers.slots  # bundles that keep the workers busy
+    if belt is not None:
+        # in fast pace a replay delivers a bundle for each one that is free again; the archive can take all of them
+        belt.permit(min(n_ahead + 1, settings.spool.max_bundles))
+    files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
+    archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=n_ahead)
+    spool = Spool(
+        files,
+        max_bundles=settings.spool.max_bundles,
+        camera_ids=source.camera_ids,
+        archive=archive if settings.store.keep_raw > 0 else None,
+    )
+    return spool, archive
+
+
+def _build_pool(settings: Settings, source: RecordingSource, segmentation: SegmenterPlan) -> WorkerPool:
+    return WorkerPool(
+        slots=settings.workers.slots,
+        deadline_s=settings.workers.deadline_s,
+        prepare=prepare,
+        context=WorkerContext(
+            parameters=settings.pipeline,
+            is_simulated=source.is_simulated,
+            speed_at_gate_mm_s=source.fall.speed_at_gate_mm_s,
+            segmentation=segmentation,
+        ),
     )
 
 

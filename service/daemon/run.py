@@ -100,7 +100,7 @@ async def _watching(
 ) -> AsyncIterator[None]:
     """Feed the service manager's watchdog with progress, and watch the event loop."""
     watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
-    watching_loop = tasks.create_task(daemon.loop_watch.run())
+    watching_loop = tasks.create_task(daemon.watches.loop.run())
     yield
     log.info("stopped %s", await daemon.store.accounting(daemon.session))
     watching.cancel()

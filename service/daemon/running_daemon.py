@@ -29,6 +29,16 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Watches:
+    """The observers of the loop, of the rig's geometry and optics, and of the segmentation network."""
+
+    loop: LoopWatch
+    rig: RigWatch
+    optics: OpticalWatch
+    segmentation: SegmentationWatch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Daemon:
     """The parts of the running daemon; implements `service.api.control.Control`."""
 
@@ -45,10 +55,7 @@ class Daemon:
     acquisition: Acquisition
     processing: Processing
     heartbeats: Heartbeats
-    loop_watch: LoopWatch
-    rig_watch: RigWatch
-    optical_watch: OpticalWatch
-    segmentation_watch: SegmentationWatch
+    watches: Watches
 
     def acquisition_status(self) -> AcquisitionStatus:
         return self.acquisition.status()
@@ -59,7 +66,7 @@ class Daemon:
         return state
 
     def cameras(self) -> list[CameraStatus]:
-        scores, optics = self.rig_watch.scores(), self.optical_watch.optics()
+        scores, optics = self.watches.rig.scores(), self.watches.optics.optics()
         return [
             status.model_copy(
                 update=asdict(scores.get(status.id, CameraScore())) | {"optics": optics.get(status.id)}
@@ -76,7 +83,7 @@ class Daemon:
                 acquisition=self.acquisition.status(),
                 blind_triggers=self.acquisition.cameras.blind_triggers,
                 cameras=self.cameras(),
-                all_lost=self.acquisition.cameras.common_cause,
+                common_cause=self.acquisition.cameras.common_cause,
                 views=self.settings.views,
                 waiting=self.spool.n_queued,
                 max_waiting=self.spool.max_bundles,
@@ -84,20 +91,20 @@ class Daemon:
                 workers=len(self.pool.pids),
                 slots=self.pool.size,
                 worker_restarts=self.pool.restarts,
-                loop_ms=self.loop_watch.worst_ms(),
-                clock_step_s=self.loop_watch.clock_step_s(),
+                loop_ms=self.watches.loop.worst_ms(),
+                clock_step_s=self.watches.loop.clock_step_s(),
                 late=self.late(),
                 has_background=self.processing.has_background,
                 has_network=self.segmentation.model is not None,
-                segmentation_warning=self.segmentation_watch.warning,
+                segmentation_warning=self.watches.segmentation.warning,
                 calibration=self.calibrations.facts(),
                 last_seq=self.store.last_seq,
                 free_bytes=shutil.disk_usage(self.settings.store.dir).free,
                 recording_trouble=self.recordings.trouble,
                 left_out=self.archive.left_out,
                 archive_trouble=self.archive.trouble,
-                suspicions=self.rig_watch.suspicions(),
-                optics=self.optical_watch.findings(),
+                suspicions=self.watches.rig.suspicions(),
+                optical_findings=self.watches.optics.findings(),
             )
         )
 

@@ -1,10 +1,10 @@
-"""The daemon's opinion of itself: facts in, checks and a NAMUR NE 107 state out.
+"""Assess the daemon's health: facts in, named checks and a NAMUR NE 107 state out.
 
-Degrade and flag instead of stop, never continue silently: whatever makes results worse than promised
-has a check that names it.
+The daemon degrades and flags instead of stopping, and never continues silently: everything that makes results worse
+than specified has a check that names it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.views.quality import ViewsParameters
@@ -23,65 +23,68 @@ from service.status import (
 )
 
 LOW_DISK_BYTES = 1 << 30
-"""Less free space on the store's file system is a warning, a tenth of it a failure."""
+"""Free space on the store's file system below which health warns; below a tenth of it, the check fails."""
 BLIND_TRIGGERS = 3
-"""So many triggers in a row without any image: the cameras are well, the line between them and the gate is not."""
+"""Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
 LOOP_MS = 250.0
-"""A loop held up for longer matches frames late."""
+"""Delay of the event loop above which frames may be matched late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
-    """What the daemon knows about itself at one moment."""
+    """Everything that the daemon knows about its own state at one moment."""
 
     acquisition: AcquisitionStatus
-    blind_triggers: int  # in a row
     cameras: Sequence[CameraStatus]
-    all_lost: str | None = None  # why no camera is left
+    common_cause: str | None = None  # why all cameras are lost
+    blind_triggers: int  # in a row, without any image
     views: ViewsParameters  # how many cameras make which quality
+
     waiting: int  # bundles in the spool
     max_waiting: int
     overflows: int  # stones and balls lost because the spool was full
-    workers: int  # processes that are up
+    workers: int  # processes that run
     slots: int
     worker_restarts: int
-    loop_ms: float  # longest hold-up of the event loop within a minute
+    late: Sequence[str]  # parts without progress, see `service.daemon.heartbeats`
+    loop_ms: float  # longest delay of the event loop within a minute
     clock_step_s: float | None  # by which the wall clock was set lately
-    late: Sequence[str]  # parts without progress, see supervision.Heartbeats
+
     has_background: bool
     has_network: bool = False  # which needs no background
+    segmentation_warning: str | None = None  # why outlines are not found as configured
     calibration: CalibrationFacts
+    suspicions: Sequence[Suspicion] = ()  # cameras that contradict their calibration, see `rig_watch`
+    optical_findings: Sequence[OpticalFinding] = ()  # windows, lenses and light to clean or repair
+
     last_seq: int  # the newest durable result
     free_bytes: int  # on the store's file system
-    segmentation_warning: str | None = None  # why outlines are not found as configured
     recording_trouble: str | None = None  # why a recording ended early
-    left_out: int = 0  # results whose frames are not kept
-    archive_trouble: str | None = None  # why lately
-    suspicions: Sequence[Suspicion] = ()  # cameras that are not where their calibration says, see rig_watch
-    optics: Sequence[OpticalFinding] = ()  # windows, lenses and light that should be looked at
+    left_out: int = 0  # results whose frames were not archived
+    archive_trouble: str | None = None  # why frames were not archived lately
 
 
 def assess(facts: Facts) -> Health:
-    """Judge every fact; the worst check decides.
+    """Return all checks, and the state that follows from them.
 
     NE 107: a failed check other than a camera's is *failure*; cameras count as the quality of the results
     they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
-    checks = _checks(facts)
-    parent = checks["cameras"].status is CheckStatus.FAIL
+    checks = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
+    checks |= {name: check(facts) for name, check in CHECKS.items()}
+    has_common_cause = checks["cameras"].status is CheckStatus.FAIL
     reasons = tuple(
         f"{name}: {check.detail}"
         for name, check in checks.items()
-        if check.status is not CheckStatus.PASS and not (parent and name.startswith("camera:"))
+        if check.status is not CheckStatus.PASS and not (has_common_cause and name.startswith("camera:"))
     )
-    failed = {name for name, check in checks.items() if check.status is CheckStatus.FAIL}
-    usable = sum(camera.state is not DeviceState.LOST for camera in facts.cameras)
-    has_failed = any(not name.startswith("camera:") for name in failed)
     state = facts.acquisition.state
-    if state is AcquisitionState.HELD:
-        has_failed = True
     if state is not AcquisitionState.ARMED:
         reasons = (f"acquisition: {state}", *reasons)
+    has_failed = state is AcquisitionState.HELD or any(
+        check.status is CheckStatus.FAIL and not name.startswith("camera:") for name, check in checks.items()
+    )
+    usable = _usable_cameras(facts)
     return Health(
         ne107=_ne107(facts, usable, has_failed=has_failed, is_clean=not reasons),
         ready=(
@@ -103,7 +106,7 @@ def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne
         or facts.clock_step_s is not None
         or not facts.has_background
         or any(suspicion.is_dropped for suspicion in facts.suspicions)
-        or any(finding.severity is Severity.OUT_OF_SPECIFICATION for finding in facts.optics)
+        or any(finding.severity is Severity.OUT_OF_SPECIFICATION for finding in facts.optical_findings)
         or facts.calibration.trouble is not None
     ):
         return Ne107.OUT_OF_SPECIFICATION
@@ -112,34 +115,64 @@ def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne
     return Ne107.GOOD if is_clean else Ne107.MAINTENANCE_REQUIRED
 
 
-def _checks(facts: Facts) -> Mapping[str, HealthCheck]:
-    checks = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
-    checks["cameras"] = _all_cameras(facts)
+def _usable_cameras(facts: Facts) -> int:
+    return sum(camera.state is not DeviceState.LOST for camera in facts.cameras)
+
+
+def _camera(camera: CameraStatus) -> HealthCheck:
+    is_lost = camera.state is DeviceState.LOST
+    return HealthCheck(
+        status=_status(warn=bool(camera.warnings), fail=is_lost),
+        observed_value=camera.state,
+        detail=camera.last_error if is_lost else "; ".join(camera.warnings) or None,
+    )
+
+
+def _all_cameras(facts: Facts) -> HealthCheck:
+    return HealthCheck(
+        status=_status(fail=facts.common_cause is not None),
+        observed_value=_usable_cameras(facts),
+        observed_unit="cameras",
+        detail=facts.common_cause,
+    )
+
+
+def _gate(facts: Facts) -> HealthCheck:
     rig = facts.acquisition
-    is_gate_lost = rig.gate is DeviceState.LOST
-    checks["gate"] = HealthCheck(
-        status=_status(warn=bool(rig.gate_warnings), fail=is_gate_lost),
+    is_lost = rig.gate is DeviceState.LOST
+    return HealthCheck(
+        status=_status(warn=bool(rig.gate_warnings), fail=is_lost),
         observed_value=rig.gate,
-        detail=rig.gate_error if is_gate_lost else "; ".join(rig.gate_warnings) or None,
+        detail=rig.gate_error if is_lost else "; ".join(rig.gate_warnings) or None,
     )
-    is_blind = facts.blind_triggers >= BLIND_TRIGGERS
-    checks["trigger_line"] = HealthCheck(
-        status=_status(fail=is_blind),
-        observed_value=facts.blind_triggers,
+
+
+def _trigger_line(facts: Facts) -> HealthCheck:
+    n_blind = facts.blind_triggers
+    is_broken = n_blind >= BLIND_TRIGGERS
+    problem = f"{n_blind} triggers in a row without any image: look at the line from gate to cameras"
+    return HealthCheck(
+        status=_status(fail=is_broken),
+        observed_value=n_blind,
         observed_unit="triggers",
-        detail=_if(
-            is_blind,
-            f"{facts.blind_triggers} triggers in a row without any image: look at the line from gate to cameras",
-        ),
+        detail=problem if is_broken else None,
     )
-    checks["loop"] = HealthCheck(
-        status=_status(warn=facts.loop_ms > LOOP_MS),
+
+
+def _loop(facts: Facts) -> HealthCheck:
+    is_slow = facts.loop_ms > LOOP_MS
+    problem = f"held up for {facts.loop_ms:.0f} ms within the last minute: look at the load of the machine"
+    return HealthCheck(
+        status=_status(warn=is_slow),
         observed_value=round(facts.loop_ms, 1),
         observed_unit="ms",
-        detail=_if(facts.loop_ms > LOOP_MS, f"held up for {facts.loop_ms:.0f} ms within the last minute"),
+        detail=problem if is_slow else None,
     )
+
+
+def _clock(facts: Facts) -> HealthCheck:
     step_s = facts.clock_step_s
-    checks["clock"] = HealthCheck(
+    return HealthCheck(
         status=_status(warn=step_s is not None),
         observed_value=step_s,
         observed_unit="s",
@@ -147,103 +180,12 @@ def _checks(facts: Facts) -> Mapping[str, HealthCheck]:
         if step_s is None
         else f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt",
     )
-    checks["progress"] = _passes(not facts.late, f"no progress of {', '.join(facts.late)}")
-    checks["queue"] = _queue(facts)
-    checks["workers"] = HealthCheck(
-        status=_status(warn=facts.workers < facts.slots, fail=facts.workers == 0),
-        observed_value=facts.workers,
-        observed_unit="processes",
-        detail=f"{facts.workers} of {facts.slots} up, {facts.worker_restarts} restarts",
-    )
-    checks["background"] = HealthCheck(
-        status=_status(warn=not facts.has_background),
-        observed_value=facts.has_background,
-        detail=_if(
-            not facts.has_background,
-            "the empty rig was not seen yet: let no stone fall for a moment"
-            + ("; until then the network alone finds them" if facts.has_network else ""),
-        ),
-    )
-    checks["segmentation"] = HealthCheck(
-        status=_status(warn=facts.segmentation_warning is not None), detail=facts.segmentation_warning
-    )
-    checks["calibration"] = _calibration(facts.calibration)
-    # a store that cannot be written ends the daemon, so whoever can still ask finds it working
-    checks["store"] = HealthCheck(
-        status=CheckStatus.PASS, observed_value=facts.last_seq, observed_unit="results"
-    )
-    checks["disk"] = HealthCheck(
-        status=_status(warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10),
-        observed_value=facts.free_bytes,
-        observed_unit="bytes",
-        detail=f"{facts.free_bytes / 1e9:.1f} GB free for results",
-    )
-    trouble = facts.recording_trouble
-    checks["recording"] = HealthCheck(status=_status(warn=trouble is not None), detail=trouble)
-    checks["archive"] = HealthCheck(
-        status=_status(warn=facts.archive_trouble is not None),
-        observed_value=facts.left_out,
-        observed_unit="left out",
-        detail=facts.archive_trouble,
-    )
-    checks["rig"] = _rig(facts)
-    checks["optics"] = _optics(facts)
-    return checks
 
 
-def _all_cameras(facts: Facts) -> HealthCheck:
-    usable = sum(camera.state is not DeviceState.LOST for camera in facts.cameras)
+def _progress(facts: Facts) -> HealthCheck:
     return HealthCheck(
-        status=_status(fail=facts.all_lost is not None),
-        observed_value=usable,
-        observed_unit="cameras",
-        detail=facts.all_lost,
-    )
-
-
-def _camera(camera: CameraStatus) -> HealthCheck:
-    is_lost = camera.state is DeviceState.LOST
-    detail = camera.last_error if is_lost else "; ".join(camera.warnings) or None
-    return HealthCheck(
-        status=_status(warn=bool(camera.warnings), fail=is_lost), observed_value=camera.state, detail=detail
-    )
-
-
-def _rig(facts: Facts) -> HealthCheck:
-    """What the stones say about the cameras."""
-    scores_px = [camera.tangency_px for camera in facts.cameras if camera.tangency_px is not None]
-    scores_px += [suspicion.score_px for suspicion in facts.suspicions]
-    return HealthCheck(
-        status=_status(warn=bool(facts.suspicions)),
-        observed_value=round(max(scores_px), 2) if scores_px else None,
-        observed_unit="px",
-        detail="; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in facts.suspicions)
-        or None,
-    )
-
-
-def _optics(facts: Facts) -> HealthCheck:
-    """What the images say about windows, lenses and light."""
-    n_cameras = len(facts.cameras)
-    concerned = {camera for finding in facts.optics for camera in finding.cameras}
-    return HealthCheck(
-        status=_status(warn=bool(facts.optics)),
-        observed_value=n_cameras - len(concerned),
-        observed_unit="cameras",
-        detail="; ".join(
-            f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
-            for finding in facts.optics
-        )
-        or None,
-    )
-
-
-def _calibration(facts: CalibrationFacts) -> HealthCheck:
-    wrong = [each for each in (facts.trouble, facts.at_work) if each is not None]
-    return HealthCheck(
-        status=_status(warn=bool(wrong)),
-        observed_value=facts.calibration_id,
-        detail="; ".join(wrong) or f"{facts.method}, in use since {facts.used_since}",
+        status=_status(fail=bool(facts.late)),
+        detail=f"no progress of {', '.join(facts.late)}: look at the journal" if facts.late else None,
     )
 
 
@@ -256,15 +198,121 @@ def _queue(facts: Facts) -> HealthCheck:
     )
 
 
-def _passes(is_good: bool, problem: str | None) -> HealthCheck:
-    return HealthCheck(status=_status(fail=not is_good), detail=_if(not is_good, problem))
+def _workers(facts: Facts) -> HealthCheck:
+    return HealthCheck(
+        status=_status(warn=facts.workers < facts.slots, fail=facts.workers == 0),
+        observed_value=facts.workers,
+        observed_unit="processes",
+        detail=f"{facts.workers} of {facts.slots} up, {facts.worker_restarts} restarts",
+    )
 
 
-def _if(is_so: bool, detail: str | None) -> str | None:
-    return detail if is_so else None
+def _background(facts: Facts) -> HealthCheck:
+    problem = "the empty rig was not exposed yet: let no stone fall for a moment"
+    if facts.has_network:
+        problem += "; until then the network alone finds them"
+    return HealthCheck(
+        status=_status(warn=not facts.has_background),
+        observed_value=facts.has_background,
+        detail=None if facts.has_background else problem,
+    )
+
+
+def _segmentation(facts: Facts) -> HealthCheck:
+    warning = facts.segmentation_warning
+    return HealthCheck(status=_status(warn=warning is not None), detail=warning)
+
+
+def _calibration(facts: Facts) -> HealthCheck:
+    calibration = facts.calibration
+    problems = [text for text in (calibration.trouble, calibration.at_work) if text is not None]
+    return HealthCheck(
+        status=_status(warn=bool(problems)),
+        observed_value=calibration.calibration_id,
+        detail="; ".join(problems) or f"{calibration.method}, in use since {calibration.used_since}",
+    )
+
+
+def _store(facts: Facts) -> HealthCheck:
+    # always passes: a store that cannot be written ends the daemon
+    return HealthCheck(status=CheckStatus.PASS, observed_value=facts.last_seq, observed_unit="results")
+
+
+def _disk(facts: Facts) -> HealthCheck:
+    return HealthCheck(
+        status=_status(warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10),
+        observed_value=facts.free_bytes,
+        observed_unit="bytes",
+        detail=f"{facts.free_bytes / 1e9:.1f} GB free for results",
+    )
+
+
+def _recording(facts: Facts) -> HealthCheck:
+    trouble = facts.recording_trouble
+    return HealthCheck(status=_status(warn=trouble is not None), detail=trouble)
+
+
+def _archive(facts: Facts) -> HealthCheck:
+    return HealthCheck(
+        status=_status(warn=facts.archive_trouble is not None),
+        observed_value=facts.left_out,
+        observed_unit="left out",
+        detail=facts.archive_trouble,
+    )
+
+
+def _rig(facts: Facts) -> HealthCheck:
+    """Check whether cameras still are where their calibration says, by the outlines of the stones."""
+    scores_px = [camera.tangency_px for camera in facts.cameras if camera.tangency_px is not None]
+    scores_px += [suspicion.score_px for suspicion in facts.suspicions]
+    return HealthCheck(
+        status=_status(warn=bool(facts.suspicions)),
+        observed_value=round(max(scores_px), 2) if scores_px else None,
+        observed_unit="px",
+        detail="; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in facts.suspicions)
+        or None,
+    )
+
+
+def _optics(facts: Facts) -> HealthCheck:
+    """Check how well the cameras see: windows, lenses and light."""
+    n_cameras = len(facts.cameras)
+    concerned = {camera for finding in facts.optical_findings for camera in finding.cameras}
+    return HealthCheck(
+        status=_status(warn=bool(facts.optical_findings)),
+        observed_value=n_cameras - len(concerned),
+        observed_unit="cameras",
+        detail="; ".join(
+            f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
+            for finding in facts.optical_findings
+        )
+        or None,
+    )
 
 
 def _status(*, warn: bool = False, fail: bool = False) -> CheckStatus:
     if fail:
         return CheckStatus.FAIL
     return CheckStatus.WARN if warn else CheckStatus.PASS
+
+
+CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
+    "cameras": _all_cameras,
+    "gate": _gate,
+    "trigger_line": _trigger_line,
+    "loop": _loop,
+    "clock": _clock,
+    "progress": _progress,
+    "queue": _queue,
+    "workers": _workers,
+    "background": _background,
+    "segmentation": _segmentation,
+    "calibration": _calibration,
+    "store": _store,
+    "disk": _disk,
+    "recording": _recording,
+    "archive": _archive,
+    "rig": _rig,
+    "optics": _optics,
+}
+"""All checks but those of single cameras, by name, in the order in which they are reported."""

@@ -1,32 +1,30 @@
-"""Which part of the wall has grown dark, by geometry: cameras beside one another see the same panel fail.
+"""Locate the parts of the wall that have become dark: neighbouring cameras see the same light panel fail.
 
 Every camera looks through the rig's centre at the wall behind. Fields of view do not overlap there, but a panel
-is larger than one: its failing dims one camera and tilts the light of those beside it. What one camera alone sees
-is in front of that camera.
+is larger than one: its failure dims one camera and tilts the light of its neighbours. A loss of light that only one
+camera sees is caused by that camera.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import Directions, Values
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
-TOUCHED = 0.05
-"""A camera that lost so much of its light somewhere sees a part of the dark place."""
+MIN_LOSS = 0.05
+"""Share of its light that a camera must have lost somewhere to see a part of a dark place."""
 NEIGHBOURS_DEG = 75.0
-"""Angle between the lines of sight of two cameras that may see one panel; the nearest ones are 50 degrees apart."""
+"""Largest angle between the lines of sight of two cameras that see one panel; the nearest ones are 50 degrees apart."""
 SAMPLES = np.array([-2 / 3, 0.0, 2 / 3])
-"""Where the light of a view is asked for, along u and v, from border (-1) to border (1)."""
-
-Array = NDArray[np.float64]
+"""Positions at which the light of a view is sampled, along u and v, from border (-1) to border (1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ViewLight:
-    """Light on the wall that a camera sees, against the clean rig."""
+    """Light on the wall that a camera sees, relative to the clean rig."""
 
     brightness: float
     gradient_uv: tuple[float, float]  # from border to border
@@ -34,7 +32,7 @@ class ViewLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DarkPlace:
-    """A part of the wall, and who sees it."""
+    """A part of the wall that has become dark, and the cameras that see it."""
 
     cameras: tuple[CameraId, ...]  # darkest first
     loss: float  # greatest share of the light that is missing
@@ -43,16 +41,18 @@ class DarkPlace:
 
 
 def dark_places(rig: RigCalibration, lights: Mapping[CameraId, ViewLight]) -> list[DarkPlace]:
-    """Parts of the wall that have lost light, each with the cameras in whose sight it lies."""
+    """Return the parts of the wall that have lost light, one for each group of neighbouring darkened cameras."""
     losses = {camera: 1 - _samples(light) for camera, light in lights.items()}
-    touched = [camera for camera in rig.cameras if camera.id in losses and losses[camera.id].max() > TOUCHED]
+    darkened = [
+        camera for camera in rig.cameras if camera.id in losses and losses[camera.id].max() > MIN_LOSS
+    ]
     places = []
-    while touched:
-        group, touched = touched[:1], touched[1:]
-        for member in group:  # grows while it is walked through
-            beside = [other for other in touched if _are_neighbours(member, other)]
-            group += beside
-            touched = [other for other in touched if other not in beside]
+    while darkened:
+        group, darkened = darkened[:1], darkened[1:]
+        for member in group:  # which grows during the iteration
+            neighbours = [other for other in darkened if _are_neighbours(member, other)]
+            group += neighbours
+            darkened = [other for other in darkened if other not in neighbours]
         group.sort(key=lambda camera: -float(losses[camera.id].max()))
         weights = [np.maximum(losses[camera.id], 0) for camera in group]
         x, y, z = np.sum([w @ _on_wall(camera) for w, camera in zip(weights, group, strict=True)], axis=0)
@@ -67,14 +67,14 @@ def dark_places(rig: RigCalibration, lights: Mapping[CameraId, ViewLight]) -> li
     return places
 
 
-def _samples(light: ViewLight) -> Array:
-    """Light (9,) at places all over a view."""
+def _samples(light: ViewLight) -> Values:
+    """Return the light (9,) at the sampled positions of a view."""
     slope_u, slope_v = light.gradient_uv
     return (light.brightness * (1 + slope_v / 2 * SAMPLES[:, None] + slope_u / 2 * SAMPLES)).ravel()
 
 
-def _on_wall(camera: CameraCalibration) -> Array:
-    """Directions (9, 3) from the centre to the wall at the same places: it is a sphere through the cameras."""
+def _on_wall(camera: CameraCalibration) -> Directions:
+    """Return the directions (9, 3) from the centre to the wall, a sphere through the cameras, at these positions."""
     half_size = np.array(camera.image_size_px) / 2
     offsets = np.stack(np.meshgrid(SAMPLES, SAMPLES), axis=-1).reshape(-1, 2)
     rays = camera.rays(half_size * (1 + offsets) - 0.5)

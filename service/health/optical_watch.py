@@ -1,8 +1,8 @@
-"""Windows, lenses and light watch themselves: how each camera's optical figures drift, exposure after exposure.
+"""Watch windows, lenses and light by the optics of each camera, exposure after exposure.
 
-Every result, and every exposure of the empty rig, carries the figures of each camera
-(`pipeline.segmentation.optics`). Dust and fading light come slowly: at half of a limit somebody should come with
-a cloth (*maintenance required*), at the limit results are less certain than promised (*out of specification*).
+Every result, and every exposure of the empty rig, has the optics of each camera
+(`pipeline.segmentation.optics`). Dust and fading light come slowly: at half of a limit cleaning is due
+(*maintenance required*), at the limit results are less certain than specified (*out of specification*).
 Whether a view is used is decided for each stone alone, by the pipeline, never here.
 """
 
@@ -21,18 +21,18 @@ from service.health.dark_panels import DarkPlace, ViewLight, dark_places
 from service.status import CameraOptics
 
 WINDOW = 20
-"""Exposures that an opinion rests on."""
+"""Latest exposures over which medians are taken."""
 MIN_EXPOSURES = 5
-"""Fewer say nothing."""
+"""Fewest exposures with a meaningful median."""
 MAINTENANCE_SHARE = 0.5
-"""Of a limit, from which somebody should look."""
-RELIEF = 0.9
-"""An alarm ends below this share of what raised it: figures scatter."""
+"""Share of a limit from which maintenance is required."""
+HYSTERESIS = 0.9
+"""Share of the value that raised an alarm below which the alarm ends, because figures scatter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpticalParameters:
-    """Where a camera is out of specification; at half of each, maintenance is required."""
+    """Limits at which a camera is out of specification; at half of each, maintenance is required."""
 
     light_change: float = 0.3  # of the plain wall's brightness, against the clean rig
     gradient: float = 0.5  # the same from border to border of the view
@@ -50,7 +50,7 @@ class OpticalParameters:
 
 
 class Severity(IntEnum):
-    """What a figure asks for."""
+    """How far a figure has come to its limit."""
 
     NOTHING = 0
     MAINTENANCE = 1
@@ -59,7 +59,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpticalFinding:
-    """Something that should be cleaned or replaced."""
+    """Something that should be cleaned, adjusted or replaced."""
 
     cameras: tuple[CameraId, ...]  # that see it, worst first
     severity: Severity
@@ -67,7 +67,8 @@ class OpticalFinding:
 
 
 LIGHT_CHANGE, GRADIENT = "light_change", "gradient"
-WORDS = {
+"""Limits of the light, whose findings are composed by geometry, see `dark_panels`."""
+DETAILS = {
     "flicker": "light varies by {:.0%} from exposure to exposure: look at the strobe and its supply",
     "dust": "{:.0%} of the light is lost in patches: clean window and lens",
     "spots_share": "{:.0%} of the view is darker than its surroundings: clean window and wall",
@@ -75,69 +76,75 @@ WORDS = {
     "noise_grey": "images are noisy, {:.1f} grey levels: look at gain and temperature",
     "edge_width_px": "outlines are {:.1f} px wide: look at focus, window and exposure time",
 }
-"""What passes a limit, and the remedy. Changes of the light are told apart by geometry, see `dark_panels`."""
+"""By the name of the limit: the text of its finding, with the remedy."""
 
 
 @dataclass(slots=True)
 class _Camera:
     series: dict[str, deque[float]] = field(default_factory=dict)
-    optics: CameraOptics = field(default_factory=CameraOptics)  # of these
+    optics: CameraOptics = field(default_factory=CameraOptics)  # medians of the series
     severities: dict[str, Severity] = field(default_factory=dict)  # by limit
 
     def add(self, figures: Mapping[str, Any], limits: OpticalParameters) -> None:
+        """Take the figures of one exposure into account."""
         gradient_u, gradient_v = figures["gradient_uv"]
         for name, value in {**figures, "gradient_u": gradient_u, "gradient_v": gradient_v}.items():
             if name != "gradient_uv" and value is not None:
                 self.series.setdefault(name, deque(maxlen=WINDOW)).append(value)
         typical = {name: median(seen) for name, seen in self.series.items() if len(seen) >= MIN_EXPOSURES}
         self.optics = CameraOptics(**typical, flicker=_flicker(self.series.get("brightness", ())))
-        for name, value in self.judged().items():
+        for name, value in self.limited_figures().items():
             share = value / getattr(limits, name)
             self.severities[name] = _severity(share, self.severities.get(name, Severity.NOTHING))
 
-    def judged(self) -> dict[str, float]:
-        """The figures that have a limit, by its name."""
+    def limited_figures(self) -> dict[str, float]:
+        """Return the figures that have a limit, by the name of the limit."""
         optics = self.optics
-        figures = {name: value for name in WORDS if (value := getattr(optics, name)) is not None}
+        figures = {name: value for name in DETAILS if (value := getattr(optics, name)) is not None}
         if (light := _light(optics)) is not None:
             figures |= {LIGHT_CHANGE: abs(1 - light.brightness), GRADIENT: hypot(*light.gradient_uv)}
         return figures
 
     def severity(self, *limits: str) -> Severity:
+        """Return the worst severity among these limits."""
         return max(self.severities.get(limit, Severity.NOTHING) for limit in limits)
 
 
 class OpticalWatch:
-    """Fed with all results and all exposures of the empty rig, in their order; `findings` are for people."""
+    """Watches the optics of all cameras: feed it all results and all exposures of the empty rig, in their order."""
 
     def __init__(self, rig: RigCalibration, limits: OpticalParameters) -> None:
-        self._rig = rig  # the configured one will do: no calibration tells a camera from its neighbour
+        self._rig = rig  # the configured one, for any calibration has the same neighbours
         self._limits = limits
         self._cameras = {camera.id: _Camera() for camera in rig.cameras}
 
     def feed(self, record: Mapping[str, Any]) -> None:
-        """Learn from one result."""
-        self.note(record.get("optics", {}))
+        """Take one result into account."""
+        self.feed_optics(record.get("optics", {}))
 
-    def note(self, optics: Mapping[str, Mapping[str, Any]]) -> None:
-        """Learn from the figures of one exposure, as `record.optics_record` writes them."""
+    def feed_optics(self, optics: Mapping[str, Mapping[str, Any]]) -> None:
+        """Take the optics of one exposure into account, as `record.optics_record` writes them."""
         for name, camera in self._cameras.items():
             if name in optics:
                 camera.add(optics[name], self._limits)
 
     def optics(self) -> dict[CameraId, CameraOptics]:
-        """Of every camera of the rig."""
+        """Return the optics of every camera of the rig."""
         return {name: camera.optics for name, camera in self._cameras.items()}
 
     def findings(self) -> tuple[OpticalFinding, ...]:
-        """What should be looked at, worst first."""
-        found = [*self._of_light(), *(each for limit in WORDS for each in self._of_limit(limit))]
+        """Return what operators should look at, worst first."""
+        found = self._light_findings()
+        for limit in DETAILS:
+            found += self._limit_findings(limit)
         return tuple(sorted(found, key=lambda finding: -finding.severity))
 
-    def _of_limit(self, limit: str) -> list[OpticalFinding]:
-        """One for each camera, or one for most of them: it is not them."""
+    def _limit_findings(self, limit: str) -> list[OpticalFinding]:
+        """Return one finding for each camera beyond a limit, or one for all if most are: the cause is common then."""
         values = {
-            name: camera.judged()[limit] for name, camera in self._cameras.items() if camera.severity(limit)
+            name: camera.limited_figures()[limit]
+            for name, camera in self._cameras.items()
+            if camera.severity(limit)
         }
         worst_first = sorted(values, key=lambda name: -values[name])
         groups = [worst_first] if self._are_most(values) else [[name] for name in worst_first]
@@ -145,13 +152,13 @@ class OpticalWatch:
             OpticalFinding(
                 cameras=tuple(group),
                 severity=max(self._cameras[name].severity(limit) for name in group),
-                detail=WORDS[limit].format(values[group[0]]),
+                detail=DETAILS[limit].format(values[group[0]]),
             )
             for group in groups
         ]
 
-    def _of_light(self) -> list[OpticalFinding]:
-        """Where the light has changed: everywhere, on a part of the wall that several cameras see, or for one."""
+    def _light_findings(self) -> list[OpticalFinding]:
+        """Return where the light has changed: everywhere, on a part of the wall, or for single cameras."""
         changed = {
             name: severity
             for name, camera in self._cameras.items()
@@ -161,41 +168,43 @@ class OpticalWatch:
             name: light for name in self._cameras if (light := _light(self._cameras[name].optics)) is not None
         }
         if self._are_most(changed):
-            detail = f"the light {self._change(lights, changed)}: look at the strobes' supply"
+            detail = f"the light {self._describe_change(lights, changed)}: look at the strobes' supply"
             return [OpticalFinding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
         found = []
         for place in dark_places(self._rig, lights):
             alarmed = [changed.pop(name) for name in place.cameras if name in changed]
             if alarmed:
                 found.append(
-                    OpticalFinding(cameras=place.cameras, severity=max(alarmed), detail=_place(place))
+                    OpticalFinding(
+                        cameras=place.cameras, severity=max(alarmed), detail=_describe_place(place)
+                    )
                 )
         for name, severity in changed.items():
-            detail = f"its light {self._change(lights, [name])}: look at its gain and flash"
+            detail = f"its light {self._describe_change(lights, [name])}: look at its gain and flash"
             found.append(OpticalFinding(cameras=(name,), severity=severity, detail=detail))
         return found
 
-    def _change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:
-        """Which of the limits of light these cameras have passed, and by how much on average."""
-        words = []
+    def _describe_change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:
+        """Describe which limits of the light these cameras have passed, with the median figure of each."""
+        changes = []
         if any(self._cameras[name].severity(LIGHT_CHANGE) for name in cameras):
-            words.append(f"has changed by {median(lights[name].brightness for name in cameras) - 1:+.0%}")
+            changes.append(f"has changed by {median(lights[name].brightness for name in cameras) - 1:+.0%}")
         if any(self._cameras[name].severity(GRADIENT) for name in cameras):
             slope = median(hypot(*lights[name].gradient_uv) for name in cameras)
-            words.append(f"differs by {slope:.0%} from border to border")
-        return " and ".join(words)
+            changes.append(f"differs by {slope:.0%} from border to border")
+        return " and ".join(changes)
 
     def _are_most(self, cameras: Collection[CameraId]) -> bool:
         return 2 * len(cameras) > len(self._cameras)
 
 
 def _severity(share: float, before: Severity) -> Severity:
-    """Of a figure that has reached a share of its limit; an alarm goes as it came, but a little later."""
+    """Return the severity of a figure that has reached this share of its limit; alarms end with hysteresis."""
     for severity, raised_at in (
         (Severity.OUT_OF_SPECIFICATION, 1.0),
         (Severity.MAINTENANCE, MAINTENANCE_SHARE),
     ):
-        if share >= raised_at * (RELIEF if before >= severity else 1):
+        if share >= raised_at * (HYSTERESIS if before >= severity else 1):
             return severity
     return Severity.NOTHING
 
@@ -207,16 +216,16 @@ def _light(optics: CameraOptics) -> ViewLight | None:
 
 
 def _flicker(brightness: Sequence[float]) -> float | None:
-    """Standard deviation from one exposure to the next; a single step is a change, no flicker."""
+    """Return the standard deviation from exposure to exposure, without the largest step: one step is no flicker."""
     if len(brightness) < MIN_EXPOSURES:
         return None
     steps = sorted(abs(after - before) for before, after in pairwise(brightness))[:-1]
     return sqrt(fmean([step**2 for step in steps]) / 2) / max(fmean(brightness), 0.01)
 
 
-def _place(place: DarkPlace) -> str:
+def _describe_place(place: DarkPlace) -> str:
     if len(place.cameras) == 1:
-        return f"sees {place.loss:.0%} less light, those beside it do not: look at its window, lens and flash"
+        return f"sees {place.loss:.0%} less light, its neighbours do not: look at its window, lens and flash"
     return (
         f"the wall is {place.loss:.0%} darker about azimuth {place.azimuth_deg:.0f},"
         f" elevation {place.elevation_deg:+.0f} degrees: look at the light panel there"

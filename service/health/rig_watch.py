@@ -1,11 +1,11 @@
-"""The rig watches itself: what the stones say about the cameras, stone after stone.
+"""Watch the geometry of the rig by the results of its stones, and name the cameras that have moved.
 
-Every result carries a score per camera, the epipolar residual of its outlines against those of the others
-(`pipeline.views.epipolar_tangency`), and the residual of its outline against the others' hull. A camera that is hit
-shows in the first, in the next stone; dust and a failing light show in the second, slowly.
+Every result has a score for each camera, the epipolar residual of its outlines against those of the others
+(`pipeline.views.epipolar_tangency`), and the residual of its outline against the hull of the others. A camera that was
+hit raises the first at the next stone; dust and failing light raise the second, slowly.
 
-Whether a view is left out is decided for each stone alone, by the pipeline: it does not depend on which stones
-came before, hence not on the number of workers. What lasts here is only the alarm.
+Whether a view is dropped is decided for each stone alone, by the pipeline: it does not depend on which stones
+came before, hence not on the number of workers. Only the alarm is kept here.
 """
 
 from collections import deque
@@ -22,21 +22,21 @@ from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
 
 WINDOW = 20
-"""Stones that an opinion rests on."""
+"""Latest stones over which medians are taken."""
 MIN_STONES = 5
-"""The median of fewer says nothing; a view that was left out does."""
+"""Fewest stones with a meaningful median; a view that was dropped counts at once."""
 IN_A_ROW = 3
-"""A view that contradicts the others' hull, though not their tangents, so many times is no accident."""
+"""Stones in a row whose view contradicts the hull of the others, but not their tangents, before it is an alarm."""
 RESIDUAL_DRIFT_PX = 0.3
-"""The median residual against the hull, now beside the first stones' of this calibration."""
-ALONG_THE_FALL = 0.2
-"""Tangent of the angle (11 degrees) between a shift and the fall up to which it may be one of time."""
+"""Alarm limit of the rise of the median residual against the hull, compared with this calibration's first stones."""
+MAX_TAN_TO_FALL = 0.2
+"""Tangent of the angle (11 degrees) between a shift and the fall up to which a wrong time can explain the shift."""
 REMEDY = "recalibrate (stonefall calibrate RECORDING --method stones, or drop the ball)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraScore:
-    """Of one camera, medians over the latest stones; `None` while too few have been seen."""
+    """Median scores of one camera over the latest stones; `None` while these are too few."""
 
     tangency_px: float | None = None
     tangency_drift_px: float | None = None  # against the first stones since `restart`
@@ -46,9 +46,9 @@ class CameraScore:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspicion:
-    """A camera that no longer is what its calibration says; `None` for most of them at once."""
+    """A camera that contradicts its calibration."""
 
-    camera: CameraId | None
+    camera: CameraId | None  # None: most of them
     score_px: float
     is_dropped: bool  # the latest stone was measured without it
     detail: str  # what happened to it, how much, and the remedy
@@ -56,23 +56,25 @@ class Suspicion:
 
 @dataclass(slots=True)
 class _Series:
-    """One number a stone."""
+    """The first and the latest values of a figure, one a stone."""
 
     first: list[float] = field(default_factory=list)
-    recent: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    latest: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
 
     def add(self, value: float) -> None:
         if len(self.first) < WINDOW:
             self.first.append(value)
-        self.recent.append(value)
+        self.latest.append(value)
 
     @property
-    def now(self) -> float | None:
-        return median(self.recent) if len(self.recent) >= MIN_STONES else None
+    def recent_median(self) -> float | None:
+        """Median of the latest values, None while they are too few."""
+        return median(self.latest) if len(self.latest) >= MIN_STONES else None
 
     @property
     def drift(self) -> float | None:
-        return None if self.now is None else self.now - median(self.first)
+        """Rise of the median since the first values."""
+        return None if self.recent_median is None else self.recent_median - median(self.first)
 
 
 @dataclass(slots=True)
@@ -82,39 +84,39 @@ class _Camera:
     residual: _Series = field(default_factory=_Series)
     shifts_px: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MIN_STONES))
     latest_px: float | None = None  # score of the latest stone
-    n_dropped: int = 0  # latest stones in a row that contradicted this view
+    n_dropped: int = 0  # latest stones in a row whose measurement dropped this view
 
     @property
     def is_dropped(self) -> bool:
-        """Left out for more than a single odd silhouette."""
-        is_beside = self.latest_px is not None and self.latest_px >= ALARM_PX
-        return self.n_dropped >= (1 if is_beside else IN_A_ROW)
+        """Whether its view was dropped for another reason than a single odd silhouette."""
+        is_displaced = self.latest_px is not None and self.latest_px >= ALARM_PX
+        return self.n_dropped >= (1 if is_displaced else IN_A_ROW)
 
     @property
     def score_px(self) -> float | None:
-        return self.latest_px if self.is_dropped else self.tangency.now
+        return self.latest_px if self.is_dropped else self.tangency.recent_median
 
     @property
     def shift_px(self) -> tuple[float, float]:
-        """Median over the latest few stones, none from before it moved; or that of the one it was left out of."""
+        """Image shift (u, v): median over the latest few stones, or that of the stone it was dropped from."""
         shifts = list(self.shifts_px)[-1 if self.is_dropped else 0 :] or [(0.0, 0.0)]
         return median(du for du, _ in shifts), median(dv for _, dv in shifts)
 
 
 class RigWatch:
-    """`feed` it the records of all stones, in the order of their triggers; `suspicions` are for people."""
+    """Watches the cameras' geometry: `feed` it the records of all stones, in the order of their triggers."""
 
     def __init__(self, rig: RigCalibration, fall: Fall = Fall()) -> None:  # noqa: B008 - frozen
         self._speed_mm_s = fall.speed_at_center_mm_s
         self.restart(rig)
 
     def restart(self, rig: RigCalibration) -> None:
-        """Begin afresh with another calibration: scores belong to the one that they were measured with."""
+        """Start again with another calibration: scores are of the calibration that they were measured with."""
         self._calibration_id = rig.calibration_id
         self._cameras = {camera.id: _Camera(camera) for camera in rig.cameras}
 
     def feed(self, record: Mapping[str, Any]) -> None:
-        """Learn from one result; those of other calibrations, and those that compare no views, teach nothing."""
+        """Take one result into account, unless it is of another calibration or compares no views."""
         scores_px = record.get("tangency_px")
         if not scores_px or record["calibration_id"] != self._calibration_id:
             return
@@ -129,37 +131,37 @@ class RigWatch:
                 camera.residual.add(record["view_residuals_px"][name])
 
     def scores(self) -> dict[CameraId, CameraScore]:
-        """Of every camera of the rig."""
+        """Return the scores of every camera of the rig."""
         return {
             name: CameraScore(
-                tangency_px=camera.tangency.now,
+                tangency_px=camera.tangency.recent_median,
                 tangency_drift_px=camera.tangency.drift,
-                residual_px=camera.residual.now,
+                residual_px=camera.residual.recent_median,
                 residual_drift_px=camera.residual.drift,
             )
             for name, camera in self._cameras.items()
         }
 
     def suspicions(self) -> tuple[Suspicion, ...]:
-        """Cameras that need somebody, worst first."""
+        """Return the cameras that contradict their calibration, worst first, for operators."""
         displaced = [
             Suspicion(
                 camera=name,
                 score_px=score_px,
                 is_dropped=camera.is_dropped,
-                detail=_what_happened(camera, score_px, self._speed_mm_s),
+                detail=_describe_displacement(camera, score_px, self._speed_mm_s),
             )
             for name, camera in self._cameras.items()
             if (score_px := camera.score_px) is not None and (camera.is_dropped or score_px >= ALARM_PX)
         ]
         if 2 * len(displaced) > len(self._cameras):
-            displaced = [_most(displaced, len(self._cameras))]
+            displaced = [_common_suspicion(displaced, len(self._cameras))]
         differing = [
             Suspicion(
                 camera=name,
-                score_px=camera.residual.now or 0.0,
+                score_px=camera.residual.recent_median or 0.0,
                 is_dropped=False,
-                detail=f"its silhouettes have come to leave the others' hull by {camera.residual.now:.1f} px,"
+                detail=f"its silhouettes leave the hull of the others by {camera.residual.recent_median:.1f} px,"
                 f" {drift_px:.1f} px more than at first: clean its window, look at its light and focus",
             )
             for name, camera in self._cameras.items()
@@ -170,11 +172,11 @@ class RigWatch:
         return tuple(sorted([*displaced, *differing], key=lambda suspicion: -suspicion.score_px))
 
 
-def _what_happened(camera: _Camera, score_px: float, speed_mm_s: float) -> str:
-    """The shift that explains the tangents, as a turn, or as a time if it lies along the fall, and the remedy.
+def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) -> str:
+    """Describe the shift that explains the tangents, as a turn, or as a time if it lies along the fall.
 
-    A camera that is late sees the stone further down, and so does one that was tilted up: what the shift cannot
-    tell apart is said to be either.
+    A camera that exposes late sees the stone further down, and so does one that was tilted up: where the shift cannot
+    tell these apart both are named. The text ends with the remedy.
     """
     if score_px < ALARM_PX:
         return (
@@ -194,10 +196,8 @@ def _what_happened(camera: _Camera, score_px: float, speed_mm_s: float) -> str:
     along_px, across_px = (
         np.array([below_uv - center_uv, (below_uv - center_uv)[::-1] * [-1, 1]]) @ shift / fall_px_mm
     )
-    if abs(across_px) > ALONG_THE_FALL * abs(along_px):
-        return (
-            f"moved: it sees the stones {shift_px:.1f} px beside where the others do, as if {turn}: {REMEDY}"
-        )
+    if abs(across_px) > MAX_TAN_TO_FALL * abs(along_px):
+        return f"moved: it sees the stones {shift_px:.1f} px from where the others do, as if {turn}: {REMEDY}"
     off_us = 1e6 * along_px / fall_px_mm / speed_mm_s
     when = "late" if off_us > 0 else "early"
     return (
@@ -207,8 +207,8 @@ def _what_happened(camera: _Camera, score_px: float, speed_mm_s: float) -> str:
     )
 
 
-def _most(displaced: Sequence[Suspicion], n_cameras: int) -> Suspicion:
-    """One alarm for most cameras at once: it is not them."""
+def _common_suspicion(displaced: Sequence[Suspicion], n_cameras: int) -> Suspicion:
+    """Return one suspicion for most cameras: what they have in common is more likely the cause than each of them."""
     score_px = median(suspicion.score_px for suspicion in displaced)
     return Suspicion(
         camera=None,

@@ -1,7 +1,7 @@
-"""Whether the network runs where and as it should, from what workers say of each bundle.
+"""Watch whether the network runs as configured, by what workers report of each bundle.
 
-A provider can fail while the daemon runs: the GPU is out of memory, its driver is gone. Measuring goes on, on the CPU
-or without the network, and health warns.
+A provider can fail while the daemon runs: the GPU is out of memory, its driver is gone. Stones are still measured, on
+the CPU or without the network, and health warns.
 """
 
 from collections import deque
@@ -10,23 +10,23 @@ from service.processing.measure_job import NetworkUse
 from service.processing.segmenters import SegmenterPlan
 
 WINDOW = 20
-"""Bundles for which a network was asked: after so many without trouble, from whichever worker, it is over."""
+"""Bundles measured with the network but without trouble, by any worker, after which the warning ends."""
 
 
 class SegmentationWatch:
-    """Remembers the trouble of the network over the latest bundles."""
+    """Watches the network: `feed` it the use of the network in every measured bundle."""
 
     def __init__(self, plan: SegmenterPlan) -> None:
         self._plan = plan
         self._troubles: deque[str | None] = deque(maxlen=WINDOW)
 
-    def note(self, use: NetworkUse) -> None:
-        """Learn from one measured bundle; one without the network teaches nothing."""
+    def feed(self, use: NetworkUse) -> None:
+        """Take one measured bundle into account, unless it was measured without the network."""
         if use.trouble is not None or use.is_source:
             self._troubles.append(use.trouble)
 
     @property
     def warning(self) -> str | None:
-        """Return what is worse than was asked for: known from the start, or found since."""
+        """Why outlines are not found as configured, known from the start or found since; None if they are."""
         latest = next((trouble for trouble in reversed(self._troubles) if trouble is not None), None)
         return "; ".join(text for text in (self._plan.warning, latest) if text is not None) or None

@@ -81,17 +81,17 @@ class MeasureJob:
 
 @dataclass(frozen=True, slots=True)
 class NetworkUse:
-    """How the segmentation network did in one bundle."""
+    """Use of the segmentation network in one bundle."""
 
     is_source: bool
-    """Whether a silhouette of the bundle is the network's."""
+    """Whether the network found a silhouette of the bundle."""
     trouble: str | None
-    """Why it does not run as it should, None if it does or was not asked."""
+    """Why it does not run as configured, None if it does or was not needed."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredBundle:
-    """The result record of one bundle, and what else is learnt of it."""
+    """The result record of one bundle, and the use of the network in it."""
 
     record: dict[str, Any]
     network: NetworkUse
@@ -191,7 +191,7 @@ def this_worker() -> Worker:
 
 
 def measure(job: MeasureJob) -> MeasuredBundle:
-    """Measure one bundle, and write `mesh.ply` and `silhouettes.tiff`.
+    """Measure one bundle; return its record, and write `mesh.ply` and `silhouettes.tiff`.
 
     Raises
     ------

@@ -138,7 +138,7 @@ class _Turn:
 class Processing:
     """Processes the bundles of a spool: `run` is its task, `abandon` ends it early.
 
-    `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_network` with how the network did
+    `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_network` with the use of the network
     in each measured bundle, `on_progress` after every commit and at no other time.
     """
 

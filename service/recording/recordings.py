@@ -97,7 +97,7 @@ class RecordingRefusedError(ServiceError):
 
 
 def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_bytes: int) -> None:
-    """Refuse a recording that would not fit beside the reserve; `folder` need not exist yet.
+    """Refuse a recording that would not fit in addition to the reserve; `folder` need not exist yet.
 
     Raises
     ------

@@ -19,7 +19,7 @@ ONLY_IF_MEASURED = "null unless measured"
 
 
 def always_present(schema: dict[str, Any]) -> None:
-    """Describe a model whose fields are all in every answer, whether or not they have a default here."""
+    """Mark all fields of a model as required in its schema: they are in every answer, defaults included."""
     schema["required"] = list(schema["properties"])
     for property_ in schema["properties"].values():
         property_.pop("default", None)

@@ -34,7 +34,7 @@ def test_a_bumped_camera_is_left_out_and_named_and_so_is_a_dark_one(tmp_path: Pa
         assert health["checks"]["rig"]["observed_value"] > 5
         (reason,) = [reason for reason in health["reasons"] if reason.startswith("optics:")]
         assert reason == (
-            "optics: c09: sees 40% less light, those beside it do not: look at its window, lens and flash"
+            "optics: c09: sees 40% less light, its neighbours do not: look at its window, lens and flash"
         )
         brightness = {
             camera["id"]: camera["optics"]["brightness"] for camera in daemon.get("/cameras")["items"]

@@ -29,7 +29,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, Image, Trigger
 NET = f"127.32.{os.getpid() % 256}"
 FIRST_ADDRESS = f"{NET}.2"
 EXPOSURE_US = 20.0
-DELAY_US = 50_000.0
+FALL_MS = 50.0
 """A short fall: the tests shall be over soon."""
 UNSEEN = CAMERAS[1]
 """Has no view of the stone in bundle 4."""
@@ -49,7 +49,7 @@ def design(tmp_path: Path) -> RigDesign:
         control=tmp_path / "control",
         first_address=FIRST_ADDRESS,
         rate_hz=10,
-        fall_ms=DELAY_US / 1000,
+        fall_ms=FALL_MS,
         seed=1,
     )
 
@@ -68,6 +68,7 @@ class Host:
 
 @contextmanager
 def hosted(rig: SimulatedRig, design: RigDesign, *, source: str = "Line1") -> Iterator[Host]:
+    delay_us = design.fall_ms * 1000
     with ExitStack() as stack:
         frames, cameras = {}, []
         for name, simulated in rig.cameras.items():
@@ -77,7 +78,7 @@ def hosted(rig: SimulatedRig, design: RigDesign, *, source: str = "Line1") -> It
                     address=simulated.design.address,
                     image_size_px=SIZE_PX,
                     features=(
-                        *trigger_features(source=source, delay_us=DELAY_US),
+                        *trigger_features(source=source, delay_us=delay_us),
                         *exposure_features(exposure_us=EXPOSURE_US),
                     ),
                 )
@@ -144,12 +145,14 @@ def test_every_frame_is_the_recording_s_pixel_by_pixel(recording_path: Path, des
 
 
 def test_without_a_wire_the_host_triggers(recording_path: Path, design: RigDesign) -> None:
+    # a stone is seen as late as the host of a busy machine may be: less than the delay, which must not be left out
+    design = replace(design, rate_hz=2, fall_ms=250, sight_ms=200)
     with (
         SimulatedRig(design, open_recording(recording_path)) as rig,
         hosted(rig, design, source="Software") as host,
     ):
         rig.belt.start_when(lambda: rig.is_ready)
-        eventually(lambda: rig.is_over)
+        eventually(lambda: rig.is_over, 30)
         for camera in CAMERAS:
             np.testing.assert_array_equal(host.images(camera), expected_images(camera))
         assert rig.counters()["cameras"][CAMERAS[0]]["missed"] == 6  # edges on a line nobody listens to

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.ball_drops import drop, drops_across, without_views
+from support.quick_and_full import first_quick
 
 from pipeline.calibration.bundle_adjustment import N_CAMERA, Solution, linearized
 from pipeline.calibration.calibration import by_bundle_adjustment
@@ -34,7 +35,7 @@ def errors(rig: RigCalibration, true: RigCalibration) -> tuple[float, float]:
     return 1e3 * error.rms_mm, error.scale_percent
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_quick(range(5)))
 def test_converges_from_the_design(seed: int) -> None:
     true = as_built(NOMINAL, 100 + seed)
     report = solved(drops_across(true, 8, seed=seed, noise_px=NOISE_PX))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import pytest
 from support.ball_drops import drops_across, with_views_of, without_views
+from support.quick_and_full import first_quick
 
 from pipeline.calibration.diagnosis import diagnose_before
 from pipeline.calibration.drops import BallDrop
@@ -19,7 +20,7 @@ def problems_of(drops: Sequence[BallDrop]) -> dict[str, Problem]:
     return {problem.code: problem for problem in diagnose_before(drops, nominal_rig())}
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", first_quick(range(12)))
 def test_sound_drops_of_any_rig_have_no_problem(seed: int) -> None:
     drops = drops_across(as_built(nominal_rig(), seed), [8, 12, 20][seed % 3], seed=seed)
     assert {code for code, problem in problems_of(drops).items() if problem.is_fatal} == set()
@@ -56,7 +57,7 @@ def test_a_camera_that_saw_too_few_drops_is_named(n_seen: int, is_fatal: bool) -
     assert "clipped" in problem.detail
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", first_quick(range(6)))
 def test_two_swapped_cameras_are_named(seed: int) -> None:
     ids = nominal_rig().camera_ids
     a, b = ids[seed], ids[(seed * 5 + 3) % 16]
@@ -116,7 +117,7 @@ def test_a_diameter_that_is_wrong_by_far_is_refused_at_once() -> None:
     assert "looks 15." in problem.detail or "looks 14." in problem.detail
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", first_quick(range(4)))
 def test_two_sizes_reveal_a_wrong_diameter(seed: int) -> None:
     rig = as_built(nominal_rig(), seed)
     large = drops_across(rig, 6, first=100, seed=seed, diameter_mm=15)

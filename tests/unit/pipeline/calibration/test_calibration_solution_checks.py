@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.ball_drops import drops_across
+from support.quick_and_full import first_quick
 
 from pipeline.calibration import BallDrop, CalibrationReport, calibrate
 from pipeline.calibration.acceptance_limits import AcceptanceLimits
@@ -111,7 +112,9 @@ def test_a_camera_that_was_bumped_since_the_last_calibration_is_named(degrees: f
     assert float(turn[1]) == pytest.approx(degrees, rel=0.1)
 
 
-@pytest.mark.parametrize(("degrees", "n_before", "n_after"), [(0.1, 6, 2), (0.5, 3, 5), (0.05, 4, 4)])
+@pytest.mark.parametrize(
+    ("degrees", "n_before", "n_after"), first_quick([(0.1, 6, 2), (0.5, 3, 5), (0.05, 4, 4)])
+)
 def test_a_camera_that_moves_while_the_balls_fall_is_refused(
     degrees: float, n_before: int, n_after: int
 ) -> None:

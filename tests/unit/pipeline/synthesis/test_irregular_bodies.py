@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from support import rendered
+from support.quick_and_full import first_quick
 
 from pipeline.evaluation.trials import random_body
 from pipeline.measuring import measure_shape
@@ -12,7 +13,7 @@ from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.shading import embree_scene
 
 
-@pytest.mark.parametrize("form", IRREGULAR_FORMS)
+@pytest.mark.parametrize("form", first_quick(IRREGULAR_FORMS))
 def test_forms(form: str) -> None:
     bodies = [irregular_body(form, 20.0, np.random.default_rng(seed)) for seed in (1, 2)]
     assert bodies[0].mesh.volume != pytest.approx(bodies[1].mesh.volume, rel=1e-3)

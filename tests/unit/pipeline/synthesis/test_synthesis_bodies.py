@@ -3,6 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
+from support.quick_and_full import first_quick
 
 from pipeline.errors import MeshError
 from pipeline.frames import BundleKind
@@ -41,7 +42,7 @@ def test_facets_stay_within_2_um_of_the_ideal_surface() -> None:
     assert np.abs(np.hypot(side[:, 0], side[:, 1]) - 7.5).max() < 0.002
 
 
-@pytest.mark.parametrize("form", STONE_FORMS)
+@pytest.mark.parametrize("form", first_quick(STONE_FORMS))
 def test_stones_are_closed_bodies_of_their_size_and_class(form: str) -> None:
     body = stone(form, 20.0, np.random.default_rng(5))
     assert_photographable(body)

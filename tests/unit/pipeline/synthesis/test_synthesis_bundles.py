@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.quick_and_full import first_quick
 from support.synthetic_rigs import QUIET, rig_of, upright
 
 from pipeline.fall import vertical_extent_mm
@@ -87,7 +88,7 @@ def test_streams_are_independent_of_one_another() -> None:
     assert len(set(draws)) == 4
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", first_quick(range(3)))
 def test_tumbling_bodies_are_whole_in_every_view(seed: int) -> None:
     rig = as_built(nominal_rig(), seed)
     rng = np.random.default_rng(seed)

@@ -71,7 +71,7 @@ class Bench(AcquisitionBench):
         return next(status.state for status in self.acquisition.cameras.statuses() if status.id == camera)
 
 
-async def test_every_trigger_is_recorded_before_its_bundle_until_the_recording_is_through(recording: Path):
+async def test_every_trigger_is_recorded_before_its_bundle_until_the_recording_ends(recording: Path):
     bench = Bench(recording)
     async with armed(bench) as acquisition:
         assert acquisition.state is AcquisitionState.ARMED
@@ -144,7 +144,7 @@ def test_the_counters_of_all_armed_periods_add_up(recording: Path):
     assert [status.lost for status in cameras.statuses()] == [0, 6, 0]
 
 
-async def test_triggers_without_any_image_are_the_line_s_only_while_the_cameras_answer(recording: Path):
+async def test_triggers_without_any_image_blame_the_line_only_while_the_cameras_answer(recording: Path):
     bench = Bench(recording)
     trigger = Trigger(sequence=1, received_ns=0, device_ns=0, utc="", name="dark")
     dark = FrameBundle(trigger=trigger, frames={}, missing=dict.fromkeys(CAMERAS, "no_frame"))
@@ -158,7 +158,7 @@ async def test_triggers_without_any_image_are_the_line_s_only_while_the_cameras_
         assert acquisition.cameras.blind_triggers == 0
 
 
-async def test_a_stone_in_the_air_is_seen_through_when_stopping(recording: Path):
+async def test_a_stone_in_the_air_gets_its_bundle_when_stopping(recording: Path):
     bench = Bench(recording)
     async with armed(bench):
         assert bench.devices.belt is not None

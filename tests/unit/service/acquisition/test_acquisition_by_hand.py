@@ -80,7 +80,7 @@ async def test_a_line_that_is_read_late_is_of_the_stone_that_is_there_already(is
                 await bench.until(lambda n=number: len(bench.told) == 2 * n - 1)
             bench.now_ns += DELAY_NS
             bench.expose(number)
-            bench.now_ns += DELAY_NS  # whoever waits for the line waits no longer
+            bench.now_ns += DELAY_NS  # the deadline of the line has passed
             await bench.until(lambda n=number: len(bench.bundles) == n)
             if number == 2:
                 bench.trigger(2, fell_ns)

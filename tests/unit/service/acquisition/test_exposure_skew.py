@@ -42,7 +42,7 @@ def test_a_clock_that_was_set_and_a_view_that_is_missing_are_no_skew():
     assert all((us := skew.skew_us(camera)) is not None and us < 10 for camera in CAMERAS)
 
 
-def test_nobody_knows_with_two_cameras_or_without_clocks():
+def test_the_skew_is_unknown_with_two_cameras_or_without_clocks():
     skew = ExposureSkew()
     for bundle in exposures(20, jitter_us={}):
         skew.feed(dict(list(bundle.items())[:2]) | {CAMERAS[5]: 0})

@@ -24,7 +24,7 @@ def test_notifications_arrive_as_one_datagram(kind: str, tmp_path: Path):
         assert listener.recv(4096) == b"READY=1\nSTATUS=armed, 16 cameras"
 
 
-def test_nobody_listens_is_no_failure(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_a_manager_that_does_not_listen_is_no_failure(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     ServiceManager().notify("READY=1")
     assert not caplog.records
     ServiceManager(address=str(tmp_path / "gone")).notify("READY=1")

@@ -51,7 +51,7 @@ HEALTHY = Facts(
 def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
     health = assess(HEALTHY)
     assert (health.ne107, health.ready, health.reasons) == (Ne107.GOOD, True, ())
-    parts = {
+    checks = {
         "cameras",
         "trigger_line",
         "loop",
@@ -70,7 +70,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "rig",
         "optics",
     }
-    assert health.checks.keys() == parts | {f"camera:c{number:02d}" for number in range(1, 17)}
+    assert health.checks.keys() == checks | {f"camera:c{number:02d}" for number in range(1, 17)}
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
 
 
@@ -126,7 +126,7 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             {"loop_ms": 300.0},
             Ne107.MAINTENANCE_REQUIRED,
             True,
-            "loop: held up for 300 ms within the last minute",
+            "loop: held up for 300 ms within the last minute: look at the load of the machine",
         ),
         (
             {"clock_step_s": -3600.0},
@@ -143,18 +143,23 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             "workers: 1 of 2 up, 4 restarts",
         ),
         ({"workers": 0}, Ne107.FAILURE, False, "workers: 0 of 2 up, 0 restarts"),
-        ({"late": ["processing"]}, Ne107.FAILURE, False, "progress: no progress of processing"),
+        (
+            {"late": ["processing"]},
+            Ne107.FAILURE,
+            False,
+            "progress: no progress of processing: look at the journal",
+        ),
         (
             {"has_background": False},
             Ne107.OUT_OF_SPECIFICATION,
             False,
-            "background: the empty rig was not seen yet: let no stone fall for a moment",
+            "background: the empty rig was not exposed yet: let no stone fall for a moment",
         ),
         (
             {"has_background": False, "has_network": True},
             Ne107.OUT_OF_SPECIFICATION,
             False,
-            "background: the empty rig was not seen yet: let no stone fall for a moment; until then the network"
+            "background: the empty rig was not exposed yet: let no stone fall for a moment; until then the network"
             " alone finds them",
         ),
         (
@@ -174,7 +179,7 @@ def test_whatever_is_wrong_is_named(change, state: Ne107, is_ready: bool, reason
 
 
 def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():
-    health = assess(replace(HEALTHY, cameras=cameras(16), all_lost="all 16 are gone: look at the switch"))
+    health = assess(replace(HEALTHY, cameras=cameras(16), common_cause="all 16 are gone: look at the switch"))
     assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
     assert health.reasons == ("cameras: all 16 are gone: look at the switch",)
     assert health.checks["camera:c07"].detail == "does not answer"
@@ -221,9 +226,11 @@ def test_the_worst_score_of_a_healthy_rig_is_shown():
 def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Severity, state: Ne107):
     c05, everywhere = CameraId("c05"), tuple(camera.id for camera in HEALTHY.cameras)
     dusty = OpticalFinding(cameras=(c05,), severity=severity, detail="clean window and lens")
-    health = assess(replace(HEALTHY, optics=(dusty,)))
+    health = assess(replace(HEALTHY, optical_findings=(dusty,)))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("optics: c05: clean window and lens",)
     assert health.checks["optics"].observed_value == 15
     weak = OpticalFinding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
-    assert assess(replace(HEALTHY, optics=(weak,))).reasons == ("optics: all: look at the strobes' supply",)
+    assert assess(replace(HEALTHY, optical_findings=(weak,))).reasons == (
+        "optics: all: look at the strobes' supply",
+    )

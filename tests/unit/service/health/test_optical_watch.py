@@ -54,7 +54,7 @@ def the_finding(watch: OpticalWatch) -> OpticalFinding:
     return finding
 
 
-def test_a_clean_rig_needs_nobody() -> None:
+def test_a_clean_rig_has_no_findings() -> None:
     rng = np.random.default_rng(1)
     watch = after(*(exposure({"brightness": 1 + 0.01 * rng.normal()}) for _ in range(100)))
     assert not watch.findings()
@@ -69,7 +69,7 @@ def test_few_exposures_are_no_opinion() -> None:
     watch = after(*[dusty] * (MIN_EXPOSURES - 1))
     assert not watch.findings()
     assert watch.optics()[C05].dust is None
-    watch.note(dusty)  # of the empty rig
+    watch.feed_optics(dusty)  # of the empty rig
     assert the_finding(watch).cameras == (C05,)
 
 

@@ -70,7 +70,7 @@ def test_a_view_that_was_left_out_is_named_at_once_and_cleared_by_a_clean_stone(
     found = the_suspicion(watch)
     assert (found.camera, found.score_px, found.is_dropped) == (C05, 31.0, True)
     assert found.detail.startswith(
-        "moved: it sees the stones 44.7 px beside where the others do, as if turned by 0.4"
+        "moved: it sees the stones 44.7 px from where the others do, as if turned by 0.4"
     )
     assert found.detail.endswith(REMEDY)
     watch.feed(record())

@@ -14,30 +14,30 @@ CANNOT_RUN = NetworkUse(is_source=False, trouble="model x: cannot be run: out of
 def test_a_network_that_runs_or_is_not_asked_is_no_trouble() -> None:
     watch = SegmentationWatch(PLAN)
     for use in (RUNS, NOT_ASKED):
-        watch.note(use)
+        watch.feed(use)
     assert watch.warning is None
 
 
 def test_a_provider_that_fails_in_a_run_is_told_until_the_network_runs_again() -> None:
     watch = SegmentationWatch(PLAN)
-    watch.note(ON_CPU)
+    watch.feed(ON_CPU)
     assert watch.warning == ON_CPU.trouble
     for _ in range(2 * WINDOW):
-        watch.note(NOT_ASKED)
+        watch.feed(NOT_ASKED)
     for _ in range(WINDOW - 1):
-        watch.note(RUNS)
+        watch.feed(RUNS)
     assert watch.warning == ON_CPU.trouble
-    watch.note(RUNS)
+    watch.feed(RUNS)
     assert watch.warning is None
 
 
 def test_a_network_that_cannot_be_run_is_told_though_the_background_took_its_place() -> None:
     watch = SegmentationWatch(PLAN)
-    watch.note(CANNOT_RUN)
+    watch.feed(CANNOT_RUN)
     assert watch.warning == CANNOT_RUN.trouble
 
 
 def test_what_was_known_from_the_start_stays() -> None:
     watch = SegmentationWatch(SegmenterPlan(wanted="auto", trouble="roi.onnx: is damaged"))
-    watch.note(RUNS)
+    watch.feed(RUNS)
     assert watch.warning == "classical mode: roi.onnx: is damaged"

@@ -16,7 +16,7 @@ from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
 
 
-async def test_results_are_committed_in_trigger_order_whoever_is_ready_first(tmp_path: Path):
+async def test_results_are_committed_in_trigger_order_whichever_is_ready_first(tmp_path: Path):
     pool = ScriptedPool(is_gated=True)
     bench = Bench(
         tmp_path, [turn("a"), turn("b", loss=Loss(reason="queue_full", detail="")), turn("c")], pool

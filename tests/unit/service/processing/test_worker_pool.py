@@ -96,7 +96,7 @@ async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_jo
     before = pool.pids
     (tmp_path / "hold").touch()
     renewing = asyncio.create_task(pool.renew(idle_s=0))
-    while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - nobody signals it
+    while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - there is no event to wait for
         await asyncio.sleep(0.01)
     job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
     await asyncio.sleep(0.1)
@@ -161,7 +161,7 @@ async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
     assert pid != os.getpid()
     others = set(multiprocessing.active_children())
     staying = asyncio.create_task(run_in_new_process(stay, None, deadline_s=60.0, prepare=lower_priority))
-    while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - nobody signals it
+    while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - there is no event to wait for
         await asyncio.sleep(0.01)
     staying.cancel()
     await asyncio.wait([staying])
@@ -208,7 +208,7 @@ def noted_pids(notes: Path) -> list[int]:
 
 
 def process_exists(pid: int) -> bool:
-    """Whether it runs; a zombie nobody has reaped yet does not."""
+    """Return whether the process runs; an unreaped zombie does not."""
     try:
         return (Path("/proc") / str(pid) / "stat").read_text().rsplit(") ", 1)[1][0] != "Z"
     except FileNotFoundError:

@@ -116,7 +116,7 @@ async def test_it_ends_after_its_time(tmp_path: Path):
     assert len(bundles_in(tmp_path / "recording")) == 1
 
 
-async def test_a_disk_too_slow_ends_the_recording_and_nobody_waits_for_it(tmp_path: Path):
+async def test_a_disk_too_slow_ends_the_recording_and_delays_nothing(tmp_path: Path):
     slow, frames = slow_bundle(1)
     recording = live_recording(tmp_path / "recording", earlier=[slow])
     recording.start()
@@ -181,7 +181,7 @@ async def test_an_io_error_is_a_reason_without_paths(tmp_path: Path):
     frames.may_end.set()
     await closed(recording)
     assert recording.failure == "cannot be written: No such file or directory"
-    recording.offer(make_bundle(2))  # goes nowhere, and harms nobody
+    recording.offer(make_bundle(2))  # ignored
     assert names_in(tmp_path) == []
 
 
@@ -203,5 +203,5 @@ async def test_a_gate_that_counts_anew_does_not_mix_up_the_order(tmp_path: Path)
     await closed(recording)
     written = bundles_in(tmp_path / "recording")
     assert [bundle.name for bundle in written] == [f"b{number}" for number in range(len(sequences))]
-    # numbered on, gaps stay: they are triggers somebody lost
+    # numbered on; gaps stay, because they are lost triggers
     assert [bundle.trigger.sequence for bundle in written] == [7, 8, 9, 10, 11, 28]
