@@ -23,7 +23,7 @@ from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.prepared import PreparedViews, prepare_views
-from pipeline.views.quality import Quality, ViewsParameters, judge_views, quality_of
+from pipeline.views.quality import Quality, ViewsParameters, quality_of, require_enough_views, unusable_views
 
 MIN_ANGULARITY_POINTS = 64
 """Fewest points of an outline whose angularity counts."""
@@ -157,8 +157,9 @@ def measure_bundle(
     dropped = {camera: DroppedView(DropCause.NO_FRAME, why) for camera, why in bundle.missing.items()}
     consistency = None
     try:
-        judge_views(silhouettes, dropped, rig, parameters.views)
-        views = prepare_views(silhouettes, rig)
+        dropped |= unusable_views(silhouettes)
+        require_enough_views(silhouettes, dropped, rig, parameters.views)
+        views = prepare_views(silhouettes, rig, dropped)
         consistency = check_consistency(views, parameters.consistency)
         on_stage("check")
         dropped.update(consistency.suspects)

@@ -47,8 +47,10 @@ class PreparedViews:
         )
 
 
-def prepare_views(silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration) -> PreparedViews:
-    """Return the usable silhouettes with their cameras, in the rig's order.
+def prepare_views(
+    silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibration, dropped: Collection[CameraId] = ()
+) -> PreparedViews:
+    """Return the usable silhouettes that were not dropped, with their cameras, in the rig's order.
 
     Raises
     ------
@@ -59,7 +61,9 @@ def prepare_views(silhouettes: Mapping[CameraId, Silhouette], rig: RigCalibratio
     if unknown:
         raise ValueError(f"the rig has no camera {', '.join(unknown)}")
     calibrations = tuple(
-        camera for camera in rig.cameras if camera.id in silhouettes and silhouettes[camera.id].is_usable
+        camera
+        for camera in rig.cameras
+        if camera.id in silhouettes and silhouettes[camera.id].is_usable and camera.id not in dropped
     )
     usable = tuple(silhouettes[camera.id] for camera in calibrations)
     return PreparedViews(

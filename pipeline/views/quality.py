@@ -1,5 +1,6 @@
 """The quality of a result by the views it rests on, or the rejection of a stone that too few cameras saw well."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -40,22 +41,28 @@ class ViewsParameters:
             raise ValueError("max_unusable must not be negative")
 
 
-def judge_views(
+def unusable_views(silhouettes: SilhouetteSet) -> dict[CameraId, DroppedView]:
+    """Return the views that show no body, a cut one or several, with their status."""
+    return {
+        camera: DroppedView(DropCause.UNUSABLE, silhouette.status)
+        for camera, silhouette in silhouettes.items()
+        if not silhouette.is_usable
+    }
+
+
+def require_enough_views(
     silhouettes: SilhouetteSet,
-    dropped: dict[CameraId, DroppedView],
+    dropped: Collection[CameraId],
     rig: RigCalibration,
     parameters: ViewsParameters,
 ) -> None:
-    """Add the unusable views to `dropped`, with their status.
+    """Reject a stone that too few cameras saw well.
 
     Raises
     ------
     RejectedError
-        Most views show no body, or several show more than one or a cut one, or too few are usable.
+        Most views show no body, or several show more than one or a cut one, or too few are not dropped.
     """
-    for camera, silhouette in silhouettes.items():
-        if not silhouette.is_usable:
-            dropped[camera] = DroppedView(DropCause.UNUSABLE, silhouette.status)
     shown = [silhouette.status for silhouette in silhouettes.values()]
     n_of = {status: shown.count(status) for status in ViewStatus}
     if n_of[ViewStatus.EMPTY] > len(shown) / 2:
@@ -70,8 +77,8 @@ def judge_views(
         raise RejectedError(
             RejectReason.CLIPPED, f"the body leaves the image in {n_of[ViewStatus.CLIPPED]} views"
         )
-    usable = [camera for camera, silhouette in silhouettes.items() if silhouette.is_usable]
-    quality_of(rig.subset(usable), rig, parameters)
+    left = [camera for camera in silhouettes if camera not in dropped]
+    quality_of(rig.subset(left), rig, parameters)
 
 
 def quality_of(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
