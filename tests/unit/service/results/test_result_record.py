@@ -1,6 +1,6 @@
 """The result record: what the light gate says of a stone, beside what was measured of it."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from typing import Any
 
@@ -16,6 +16,7 @@ from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation import Silhouette, ViewStatus
 from pipeline.views.quality import Quality
+from service.results.fields import MEASURED_FIELDS
 from service.results.record import lost_record, result_record
 
 MIN_FERET_MM, MAX_FERET_MM = 10.0, 37.417  # of a box of 10 x 20 x 30 mm
@@ -108,3 +109,7 @@ def test_null_is_what_cannot_be_compared() -> None:
     )
     assert gate(lost) == (None, None)
     assert list(lost) == list(record_of(measured(), 1)), "every record has the same fields in the same order"
+
+
+def test_every_shape_measure_reaches_the_record() -> None:
+    assert {field.name for field in fields(ShapeMeasurement)} <= set(MEASURED_FIELDS)
