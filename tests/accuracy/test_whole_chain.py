@@ -14,7 +14,7 @@ from pipeline.evaluation.trials import STANDARDS, Method, Trial
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
 from service.benchmarks.accuracy import BenchPlan, BenchResult, run_accuracy_bench
-from service.commands.benchmark import WIDTH, accuracy_table
+from service.commands.benchmark import FILE_TABLE_WIDTH, accuracy_table
 
 PLAN = BenchPlan(
     poses=dict.fromkeys(STANDARDS, 10) | dict.fromkeys(STONE_FORMS, 2) | dict.fromkeys(IRREGULAR_FORMS, 1),
@@ -32,7 +32,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[BenchResult]:
     result = run_accuracy_bench(PLAN)
     capture = request.config.pluginmanager.getplugin("capturemanager")
     with capture.global_and_fixture_disabled():
-        Console(width=WIDTH).print("\n", accuracy_table(PLAN, result))
+        Console(width=FILE_TABLE_WIDTH).print("\n", accuracy_table(PLAN, result))
     yield result
 
 
