@@ -13,7 +13,7 @@ from service.store import Store
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiContext:
-    """What the routes work on: the store, the daemon and the settings."""
+    """The store, the daemon and the settings that the routes work on."""
 
     store: Store
     control: Control

@@ -1,4 +1,4 @@
-"""What the REST interface may ask of the running daemon.
+"""The running daemon, as the REST interface sees it.
 
 The daemon implements `Control`; tests of the API put a fake in its place. Nothing here blocks: the daemon's own tasks
 query the devices, and this returns what they found last.
@@ -13,7 +13,7 @@ from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarge
 
 
 class Control(Protocol):
-    """The running daemon as the REST interface sees it. Call every method on the event loop."""
+    """Methods and state of the daemon that routes use. Call every method on the event loop."""
 
     @property
     def recordings(self) -> Recordings: ...

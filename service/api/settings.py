@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Scope(StrEnum):
-    """What a key permits."""
+    """Permission that a key can have. None includes another."""
 
     READ = "read"
     """Read everything."""
@@ -31,7 +31,7 @@ class ApiKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiSettings:
-    """Where the REST interface listens, who may use it, and how large a request may be."""
+    """Address of the REST interface, its keys, and the largest request."""
 
     host: str = "127.0.0.1"
     port: int = 8080

@@ -26,7 +26,7 @@ SWITCH_INTERVAL_S = 0.0005
 
 
 class BeltStart(StrEnum):
-    """What starts the belt."""
+    """Event that starts the belt."""
 
     AUTO = "auto"
     MANUAL = "manual"

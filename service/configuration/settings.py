@@ -59,7 +59,7 @@ class SpoolSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreSettings:
-    """Where and how results are stored."""
+    """Folder of the store, and which images it keeps."""
 
     dir: ConfiguredPath
     keep_raw: int = KEEP_RAW  # number of the newest stones whose frames are kept

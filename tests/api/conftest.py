@@ -31,7 +31,7 @@ async def client(store: Store, control: FakeControl) -> AsyncIterator[httpx.Asyn
 
 @pytest.fixture
 def waiting(store: Store, monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
-    """Set once a reader sleeps."""
+    """Return an event that is set once a long poll waits for results."""
     event = asyncio.Event()
     wait_beyond = store.wait_beyond
 

@@ -1,4 +1,4 @@
-"""Health, acquisition, cameras and accounting, as the daemon tells them."""
+"""Health, acquisition, cameras and accounting over REST."""
 
 import httpx
 import pytest

@@ -1,4 +1,4 @@
-"""One stone: found by filters, shown as numbers, mesh and pictures."""
+"""Particles over REST: filters, single results, meshes and images."""
 
 import asyncio
 from io import BytesIO
@@ -19,7 +19,7 @@ from service.store import Store
 
 @pytest.fixture
 async def particle_id(store: Store, session: int, tmp_path: Path) -> str:
-    """A measured box with all its files."""
+    """Store a measured box with all its files; return its id."""
     files = await asyncio.to_thread(particle_files, tmp_path / "out")
     seq = await add(store, session, 1, measured(), files)
     return f"{store.instance_id[:8]}-{seq:08d}"

@@ -1,4 +1,4 @@
-"""Errors have one shape, say nothing about the inside, and keys open what they should."""
+"""Errors have one form and reveal nothing internal; keys and scopes permit what they should."""
 
 import asyncio
 import hashlib

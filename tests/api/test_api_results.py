@@ -1,4 +1,4 @@
-"""The feed: in order, gap-free, from any place, waiting or not."""
+"""The feed of results: in order, without gaps, from any cursor, with and without a long poll."""
 
 import asyncio
 import sqlite3

@@ -1,4 +1,4 @@
-"""The interface described: committed, complete, readable without a network."""
+"""The OpenAPI document is committed and complete, its page readable without a network."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Calibrations on a folder of a test, and a solver in the place of the workers that makes up what it finds."""
+"""Calibrations in a folder of a test, with a solver that returns what the test wants."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -32,7 +32,7 @@ def other_rig(name: str = "another") -> RigCalibration:
 
 @dataclass
 class MadeUpSolver:
-    """Answers with the rig, or the problems, that a test wants."""
+    """Solver that returns the rig, or the problems, that a test wants."""
 
     rig: RigCalibration | None = field(default_factory=other_rig)
     problems: tuple[Problem, ...] = ()
@@ -58,7 +58,7 @@ def open_desk(
     parameters: VerificationParameters | None = None,
     on_activated: Callable[[RigCalibration], Awaitable[None]] | None = None,
 ) -> Calibrations:
-    """As the daemon opens them when it starts."""
+    """Open the calibrations of a folder as the daemon does when it starts."""
     found = load_calibrations(folder / "calibrations", configured)
     verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
 
@@ -98,7 +98,7 @@ async def solve(desk: Calibrations, name: str) -> None:
 
 
 async def until(desk: Calibrations, is_so: Callable[[], bool]) -> None:
-    """Let the task of the calibrations run until it is so."""
+    """Run the task of the calibrations until a condition holds."""
     task = asyncio.create_task(desk.run())
     async with asyncio.timeout(10):
         while not is_so():  # noqa: ASYNC110 - nobody signals it

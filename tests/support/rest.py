@@ -1,4 +1,4 @@
-"""A daemon that is not there, results that nobody measured, and a client for the interface."""
+"""A fake daemon, made-up results, and a client of the REST interface."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -50,7 +50,7 @@ SICK_HEALTH = Health(
 
 @dataclass
 class FakeControl:
-    """A daemon whose state a test sets; arming and disarming end at once."""
+    """Fake of the daemon, whose state a test sets; it arms and disarms at once."""
 
     recordings: Recordings | None = None
     state: AcquisitionState = AcquisitionState.DISARMED
@@ -77,13 +77,13 @@ class FakeControl:
 
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
-    """Stone number `sequence` of a day, a minute after the one before."""
+    """Return the trigger of stone number `sequence`, a minute after the one before."""
     utc = f"2026-03-01T{sequence // 60:02d}:{sequence % 60:02d}:00+01:00"
     return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind)
 
 
 def measured(**fields: Any) -> dict[str, Any]:
-    """A record as the pipeline makes it, as far as the store and the interface look at it."""
+    """Return the fields of a measured record that store and REST interface read."""
     return {
         "outcome": "measured",
         "reason": None,
@@ -109,13 +109,13 @@ async def add(
     record: Mapping[str, Any],
     files: Mapping[str, Path] | None = None,
 ) -> int:
-    """One stone from the trigger to the outcome."""
+    """Store a trigger and its outcome; return the `seq`."""
     await store.record_triggers(session, {f"{sequence:08d}": trigger(sequence)})
     return await store.finish(session, f"{sequence:08d}", record, files)
 
 
 def particle_files(folder: Path) -> dict[str, Path]:
-    """What a worker leaves behind: the mesh of a box, two silhouettes, the frames of two cameras."""
+    """Write the files of a worker: the mesh of a box, two silhouettes, the frames of two cameras."""
     folder.mkdir(parents=True, exist_ok=True)
     labels = {camera: ((0, 0), np.full((6, 8), grey // 2, np.uint8)) for camera, grey in GREY.items()}
     write_silhouettes(folder / "silhouettes.tiff", labels, (8, 6))
@@ -136,6 +136,6 @@ def particle_files(folder: Path) -> dict[str, Path]:
 
 
 def client_of(app: FastAPI, address: str = "127.0.0.1", host: str = "127.0.0.1:8080") -> httpx.AsyncClient:
-    """A client at `address` that asked for `host`; faults come back as responses."""
+    """Return a client at `address` that asks for `host`; unexpected exceptions become responses."""
     transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=(address, 50000))
     return httpx.AsyncClient(transport=transport, base_url=f"http://{host}/api/v1")

@@ -1,4 +1,4 @@
-"""What became of the triggers."""
+"""Counts of triggers and of their outcomes."""
 
 from dataclasses import asdict
 from typing import Annotated, Any, Literal

@@ -17,7 +17,7 @@ class Acquisition(AcquisitionStatus):
 
 
 class AcquisitionRequest(BaseModel):
-    """The state that is asked for."""
+    """Request for a state of the rig."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -14,7 +14,7 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class CalibrationRequest(BaseModel):
-    """What to calibrate with. Everything that falls from now on is observed."""
+    """Request for a calibration. Everything that falls from now on is observed."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -78,7 +78,7 @@ class ActivationDocument(BaseModel):
 
 
 class Calibrations(BaseModel):
-    """All calibrations, newest first, and which one was in use when."""
+    """All calibrations, newest first, and the history of activations."""
 
     active: ActivationDocument = Field(description="The one in use, since when and by whom")
     items: list[CalibrationSummary]
@@ -105,14 +105,14 @@ class Drop(BaseModel):
 
 
 class CameraCoverageDocument(BaseModel):
-    """What one camera saw of the drops."""
+    """Drops that one camera saw."""
 
     n_drops: int
     field_share: float = Field(description="Share of the image in which drops were seen, 0..1")
 
 
 class CoverageDocument(BaseModel):
-    """How the drops fill the measuring volume and the images."""
+    """Distribution of the drops over the measuring volume and the images."""
 
     is_sufficient: bool
     missing: str | None = Field(description="What to drop next; null when nothing is missing")

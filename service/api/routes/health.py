@@ -1,4 +1,4 @@
-"""Whether the process is alive, whether it is ready for stones, and every check in detail."""
+"""Liveness, readiness for stones, and every check in detail."""
 
 from typing import Any, Literal
 

@@ -45,7 +45,7 @@ class Recordings(BaseModel):
 
 
 class RecordingRequest(BaseModel):
-    """What to record. It ends when `count` or `duration_s` is reached, whichever comes first."""
+    """Request for a recording. It ends when `count` or `duration_s` is reached, whichever comes first."""
 
     model_config = ConfigDict(extra="forbid")
 

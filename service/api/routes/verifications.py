@@ -20,7 +20,7 @@ VerificationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id
 
 
 class VerificationRequest(BaseModel):
-    """What to verify with."""
+    """Request for a verification with the next balls."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -31,7 +31,7 @@ class VerificationRequest(BaseModel):
 
 
 class VerifiedBallDocument(BaseModel):
-    """One ball as it was measured."""
+    """One ball of a verification."""
 
     bundle: str
     equivalent_diameter_mm: float | None = Field(

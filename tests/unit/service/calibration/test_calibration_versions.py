@@ -1,4 +1,4 @@
-"""Which calibration is in use, without cameras: activation, roll back, damaged files, the crash between two writes."""
+"""Which calibration is in use: activation, roll back, damaged files, a crash between two writes."""
 
 import shutil
 from collections.abc import Iterator
@@ -93,7 +93,7 @@ async def test_an_activation_ends_a_verification(tmp_path: Path):
 
 @contextmanager
 def snapshots_of(folder: Path, into: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Path]]:
-    """Copies of a folder as a kill would leave it, before each time something becomes durable."""
+    """Collect copies of a folder as a kill would leave it, one before each durable write."""
     taken: list[Path] = []
     sync = drivers.files.durable.sync
 

@@ -1,4 +1,4 @@
-"""What workers do for a calibration, in this process: rendered bodies are observed, exact outlines are solved."""
+"""The jobs of a calibration, run in this process: observe rendered bodies, solve from exact outlines."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,14 +30,14 @@ from service.processing.segmenters import build_segmenter
 
 @pytest.fixture
 def worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """This process as a worker that is not niced."""
+    """Make this process a worker, at its usual priority."""
     context = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
     monkeypatch.setattr(worker_job, "_worker", Worker(context=context, segmenter=segmenter))
 
 
 def observed(folder: Path, kind: BundleKind, diameters_mm: tuple[float, ...] = ()) -> ObservedDrop:
-    """A sphere of 15 mm."""
+    """Observe a sphere of 15 mm in its bundle, as a worker does."""
     rig = rendered.rig()
     write_rig(folder / "rig.json", rig)
     write_background(folder / "background", rendered.background())

@@ -117,7 +117,7 @@ async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.Mon
 async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Both replace the same file by way of the same temporary one."""
+    """Both write the same file through the same temporary one."""
     desk = opened(tmp_path)
     name = (await desk.start(PLAN, "rig")).id
     write, is_writing = verifications.write_json, threading.Lock()

@@ -26,7 +26,7 @@ def run(*arguments: str) -> Result:
 
 @pytest.fixture
 def wedge(tmp_path: Path) -> Path:
-    """A body that nobody has foreseen."""
+    """Write the mesh of a wedge, which is no standard body."""
     path = tmp_path / "wedge.stl"
     trimesh.convex.convex_hull([[0, 0, 0], [14, 0, 0], [0, 12, 0], [0, 0, 9], [14, 0, 9]]).export(path)
     return path

@@ -22,7 +22,7 @@ from service.errors import UsageError
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With `balls`, a recording of eight drops, and `nominal.json`, the design of the rig that took it."""
+    """Return a folder with `balls`, a recording of eight drops, and `nominal.json`, the design of its rig."""
     path = tmp_path_factory.mktemp("calibrate")
     write_rig(path / "nominal.json", rig_of(*nominal_rig().camera_ids, binning=4))
     write_rig(path / "true.json", thumbnail_rig())

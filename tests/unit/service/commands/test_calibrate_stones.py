@@ -1,4 +1,4 @@
-"""`stonefall calibrate --method stones`: a rig file that a bumped camera made wrong, put right by what falls."""
+"""`stonefall calibrate --method stones`: corrects the pose of a bumped camera."""
 
 import json
 import re
@@ -28,7 +28,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def wrong_rig(tmp_path: Path) -> Path:
-    """The rig file of before camera c05 was hit."""
+    """Return a rig file that is wrong about the pose of camera c05."""
     path = tmp_path / "wrong.json"
     write_rig(path, bumped(thumbnail_rig(), "c05", np.array([0.4, -0.3, 0.0])))
     return path

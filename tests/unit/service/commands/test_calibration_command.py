@@ -1,4 +1,4 @@
-"""`stonefall calibration` against a daemon that only pretends: what it asks, and what it makes of the answers."""
+"""`stonefall calibration` against a fake daemon: its requests, and what it prints of the answers."""
 
 import json
 import threading

@@ -1,4 +1,4 @@
-"""`stonefall fit-volume` and the file it writes: fitted, read by the configuration, every fault named."""
+"""`stonefall fit-volume`: fits, writes a file that the configuration reads, and names every fault."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ DENSITY_G_CM3 = 2.7
 
 
 def write_stones(folder: Path, gap_share: float, hidden_share: float, n: int = 12) -> tuple[Path, Path]:
-    """Results of stones and their masses, weighed to the milligram."""
+    """Write results of stones, and their masses to the milligram."""
     rng = np.random.default_rng(5)
     lines, masses = [], ["bundle,mass_g"]
     for number in range(n):

@@ -19,7 +19,7 @@ from service.errors import UsageError
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    """Ten stones and an empty rig; stone 3 lacks a view."""
+    """Write images of ten stones and an empty rig; stone 3 lacks a view."""
     folder = tmp_path / "images"
     for number, name in enumerate(["empty", *(f"stone {i}" for i in range(1, 11))]):
         (folder / name).mkdir(parents=True)

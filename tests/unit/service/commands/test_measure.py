@@ -130,7 +130,7 @@ def test_a_model_that_was_asked_for_must_be_there(recording: Path, tmp_path: Pat
 
 
 def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
-    """14 views, a wrong view, an empty, a double, a cut one, a ball that is no stone, the gate's time of another."""
+    """Record stones with 14 views, a wrong view, no body, two bodies, a cut view, a ball, and another stone's pulse."""
     rig = thumbnail_rig()
     simulated = simulate_rig(rig, stream(3, 0))
 

