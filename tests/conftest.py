@@ -1,4 +1,4 @@
-"""What holds for every test: reproducible hypotheses, no leaked task or thread."""
+"""What holds for every test: how much of it is tried, and that no task or thread is left behind."""
 
 import asyncio
 import functools

@@ -202,9 +202,12 @@ def test_lost_packets_are_sent_again_and_no_frame_is_lost(bench: Bench, loss: fl
     bench.simulated.faults.packet_loss = loss
     for n in range(1, 61):
         assert_shows(bench.expose(), n)
+    eventually(
+        lambda: bench.simulated.counters.frames == 60
+    )  # the last one may have come before it was counted
     counters, vitals = bench.simulated.counters, bench.camera.examine()
     assert counters.dropped > 0
-    assert (vitals.frames, vitals.failed_frames) == (counters.frames, 0) == (60, 0)
+    assert (vitals.frames, vitals.failed_frames) == (60, 0)
     # a busy machine asks again for what is only late, and the driver counts no packet twice
     assert 0.9 * counters.dropped <= vitals.resent_packets <= counters.resent
 

@@ -5,6 +5,7 @@ The standard is not public: that Aravis accepts and Wireshark dissects what the 
 
 import json
 import os
+import select
 import socket
 import struct
 import subprocess
@@ -31,7 +32,9 @@ UNKNOWN_ADDRESS = 0x1FFFC
 INVALID_ADDRESS, ACCESS_DENIED = 0x8003, 0x8006
 N_FRAMES = 3
 PCAP_HEADER_BYTES = 24
-END = b"end of the session"
+BEGIN, END = b"begin of the session", b"end of the session"
+NOBODY = 9
+"""Port of the packets that begin and end a session."""
 
 
 @contextmanager
@@ -44,10 +47,14 @@ def _captured(path: Path) -> Iterator[None]:
         try:
             head = dumpcap.stdout.read(PCAP_HEADER_BYTES)  # written once it captures
             assert head, f"dumpcap cannot capture on lo, run as root or setcap it: {dumpcap.stderr.read()!r}"
-            yield
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-                sender.sendto(END, (ADDRESS, 9))
             captured = bytearray(head)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                while BEGIN not in captured:
+                    sender.sendto(BEGIN, (ADDRESS, NOBODY))
+                    if select.select([dumpcap.stdout], [], [], 0.1)[0]:
+                        captured += dumpcap.stdout.read1()
+                yield
+                sender.sendto(END, (ADDRESS, NOBODY))
             while END not in captured[-4096:]:
                 chunk = dumpcap.stdout.read1()
                 assert chunk, "dumpcap ended"
@@ -59,10 +66,11 @@ def _captured(path: Path) -> Iterator[None]:
 
 
 def _dissected(path: Path, stream_port: int) -> list[dict[str, Any]]:
-    """Layers of every packet but the last, which only ended the capture."""
+    """Layers of every packet but those that began and ended the capture."""
     command = ["tshark", "-r", str(path), "-d", f"udp.port=={stream_port},gvsp", "-T", "json"]
+    command += ["-Y", f"udp.dstport != {NOBODY}"]
     tshark = subprocess.run(command, capture_output=True, text=True, check=True)
-    return [row["_source"]["layers"] for row in json.loads(tshark.stdout)][:-1]
+    return [row["_source"]["layers"] for row in json.loads(tshark.stdout)]
 
 
 def _session(simulated: SimulatedCamera, *, extended_ids: bool, chunks: bool) -> None:
@@ -97,6 +105,18 @@ def _ask_for_what_is_gone(other: Application, *, extended_ids: bool) -> None:
         other.tell(RESEND, struct.pack(">HHII", 0, 99, 0, 0))
 
 
+def _kind_of(gvcp: str) -> str:
+    for kind, field in (
+        ("resend", f'"gvcp.cmd.command": "0x{RESEND:04x}"'),
+        ("discovery", f'"gvcp.cmd.command": "0x{DISCOVERY:04x}"'),
+        ("discovery acknowledgement", f'"gvcp.ack": "0x{DISCOVERY + 1:04x}"'),
+        ("command", '"gvcp.cmd.command"'),
+    ):
+        if field in gvcp:
+            return kind
+    return "acknowledgement"
+
+
 @pytest.mark.parametrize("chunks", [False, True])
 @pytest.mark.parametrize("extended_ids", [False, True])
 def test_wireshark_understands_every_packet(tmp_path: Path, *, extended_ids: bool, chunks: bool) -> None:
@@ -120,14 +140,13 @@ def test_wireshark_understands_every_packet(tmp_path: Path, *, extended_ids: boo
             assert (int(gvsp["gvsp.format"], 16) >= 0x80) is extended_ids or gvsp["gvsp.format"] == "0x00"
         else:
             assert "gvcp" in layers, layers["frame"]["frame.protocols"]
-            told = json.dumps(layers)
-            is_resend = f'"gvcp.cmd.command": "0x{RESEND:04x}"' in told
-            seen[
-                "resend" if is_resend else "command" if "gvcp.cmd.command" in told else "acknowledgement"
-            ] += 1
+            seen[_kind_of(json.dumps(layers))] += 1
     n_payload = -(-(N_PIXELS + (8 + 4 * 16) * chunks) // (1500 - (48 if extended_ids else 36)))
     assert seen.pop("0 0x0000") > 2  # test packets
     assert seen.pop("command") == seen.pop("acknowledgement")
+    assert (
+        seen.pop("discovery acknowledgement") >= seen.pop("discovery") == 1
+    )  # others on this machine may ask as well
     n_resends = seen.pop("resend")  # of the lost packets, and of one that is gone
     assert counters.packets == seen.total()
     expected = {"1 0x0000": N_FRAMES, "2 0x0000": N_FRAMES, "3 0x0000": N_FRAMES * n_payload, "3 0x800c": 1}
