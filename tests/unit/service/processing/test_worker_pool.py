@@ -46,7 +46,7 @@ async def test_each_slot_is_one_warm_process_of_its_own():
 
 @pytest.mark.parametrize("way", ["kill", "hang", "raise"])
 async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
-    async with pool_of(1, deadline_s=0.5) as pool:
+    async with pool_of(1, deadline_s=1.0 if way == "hang" else 10.0) as pool:
         (before,) = pool.pids
         assert await pool.run(stumble, Stumble(tmp_path, way, failures=1)) == "done"
         first, second = noted_pids(tmp_path)
@@ -60,7 +60,7 @@ async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path
     ("way", "reason"), [("kill", "worker_crash"), ("hang", "deadline"), ("raise", "worker_crash")]
 )
 async def test_the_second_failure_loses_this_job_alone(way: str, reason: str, tmp_path: Path):
-    async with pool_of(1, deadline_s=0.5) as pool:
+    async with pool_of(1, deadline_s=1.0 if way == "hang" else 10.0) as pool:
         with pytest.raises(JobLostError) as lost:
             await pool.run(stumble, Stumble(tmp_path, way, failures=9))
         assert lost.value.reason == reason
@@ -115,7 +115,7 @@ async def test_a_process_is_renewed_when_there_is_nothing_to_measure(tmp_path: P
     pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
     await pool.start()
     before = pool.pids
-    renewing = asyncio.create_task(pool.renew(idle_s=0.2))
+    renewing = asyncio.create_task(pool.renew(idle_s=0.5))
     (tmp_path / "go").touch()
     for _ in range(8):  # closer than calm
         await pool.run(wait_for, tmp_path / "go")
