@@ -56,7 +56,7 @@ class Row:
     """One kind of hull."""
 
     what: str
-    library: str
+    peer: str
     times_ms: Sequence[tuple[float, float]]  # of each stone: ours, the library's
 
     def saved_percent(self, whole_ms: float) -> float:
@@ -88,7 +88,7 @@ def main() -> int:
     Console(width=None if sys.stdout.isatty() else 120).print(table_of(rows, whole_ms, title))
     dispensable = [row for row in rows if row.saved_percent(whole_ms) < WORTH_PERCENT]
     for row in dispensable:
-        Console(stderr=True).print(f"FAILED: {row.library} does as well as ours for the {row.what}")
+        Console(stderr=True).print(f"FAILED: {row.peer} does as well as ours for the {row.what}")
     return int(bool(dispensable))
 
 
@@ -129,10 +129,10 @@ def compared(stones: list[Stone], repeat: int) -> list[Row]:
     with inner_bodies_by_qhull():
         qhull_ms = [least_ms(partial(inner.inner_body, each.tangents), repeat) for each in stones]
     return [
-        Row(what="vertices of the mesh", library="own prefilter and scipy", times_ms=mesh),
+        Row(what="vertices of the mesh", peer="own prefilter and scipy", times_ms=mesh),
         Row(
             what="touching points of the inner body",
-            library="scipy, anew for each of 5 batches",
+            peer="scipy, anew for each of 5 batches",
             times_ms=list(zip(own_ms, qhull_ms, strict=True)),
         ),
     ]
@@ -175,7 +175,7 @@ def table_of(rows: list[Row], whole_ms: float, title: str) -> Table:
         ours_ms, theirs_ms = (median(times_ms) for times_ms in zip(*row.times_ms, strict=True))
         table.add_row(
             row.what,
-            row.library,
+            row.peer,
             f"{ours_ms:.2f}",
             f"{theirs_ms:.2f}",
             f"{row.saved_percent(whole_ms):.1f} %",
