@@ -26,7 +26,7 @@ class CoverageGoals:
     )
     n_drops_per_camera: int = 5  # three determine the pose, two more check it
     reach_mm: float = 4.0
-    """Least reach of the ball centres in each of the six directions: half a stone of 8 mm; lengths are extrapolated less
+    """Least reach of the ball centres in each of six directions: half a stone of 8 mm; lengths are extrapolated less
     than twofold."""
 
 
