@@ -11,7 +11,7 @@ class MissingReason(StrEnum):
     """Why a bundle lacks a camera's frame, as far as the service decides it; drivers give reasons of their own."""
 
     NO_FRAME = "no_frame"
-    """Nothing came from the camera until the deadline."""
+    """No frame came from the camera until the deadline."""
     CAMERA_LOST = "camera_lost"
     """The camera does not answer."""
     AMBIGUOUS = "ambiguous"

@@ -123,7 +123,7 @@ class OpticalWatch:
         self.feed_optics(record.get("optics", {}))
 
     def feed_optics(self, optics: Mapping[str, Mapping[str, Any]]) -> None:
-        """Take the optics of one exposure into account, as `record.optics_record` writes them."""
+        """Take the optics of one exposure into account, as `service.results.record.optics_record` writes them."""
         for name, camera in self._cameras.items():
             if name in optics:
                 camera.add(optics[name], self._limits)

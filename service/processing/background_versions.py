@@ -18,7 +18,7 @@ N_BESIDE = 8
 
 @dataclass(frozen=True, slots=True)
 class LearntBackground:
-    """A new version, in a folder, and the optics of each camera in its exposure, see `record.optics_record`."""
+    """A new version, in a folder, and the optics of each camera in its exposure (`results.record.optics_record`)."""
 
     path: Path
     optics: dict[str, Any]

@@ -267,7 +267,7 @@ def _write_files(job: MeasureJob, result: ParticleResult) -> None:
 def learn_background(job: LearnJob) -> dict[str, Any]:
     """Add one exposure of the empty rig to the background and write that into a new folder.
 
-    Returns the optics of each camera, see `record.optics_record`.
+    Returns the optics of each camera, see `service.results.record.optics_record`.
 
     Raises
     ------

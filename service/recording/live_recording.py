@@ -54,7 +54,7 @@ class RecordingState(StrEnum):
     COMPLETE = "complete"
     """The folder exists under its final name."""
     FAILED = "failed"
-    """Nothing was kept."""
+    """It was ended without a folder being left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

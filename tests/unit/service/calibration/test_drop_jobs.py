@@ -22,7 +22,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
 from service.calibration.drop_jobs import ObserveJob, Solution, SolveJob, observe, solve
 from service.calibration.plan import Method
-from service.processing import measure_job as worker_job
+from service.processing import measure_job
 from service.processing.background_files import write_background
 from service.processing.measure_job import RigFile, Worker, WorkerContext, WorkerFailure
 from service.processing.segmenters import build_segmenter
@@ -33,7 +33,7 @@ def worker(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make this process a worker, at its usual priority."""
     context = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
     segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
-    monkeypatch.setattr(worker_job, "_worker", Worker(context=context, segmenter=segmenter))
+    monkeypatch.setattr(measure_job, "_worker", Worker(context=context, segmenter=segmenter))
 
 
 def observed(folder: Path, kind: BundleKind, diameters_mm: tuple[float, ...] = ()) -> ObservedDrop:
