@@ -13,15 +13,24 @@ How the body was found does not matter: a comparison with the empty rig or a net
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from math import ceil
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import GreyImage
+from pipeline.arrays import FloatImage, GreyImage, Indices, PointsUV
 from pipeline.frames import Frame
-from pipeline.segmentation.edge_refinement import N_COLUMNS, refine_edge_points
-from pipeline.segmentation.local_threshold import RegionLevels, find_crossings, threshold
+from pipeline.segmentation.edge_refinement import (
+    N_COLUMNS,
+    SHARP_SIGMA_PX,
+    find_doubtful,
+    move_to_steepest,
+    undo_shrinkage,
+)
+from pipeline.segmentation.edge_width import local_sigmas_px, typical_sigma_px
+from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, find_crossings, threshold
+from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
 from pipeline.segmentation.subpixel_edge import SubpixelEdge
 
@@ -37,6 +46,12 @@ MAX_ROUNDS = 4
 NOISE_ROWS, MAX_TURNS = 16, 64
 """Every 16th row is looked at; with more changes between body and background in a row, on average, there is no body but
 a broken sensor: to follow 100 000 contours takes seconds."""
+MAX_SHARP_SIGMA_PX = 1.4
+"""Sigma up to which the edge of nearly all of an outline is sharp: lens, motion of 5 px, and pixels."""
+CORE_SIGMAS = 3.0
+"""Sigmas by which the core of a blurred body begins further within."""
+MAX_SCALE = 8.0
+"""Greatest width of an edge, relative to a sharp one: its profile then still ends within a silhouette's margin."""
 GAP_MARGIN = 3
 """Points beside an unseen stretch of edge that are discarded as well."""
 
@@ -84,27 +99,88 @@ def delineate(
     labels, levels, is_inside = threshold(region, min_contrast)
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
-    for _ in range(MAX_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
-        body, contours = _largest_with_holes_filled(labels, hole_px)
-        pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
-        ends = np.array([0, *accumulate(map(len, contours))])
-        points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
-        scratch = np.empty((len(pixels_uv), N_COLUMNS), np.float32)
-        find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
-        n_doubtful = 0
-        for first, end in pairwise(ends.tolist()):
-            own = slice(first, end)
-            n_doubtful += refine_edge_points(
-                region, np.float32(min_contrast), labels, points_uv[own], seen[own], scratch[own]
-            )
-        if n_doubtful == 0:
+    contours = _trace(region, labels, levels, hole_px)
+    sigma_px = typical_sigma_px(region, *contours.outer)
+    is_blurred = sigma_px > MAX_SHARP_SIGMA_PX
+    if is_blurred:  # the edge reaches into the core: its level is not the body's
+        region = region._replace(trimap=_with_deeper_core(trimap, sigma_px))
+        labels, levels, _ = threshold(region, min_contrast)
+        contours = _trace(region, labels, levels, hole_px)
+    for left in reversed(range(MAX_ROUNDS)):
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
+        if n_doubtful == 0 or left == 0:
             break
+        # what became unknown belongs to the body, whose edge is then further out
+        contours = _trace(region, labels, levels, hole_px)
+    points_uv, seen, ends = contours.points_uv, contours.seen, contours.ends
+    if is_blurred:
+        points_uv, seen, ends = closed_up(points_uv, seen, ends)
     if np.count_nonzero(seen) < len(seen):
         # the last points before a gap already bend towards what hides the edge
         around = seen.take(np.arange(-GAP_MARGIN, len(seen) + GAP_MARGIN), mode="wrap")
         seen = np.lib.stride_tricks.sliding_window_view(around, 2 * GAP_MARGIN + 1).min(axis=1)
-    edge = SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
+    edge = SubpixelEdge(body=contours.body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Contours:
+    """The contours of a body, the outer one first, as in `SubpixelEdge`; points and flags are moved in place."""
+
+    body: GreyImage
+    points_uv: PointsUV
+    ends: Indices
+    seen: GreyImage
+
+    @property
+    def outer(self) -> tuple[PointsUV, GreyImage]:
+        """Points of the outer contour, and whether each is seen."""
+        return self.points_uv[: self.ends[1]], self.seen[: self.ends[1]]
+
+
+def _trace(region: RegionLevels, labels: GreyImage, levels: FloatImage, hole_px: int) -> _Contours:
+    """Return the contours of the largest body in `labels` (h, w), their points half-way between the local levels."""
+    body, contours = _largest_with_holes_filled(labels, hole_px)
+    pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
+    ends = np.array([0, *accumulate(map(len, contours))])
+    points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
+    find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
+    return _Contours(body=body, points_uv=points_uv, ends=ends, seen=seen)
+
+
+def _with_deeper_core(trimap: GreyImage, sigma_px: float) -> GreyImage:
+    """Return the trimap with a core that begins `CORE_SIGMAS` further within: what it loses is open."""
+    side = 2 * ceil(CORE_SIGMAS * sigma_px / CELL_PX) + 1
+    core = (trimap == INSIDE).view(np.uint8)
+    is_lost = core & ~cv2.erode(core, np.ones((side, side), np.uint8), borderValue=0)
+    return np.where(is_lost, OPEN, trimap)
+
+
+def _place_edge(
+    region: RegionLevels, labels: GreyImage, contours: _Contours, min_contrast: float, is_blurred: bool
+) -> int:
+    """Move all points to where the edge is steepest; return how many turn out not to lie on the body's.
+
+    A blurred edge is looked at in units of its width, twice, since half-way between the levels is further off there.
+    """
+    points_uv, seen = contours.points_uv, contours.seen
+    scales = np.ones(len(points_uv), np.float32)
+    scratch = np.empty((len(points_uv), N_COLUMNS), np.float32)
+    n_doubtful = 0
+    for first, end in pairwise(contours.ends.tolist()):
+        own = slice(first, end)
+        edge = points_uv[own], seen[own], scales[own], scratch[own]
+        if is_blurred:
+            sigmas_px = local_sigmas_px(region, points_uv[own], seen[own])
+            scales[own] = np.nan_to_num(sigmas_px / SHARP_SIGMA_PX, nan=1.0).clip(1.0, MAX_SCALE)
+            move_to_steepest(region, *edge)
+        move_to_steepest(region, *edge)
+        n_doubtful += find_doubtful(region, np.float32(min_contrast), labels, *edge)
+        if is_blurred:
+            undo_shrinkage(*edge)
+    if is_blurred:
+        redraw(points_uv, contours.ends, labels, contours.body)
+    return n_doubtful
 
 
 def silhouette_of(
