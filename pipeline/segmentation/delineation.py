@@ -112,14 +112,15 @@ def delineate(
             break
         # what became unknown belongs to the body, whose edge is then further out
         contours = _trace(region, labels, levels, hole_px)
-    points_uv, seen, ends = contours.points_uv, contours.seen, contours.ends
+    body, points_uv, seen, ends = contours.body, contours.points_uv, contours.seen, contours.ends
     if is_blurred:
+        body = redraw(points_uv, ends, labels)
         points_uv, seen, ends = closed_up(points_uv, seen, ends)
     if np.count_nonzero(seen) < len(seen):
         # the last points before a gap already bend towards what hides the edge
         around = seen.take(np.arange(-GAP_MARGIN, len(seen) + GAP_MARGIN), mode="wrap")
         seen = np.lib.stride_tricks.sliding_window_view(around, 2 * GAP_MARGIN + 1).min(axis=1)
-    edge = SubpixelEdge(body=contours.body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
+    edge = SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
     return Delineation(labels=labels, edge=edge)
 
 
@@ -178,8 +179,6 @@ def _place_edge(
         n_doubtful += find_doubtful(region, np.float32(min_contrast), labels, *edge)
         if is_blurred:
             undo_shrinkage(*edge)
-    if is_blurred:
-        redraw(points_uv, contours.ends, labels, contours.body)
     return n_doubtful
 
 

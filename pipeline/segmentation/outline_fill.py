@@ -56,13 +56,13 @@ def _fill_parts(
 
 
 @compiled
-def redraw(points_uv: PointsUV, ends: Indices, labels: GreyImage, body: GreyImage) -> None:
-    """Label pixels (h, w) anew by whether their centres lie within an odd number of closed contours.
+def redraw(points_uv: PointsUV, ends: Indices, labels: GreyImage) -> GreyImage:
+    """Label pixels (h, w) anew by whether their centres lie within an odd number of closed contours; return which do.
 
-    The contours' points (N, 2) begin and end at `ends` (C + 1,). Unknown pixels stay; `body` is not 0 on these and on
-    what is within.
+    The contours' points (N, 2) begin and end at `ends` (C + 1,). Unknown pixels stay unknown.
     """
     height, width = labels.shape
+    body = np.empty_like(labels)
     turns = np.zeros((height, width), np.uint8)
     for contour in range(len(ends) - 1):
         before = ends[contour + 1] - 1
@@ -79,6 +79,7 @@ def redraw(points_uv: PointsUV, ends: Indices, labels: GreyImage, body: GreyImag
         is_within = np.uint8(0)
         for column in range(width):
             is_within ^= turns[row, column]
+            body[row, column] = INSIDE if is_within else OUTSIDE
             if labels[row, column] != UNKNOWN:
-                labels[row, column] = INSIDE if is_within else OUTSIDE
-            body[row, column] = labels[row, column]
+                labels[row, column] = body[row, column]
+    return body
