@@ -33,6 +33,7 @@ from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, f
 from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
 from pipeline.segmentation.subpixel_edge import SubpixelEdge
+from pipeline.segmentation.unseen_edge import bridge_gaps, fill_doubtful_hole
 
 Contours = Sequence[NDArray[np.int32]]
 """Pixels (N, 1, 2) around components, as OpenCV gives them."""
@@ -112,6 +113,10 @@ def delineate(
             break
         # what became unknown belongs to the body, whose edge is then further out
         contours = _trace(region, labels, levels, hole_px)
+    points_uv, seen = contours.outer
+    if 0 < np.count_nonzero(seen) < len(seen) and bridge_gaps(labels, points_uv, seen):
+        contours = _trace(region, labels, levels, hole_px)
+        _place_edge(region, labels, contours, min_contrast, is_blurred)
     body, points_uv, seen, ends = contours.body, contours.points_uv, contours.seen, contours.ends
     if is_blurred:
         body = redraw(points_uv, ends, labels)
@@ -176,7 +181,10 @@ def _place_edge(
             scales[own] = np.nan_to_num(sigmas_px / SHARP_SIGMA_PX, nan=1.0).clip(1.0, MAX_SCALE)
             move_to_steepest(region, *edge)
         move_to_steepest(region, *edge)
-        n_doubtful += find_doubtful(region, np.float32(min_contrast), labels, *edge)
+        n = find_doubtful(region, np.float32(min_contrast), labels, *edge)
+        if first > 0:
+            fill_doubtful_hole(labels, points_uv[own], n + np.count_nonzero(seen[own] == 0))
+        n_doubtful += n
         if is_blurred:
             undo_shrinkage(*edge)
     return n_doubtful
@@ -204,16 +212,17 @@ def silhouette_of(
         or (left + width == width_px and INSIDE in labels[:, -1])
     ):
         return no_body(frame, ViewStatus.CLIPPED, found_by)
-    outline_uv = delineation.edge.outline_uv
+    border_uv = delineation.edge.border_uv
     for axis in range(2):  # to add both to each point takes ten times as long
-        outline_uv[:, axis] += corner_uv[axis]
+        border_uv[:, axis] += corner_uv[axis]
     return Silhouette(
         camera=frame.camera,
         status=ViewStatus.OK,
         image_size_px=(width_px, height_px),
         offset_uv=corner_uv,
         labels=labels,
-        outline_uv=outline_uv,
+        outline_uv=delineation.edge.seen_of(border_uv),
+        border_uv=border_uv,
         distances=delineation.edge,
         found_by=found_by,
     )

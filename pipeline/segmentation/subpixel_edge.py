@@ -36,10 +36,14 @@ class SubpixelEdge:
     seen: Flags  # whether grey levels gave the point
 
     @property
-    def outline_uv(self) -> PointsUV:
-        """Points in order around the outer contour, only where the edge was seen; a copy."""
-        n_outer = self.ends[1]
-        return self.points_uv[:n_outer].compress(self.seen[:n_outer], axis=0)
+    def border_uv(self) -> PointsUV:
+        """Points (N, 2) in order around the outer contour; a copy."""
+        return self.points_uv[: self.ends[1]].copy()
+
+    def seen_of(self, border_uv: PointsUV) -> PointsUV:
+        """Return those points of the outer contour (N, 2) where the edge was seen."""
+        seen = self.seen[: self.ends[1]]
+        return border_uv if seen.all() else border_uv.compress(seen, axis=0)
 
     def coarse_px(self) -> FloatImage:
         """Return signed distances of every `COARSE_PX`-th pixel, positive within, clipped to +-`MARGIN_PX`.
