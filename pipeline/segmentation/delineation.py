@@ -64,6 +64,7 @@ class Delineation:
     labels: GreyImage  # (h, w) OUTSIDE, UNKNOWN or INSIDE
     edge: SubpixelEdge | None
     """The edge of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
+    edge_sigma_px: float | None = None  # blur of most of the edge, `None` where it cannot be measured
 
 
 def delineate(
@@ -126,7 +127,7 @@ def delineate(
         around = seen.take(np.arange(-GAP_MARGIN, len(seen) + GAP_MARGIN), mode="wrap")
         seen = np.lib.stride_tricks.sliding_window_view(around, 2 * GAP_MARGIN + 1).min(axis=1)
     edge = SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
-    return Delineation(labels=labels, edge=edge)
+    return Delineation(labels=labels, edge=edge, edge_sigma_px=sigma_px or None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -223,6 +224,7 @@ def silhouette_of(
         labels=labels,
         outline_uv=delineation.edge.seen_of(border_uv),
         border_uv=border_uv,
+        edge_sigma_px=delineation.edge_sigma_px,
         distances=delineation.edge,
         found_by=found_by,
     )

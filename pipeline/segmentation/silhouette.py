@@ -88,6 +88,8 @@ class Silhouette:
     """Points on the edge in image coordinates, in order, only where the edge was seen."""
     border_uv: PointsUV = field(default_factory=lambda: np.zeros((0, 2)))
     """Points in order around all that may be body, unseen edge included; the outline where none are given."""
+    edge_sigma_px: float | None = None
+    """Blur of the edge, as sigma: most of the outline has no more; None where it was not measured."""
     distances: Distances = NO_DISTANCES
     found_by: FoundBy = FoundBy.BACKGROUND
     fallback: str | None = None
