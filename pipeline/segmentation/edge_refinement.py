@@ -145,7 +145,10 @@ def undo_shrinkage(points_uv: PointsUV, seen: GreyImage, scales: Singles, scratc
         after, before = cyclic_index(i, reach, n_points), cyclic_index(i, -reach, n_points)
         if not (seen[i] and seen[after] and seen[before]):
             continue
-        chord_u, chord_v = points_uv[after, 0] - points_uv[before, 0], points_uv[after, 1] - points_uv[before, 1]
+        chord_u, chord_v = (
+            points_uv[after, 0] - points_uv[before, 0],
+            points_uv[after, 1] - points_uv[before, 1],
+        )
         middle_u = (points_uv[after, 0] + points_uv[before, 0]) / 2 - points_uv[i, 0]
         middle_v = (points_uv[after, 1] + points_uv[before, 1]) / 2 - points_uv[i, 1]
         sagitta_px = middle_u * scratch[i, NORMAL] + middle_v * scratch[i, NORMAL + 1]

@@ -60,7 +60,9 @@ def local_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) 
     filled = np.interp(places, places[is_known], sigmas_px[is_known], period=len(places))
     around = filled.take(np.arange(-(SMOOTHED_PLACES // 2), len(places) + SMOOTHED_PLACES // 2), mode="wrap")
     smooth = np.median(np.lib.stride_tricks.sliding_window_view(around, SMOOTHED_PLACES), axis=1)
-    return np.interp(np.arange(len(points_uv)), EVERY * places, smooth, period=len(points_uv)).astype(np.float32)
+    return np.interp(np.arange(len(points_uv)), EVERY * places, smooth, period=len(points_uv)).astype(
+        np.float32
+    )
 
 
 def _sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage, every: int) -> Singles:
@@ -105,7 +107,13 @@ def measure_widths(
 
 @compiled_within
 def _fill_profile(
-    region: RegionLevels, u: float, v: float, along_u: float, along_v: float, reach_px: float, profile: Singles
+    region: RegionLevels,
+    u: float,
+    v: float,
+    along_u: float,
+    along_v: float,
+    reach_px: float,
+    profile: Singles,
 ) -> bool:
     """Fill in what covers the background along the inward normal of an edge; return whether it is in the region."""
     image, expected = region.image, region.expected
@@ -114,8 +122,8 @@ def _fill_profile(
         depth_px = reach_px / N_HALF * (k - N_HALF)
         total = np.float32(0)
         for line in range(len(LINES_PX)):
-            at_u = u + depth_px * -along_v + LINES_PX[line] * along_u
-            at_v = v + depth_px * along_u + LINES_PX[line] * along_v
+            at_u = u + depth_px * along_v + LINES_PX[line] * along_u
+            at_v = v - depth_px * along_u + LINES_PX[line] * along_v
             x, y = int(at_u), int(at_v)
             if at_u < 0 or at_v < 0 or x >= width - 1 or y >= height - 1:
                 return False
