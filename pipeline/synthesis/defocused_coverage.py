@@ -8,7 +8,7 @@ lie between each other, so that few of them are needed.
 import numpy as np
 
 from pipeline.arrays import Faces, FloatImage, Floats, Indices, PointsMM, Values
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.rig.lens import RegionLens, region_lenses, region_pixel
 from pipeline.synthesis.pixel_coverage import Edges, Window
@@ -16,7 +16,8 @@ from pipeline.synthesis.thin_lens import ThinLens
 
 LINES_PER_PIXEL = 4
 """Scan lines of each point of the aperture in a row of pixels."""
-GOLDEN_SECTION = (np.sqrt(5) - 1) / 2
+OFFSET_STEP = np.sqrt(2)
+"""Of the scan lines, in lines, from point to point; not the golden section, which the points' angles follow."""
 
 
 def defocused_coverage(
@@ -70,73 +71,78 @@ def _add_apertures(
     lens: RegionLens,
     area: Floats,
 ) -> bool:
-    """Add to each pixel's `area` by how much more of it is covered than of its left neighbour; whether loops close."""
-    height, width = area.shape[0], area.shape[1] - 2
-    n_lines = height * LINES_PER_PIXEL
-    share = 1.0 / (LINES_PER_PIXEL * len(apertures_mm))
-    turns = np.zeros(len(edge_vertices), np.int64)
-    border = np.empty(len(edge_vertices), np.int64)
-    ends = np.empty((len(edge_vertices), 4))
-    stops = np.empty(n_lines + 1, np.int64)
+    """Add to each pixel of `area` by how much more of it is covered than of its left neighbour; whether loops close."""
+    turns = np.empty(
+        len(edge_vertices), np.int64
+    )  # of each edge: how often it borders what is seen, and which way
+    border_uv = np.empty((len(edge_vertices), 4))  # start and end of those that do; v in lines
+    border_turns = np.empty(len(edge_vertices), np.int64)
     for at in range(len(apertures_mm)):
-        ax, ay = apertures_mm[at]
+        x_mm, y_mm = apertures_mm[at]
         turns[:] = 0
         for face in range(len(facing)):
-            if facing[face] + normals_xy[face, 0] * ax + normals_xy[face, 1] * ay > 0:
+            if facing[face] + normals_xy[face, 0] * x_mm + normals_xy[face, 1] * y_mm > 0:
                 for k in range(3):
                     turns[face_edges[face, k]] += signs[face, k]
-        offset = (at * GOLDEN_SECTION) % 1.0  # line k of this point lies at y = k + offset
+        offset = (at * OFFSET_STEP) % 1.0  # of this point's lines: the k-th lies at k + offset
         n_border = 0
-        stops[:] = 0
         for edge in range(len(turns)):
             if turns[edge] != 0:
                 for end in range(2):
                     x, y, z = points_mm[edge_vertices[edge, end]]
-                    shift = 1.0 / focus_mm - 1.0 / z
-                    u, v = region_pixel(lens, x / z + ax * shift, y / z + ay * shift)
-                    ends[n_border, 2 * end], ends[n_border, 2 * end + 1] = u, v * LINES_PER_PIXEL
-                border[n_border] = edge
-                first, stop = _lines_between(ends[n_border, 1], ends[n_border, 3], offset, n_lines)
-                for line in range(first, stop):
-                    stops[line + 1] += 1
+                    shift = 1 / focus_mm - 1 / z
+                    u, v = region_pixel(lens, x / z + x_mm * shift, y / z + y_mm * shift)
+                    border_uv[n_border, 2 * end] = u
+                    border_uv[n_border, 2 * end + 1] = LINES_PER_PIXEL * v - offset
+                border_turns[n_border] = turns[edge]
                 n_border += 1
-        stops[:] = np.cumsum(stops)
-        crossings = np.empty(stops[-1])
-        directions = np.empty(stops[-1], np.int64)
-        filled = stops[:-1].copy()
-        for i in range(n_border):
-            u0, y0, u1, y1 = ends[i]
-            first, stop = _lines_between(y0, y1, offset, n_lines)
-            for line in range(first, stop):
-                # sorted in as they come: few cross a line
-                u = u0 + (line + offset - y0) * (u1 - u0) / (y1 - y0)
-                j = filled[line]
-                while j > stops[line] and crossings[j - 1] > u:
-                    crossings[j], directions[j] = crossings[j - 1], directions[j - 1]
-                    j -= 1
-                crossings[j] = u
-                directions[j] = turns[border[i]] if y1 > y0 else -turns[border[i]]
-                filled[line] += 1
-        for line in range(n_lines):
-            winding = 0
-            for j in range(stops[line], stops[line + 1]):
-                before, winding = winding, winding + directions[j]
-                if (before == 0) == (winding == 0):
-                    continue
-                step = share if before == 0 else -share
-                u = min(max(crossings[j], 0.0), float(width))
-                column = int(u)
-                row = line // LINES_PER_PIXEL
-                area[row, column] += step * (1 - (u - column))
-                area[row, column + 1] += step * (u - column)
-            if winding != 0:
-                return False
+        if not _add_covered(border_uv[:n_border], border_turns, 1 / len(apertures_mm), area):
+            return False
     return True
 
 
-@compiled
-def _lines_between(a: float, b: float, offset: float, n_lines: int) -> tuple[int, int]:
-    """Return the range (first, stop) of the scan lines between two heights."""
-    first = max(int(np.ceil(min(a, b) - offset)), 0)
-    stop = min(int(np.ceil(max(a, b) - offset)), n_lines)
-    return first, stop
+@compiled_within
+def _add_covered(border_uv: Floats, turns: Indices, share: float, area: Floats) -> bool:
+    """Add a share of what directed edges (N, 4) enclose, line by line; whether they form closed loops."""
+    width = area.shape[1] - 2
+    n_lines = area.shape[0] * LINES_PER_PIXEL
+    stops = np.zeros(n_lines + 1, np.int64)  # of the crossings of each line
+    for i in range(len(border_uv)):
+        first, stop = _lines_between(border_uv[i, 1], border_uv[i, 3], n_lines)
+        stops[first + 1 : stop + 1] += 1
+    stops = np.cumsum(stops)
+    filled = stops[:-1].copy()
+    crossings = np.empty(stops[-1])
+    directions = np.empty(stops[-1], np.int64)
+    for i in range(len(border_uv)):
+        u0, v0, u1, v1 = border_uv[i]
+        direction = turns[i] if v1 > v0 else -turns[i]
+        first, stop = _lines_between(v0, v1, n_lines)
+        for line in range(first, stop):
+            u = u0 + (line - v0) * (u1 - u0) / (v1 - v0)
+            at = filled[line]  # sorted in as they come: few cross a line
+            while at > stops[line] and crossings[at - 1] > u:
+                crossings[at], directions[at] = crossings[at - 1], directions[at - 1]
+                at -= 1
+            crossings[at], directions[at] = u, direction
+            filled[line] += 1
+    for line in range(n_lines):
+        row, winding = line // LINES_PER_PIXEL, 0
+        for i in range(stops[line], stops[line + 1]):
+            before, winding = winding, winding + directions[i]
+            if (before == 0) != (winding == 0):
+                step = (share if before == 0 else -share) / LINES_PER_PIXEL
+                u = min(max(crossings[i], 0.0), float(width))
+                column = int(u)
+                area[row, column] += step * (1 - (u - column))
+                area[row, column + 1] += step * (u - column)
+        if winding != 0:
+            return False
+    return True
+
+
+@compiled_within
+def _lines_between(a: float, b: float, n_lines: int) -> tuple[int, int]:
+    """Return the range (first, stop) of the lines at whole numbers between two heights."""
+    first = min(max(int(np.ceil(min(a, b))), 0), n_lines)
+    return first, max(min(int(np.ceil(max(a, b))), n_lines), first)

