@@ -14,6 +14,8 @@ from pipeline.synthesis.thin_lens import ThinLens
 
 FULL_SCALE_GREY = 255.0
 """Grey level of a full well."""
+BLUR_PX = (0.3, 10.0)
+"""Range of the blur in focus."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +34,8 @@ class ExposureParameters:
     def __post_init__(self) -> None:
         if not 0 <= self.exposure_us <= 1000:
             raise ValueError(f"exposure_us must be 0..1000, not {self.exposure_us:g}")
-        if not 0.3 <= self.blur_px <= 10:
-            raise ValueError(f"blur_px must be 0.3..10, not {self.blur_px:g}")
+        if not BLUR_PX[0] <= self.blur_px <= BLUR_PX[1]:
+            raise ValueError(f"blur_px must be {BLUR_PX[0]:g}..{BLUR_PX[1]:g}, not {self.blur_px:g}")
 
     def with_sensor(self, *, full_well_e: float, read_noise_e: float) -> "ExposureParameters":
         """Return the same exposure on a sensor whose wells hold `full_well_e` electrons, at grey level 255.

@@ -34,7 +34,7 @@ def coverage_by_rays(
     hits = np.zeros(len(pixels_uv))
     samples = qmc.Sobol(4, rng=1).random_base2(LOG2_RAYS)
     for du, dv, radius, turn in samples:
-        through = camera.normalized_coordinates(pixels_uv + [du - 0.5, dv - 0.5])
+        through = camera.normalized_coordinates(pixels_uv + np.array([du - 0.5, dv - 0.5]))
         in_focus_mm = focus_mm * np.column_stack([through, np.ones(len(through))])
         polar = aperture_mm / 2 * np.sqrt(radius), 2 * np.pi * turn
         origin_mm = np.array([polar[0] * np.cos(polar[1]), polar[0] * np.sin(polar[1]), 0.0])
