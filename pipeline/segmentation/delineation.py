@@ -47,8 +47,8 @@ MAX_ROUNDS = 4
 NOISE_ROWS, MAX_TURNS = 16, 64
 """Every 16th row is looked at; with more changes between body and background in a row, on average, there is no body but
 a broken sensor: to follow 100 000 contours takes seconds."""
-MAX_SHARP_SIGMA_PX = 1.4
-"""Sigma up to which the edge of nearly all of an outline is sharp: lens, motion of 5 px, and pixels."""
+MAX_SHARP_SIGMA_PX = 1.6
+"""Sigma up to which most of an edge counts as sharp: steps of 2 px still see all of it."""
 CORE_SIGMAS = 3.0
 """Sigmas by which the core of a blurred body begins further within."""
 MAX_SCALE = 8.0
@@ -213,16 +213,17 @@ def silhouette_of(
         or (left + width == width_px and INSIDE in labels[:, -1])
     ):
         return no_body(frame, ViewStatus.CLIPPED, found_by)
-    border_uv = delineation.edge.border_uv
-    for axis in range(2):  # to add both to each point takes ten times as long
-        border_uv[:, axis] += corner_uv[axis]
+    outline_uv, border_uv = delineation.edge.outline_uv, delineation.edge.border_uv
+    for points_uv in (outline_uv, border_uv):
+        for axis in range(2):  # to add both to each point takes ten times as long
+            points_uv[:, axis] += corner_uv[axis]
     return Silhouette(
         camera=frame.camera,
         status=ViewStatus.OK,
         image_size_px=(width_px, height_px),
         offset_uv=corner_uv,
         labels=labels,
-        outline_uv=delineation.edge.seen_of(border_uv),
+        outline_uv=outline_uv,
         border_uv=border_uv,
         edge_sigma_px=delineation.edge_sigma_px,
         distances=delineation.edge,

@@ -47,7 +47,7 @@ SHARP_SIGMA_PX = np.float32(0.85)
 CURVATURE_SIGMAS = np.float32(3)
 """Half the chord over which a curvature is taken."""
 MAX_BEND = np.float32(0.3)
-"""Greatest curvature, relative to that of a circle of the blur's sigma, whose shrinkage is undone: beyond it is a corner."""
+"""Greatest curvature, relative to a circle's of the blur's sigma, whose shrinkage is undone: beyond is a corner."""
 
 
 @compiled

@@ -18,7 +18,7 @@ TANGENT_POINTS = 16
 """Points of seen edge beside a gap, at most, through which its tangent is drawn."""
 MIN_TANGENT_POINTS = 6
 MIN_RUN_POINTS, BENT_POINTS = 27, 6
-"""Fewest seen points in a row that count as a piece of the body's edge, and how many at its ends may bend into the gap."""
+"""Fewest seen points in a row that count as a piece of the body's edge, and how many at its ends may bend."""
 MAX_HEIGHT = 1.0
 """Greatest height of the triangle, relative to the gap: nearly parallel tangents meet anywhere."""
 MAX_DOUBTFUL_SHARE = 0.5
@@ -36,9 +36,11 @@ def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool
 
     The contour has the body on its right.
     """
-    n_outside = cv2.countNonZero(labels)
+    n_marked, last_uv = cv2.countNonZero(labels), np.array(labels.shape[::-1]) - 2
     for first, end in _gaps(_without_short_runs(seen)):
         gap = np.arange(first - 1, end + 1) % len(points_uv)
+        if ((points_uv[gap] < 1) | (points_uv[gap] > last_uv)).any():
+            continue  # the body leaves the region: there is no other side
         before_uv, after_uv = points_uv[gap[0]], points_uv[gap[-1]]
         corner_uv = _corner(
             before_uv,
@@ -47,7 +49,7 @@ def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool
             _direction(points_uv, seen, end, 1),
         )
         _make_unknown(labels, np.concatenate([points_uv[gap], corner_uv]))
-    return cv2.countNonZero(labels) > n_outside
+    return cv2.countNonZero(labels) > n_marked
 
 
 def _without_short_runs(seen: GreyImage) -> GreyImage:
@@ -70,7 +72,7 @@ def _gaps(seen: GreyImage) -> Iterator[tuple[int, int]]:
 
 
 def _direction(points_uv: PointsUV, seen: GreyImage, at: int, step: int) -> Vector2 | None:
-    """Return the unit direction in which the seen edge beyond point `at` leads back to it, `None` where it is too short."""
+    """Return the unit direction in which the seen edge beyond a point leads to it, `None` where it is too short."""
     n = 0
     while n < TANGENT_POINTS and seen[(at + step * (n + 1)) % len(seen)]:
         n += 1

@@ -63,7 +63,7 @@ def delineated(image: GreyImage, radius_px: float) -> Delineation:
 
 def outline_of(found: Delineation) -> PointsUV:
     assert found.edge is not None
-    return found.edge.seen_of(found.edge.border_uv)
+    return found.edge.outline_uv
 
 
 BLURS = {

@@ -210,7 +210,7 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     assert edge is not None
     errors_px, outline = (
         edge.fine_px(edge.coarse_px()) - true_px[::FINE_PX, ::FINE_PX],
-        edge.seen_of(edge.border_uv),
+        edge.outline_uv,
     )
     within = ((np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25))[::FINE_PX, ::FINE_PX]
     assert np.abs(errors_px)[within].max() < 0.1
