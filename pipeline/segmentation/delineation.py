@@ -159,8 +159,8 @@ def _with_deeper_core(trimap: GreyImage, sigma_px: float) -> GreyImage:
     """Return the trimap with a core that begins `CORE_SIGMAS` further within: what it loses is open."""
     side = 2 * ceil(CORE_SIGMAS * sigma_px / CELL_PX) + 1
     core = (trimap == INSIDE).view(np.uint8)
-    is_lost = core & ~cv2.erode(core, np.ones((side, side), np.uint8), borderValue=0)
-    return np.where(is_lost, OPEN, trimap)
+    deeper = cv2.erode(core, np.ones((side, side), np.uint8), borderValue=0)
+    return np.where((core != 0) & (deeper == 0), OPEN, trimap)
 
 
 def _place_edge(
@@ -184,7 +184,7 @@ def _place_edge(
         move_to_steepest(region, *edge)
         n = find_doubtful(region, np.float32(min_contrast), labels, *edge)
         if first > 0:
-            fill_doubtful_hole(labels, points_uv[own], n + np.count_nonzero(seen[own] == 0))
+            fill_doubtful_hole(labels, points_uv[own], n + int(np.count_nonzero(seen[own] == 0)))
         n_doubtful += n
         if is_blurred:
             undo_shrinkage(*edge)

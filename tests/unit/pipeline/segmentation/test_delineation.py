@@ -160,7 +160,7 @@ def test_a_step_within_the_body_is_not_taken_for_its_edge() -> None:
     assert np.quantile(depths_px, 0.98) < 0.5, "nothing of the inner step is left"
     assert found.edge is not None
     assert (found.labels[true_px > 1] != OUTSIDE).mean() > 0.998
-    assert found.edge.seen.mean() > 0.45, "the other half is seen"
+    assert found.edge.seen.mean() > 0.35, "the other half is seen, and the way around the unknown is longer"
 
 
 def blurred(image: Floats, rng: np.random.Generator) -> GreyImage:
