@@ -28,7 +28,7 @@ from pipeline.segmentation.edge_refinement import (
     move_to_steepest,
     undo_shrinkage,
 )
-from pipeline.segmentation.edge_width import local_sigmas_px, typical_sigma_px
+from pipeline.segmentation.edge_width import local_sigmas_px, outline_sigmas_px
 from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, find_crossings, threshold
 from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
@@ -49,6 +49,8 @@ NOISE_ROWS, MAX_TURNS = 16, 64
 a broken sensor: to follow 100 000 contours takes seconds."""
 MAX_SHARP_SIGMA_PX = 1.6
 """Sigma up to which most of an edge counts as sharp: steps of 2 px still see all of it."""
+MAX_DOUBTFUL_SHARE = 0.005
+"""Share of doubtful points of an outline taken for sharp from which on its widest parts decide."""
 CORE_SIGMAS = 3.0
 """Sigmas by which the core of a blurred body begins further within."""
 MAX_SCALE = 8.0
@@ -102,18 +104,24 @@ def delineate(
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
     contours = _trace(region, labels, levels, hole_px)
-    sigma_px = typical_sigma_px(region, *contours.outer)
-    is_blurred = sigma_px > MAX_SHARP_SIGMA_PX
+    sigma_px, widest_px = outline_sigmas_px(region, *contours.outer)
+    n_doubtful, is_blurred = 0, sigma_px > MAX_SHARP_SIGMA_PX
+    if not is_blurred:
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
+        is_blurred = widest_px > MAX_SHARP_SIGMA_PX and n_doubtful > MAX_DOUBTFUL_SHARE * len(
+            contours.points_uv
+        )
     if is_blurred:  # the edge reaches into the core: its level is not the body's
-        region = region._replace(trimap=_with_deeper_core(trimap, sigma_px))
+        region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
         labels, levels, _ = threshold(region, min_contrast)
         contours = _trace(region, labels, levels, hole_px)
-    for left in reversed(range(MAX_ROUNDS)):
         n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
-        if n_doubtful == 0 or left == 0:
+    for _ in range(MAX_ROUNDS - 1):
+        if n_doubtful == 0:
             break
         # what became unknown belongs to the body, whose edge is then further out
         contours = _trace(region, labels, levels, hole_px)
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
     points_uv, seen = contours.outer
     if 0 < np.count_nonzero(seen) < len(seen) and bridge_gaps(labels, points_uv, seen):
         contours = _trace(region, labels, levels, hole_px)

@@ -38,19 +38,21 @@ a bright rim, are not one wide edge."""
 
 MAX_PLACES = 48
 """Places of a contour at which the width of its edge is looked at before all else."""
-TYPICAL_SHARE = 0.8
-"""Share of these places with a smaller width than the typical one: a part out of focus counts."""
+MOST, NEARLY_ALL = 0.8, 0.95
+"""Shares of these places whose width is no more than what is returned."""
 EVERY = 3
 """Points of a contour from place to place where every width is needed."""
 SMOOTHED_PLACES = 9
 """Places over which the median of widths is taken: texture beside an edge makes single ones wrong."""
 
 
-def typical_sigma_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> float:
-    """Return the sigma that most of a contour's edge (N, 2) does not exceed; 0 where none can be measured."""
+def outline_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> tuple[float, float]:
+    """Return the sigmas that most of a contour's edge (N, 2), and nearly all, do not exceed; 0 without any."""
     sigmas_px = _sigmas_px(region, points_uv, seen, max(1, len(points_uv) // MAX_PLACES))
     known = np.sort(sigmas_px[np.isfinite(sigmas_px)])
-    return float(known[int(TYPICAL_SHARE * len(known))]) if len(known) else 0.0
+    if not len(known):
+        return 0.0, 0.0
+    return float(known[int(MOST * len(known))]), float(known[int(NEARLY_ALL * len(known))])
 
 
 def local_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> Singles:
