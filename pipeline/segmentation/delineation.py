@@ -33,7 +33,7 @@ from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, f
 from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
 from pipeline.segmentation.subpixel_edge import SubpixelEdge
-from pipeline.segmentation.unseen_edge import bridge_gaps, fill_doubtful_hole
+from pipeline.segmentation.unseen_edge import bridge_gaps, fill_doubtful_hole, make_unknown
 
 Contours = Sequence[NDArray[np.int32]]
 """Pixels (N, 1, 2) around components, as OpenCV gives them."""
@@ -42,6 +42,8 @@ MIN_CONTRAST = 0.12
 """Least contrast of body and background, as a share of the background; below, grey levels do not tell them apart."""
 HOLE_PX = 400
 """Holes up to this area are glints on the body, larger ones are seen through."""
+PART_SHARE = 0.02
+"""Share of the largest component's area from which on another is a part of the body: a second body was ruled out."""
 MAX_ROUNDS = 4
 """How often the unknown may grow where an edge turns out not to be the body's."""
 NOISE_ROWS, MAX_TURNS = 16, 64
@@ -256,8 +258,8 @@ def _is_noise(labels: GreyImage) -> bool:
 def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyImage, Contours]:
     """Return the component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
-    A connected body's silhouette is connected: other components are written into `labels` as outside, small holes as
-    inside; unknown pixels stay. The component may be `labels` itself.
+    A connected body's silhouette is connected: what lies between large parts of it is unknown. Small components are
+    written into `labels` as outside, small holes as inside; unknown pixels stay. The component may be `labels` itself.
     """
     found, hierarchy = cv2.findContours(labels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     contours = [np.asarray(contour, np.int32) for contour in found]
@@ -265,11 +267,12 @@ def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyIma
         return labels, contours
     outer = [index for index in range(len(contours)) if hierarchy[0][index][3] < 0]
     outer.sort(key=lambda index: -cv2.contourArea(contours[index]))
-    largest, *others = outer
-    rivals = [(_count_inside(labels, contours[index]), index) for index in others]
-    n_inside, rival = max(rivals, default=(0, largest))
-    if n_inside > 0 and n_inside > _count_inside(labels, contours[largest]):
-        largest = rival
+    n_inside = {index: _count_inside(labels, contours[index]) for index in outer}
+    largest = max(outer, key=lambda index: n_inside[index])
+    parts = [contours[index] for index in outer if n_inside[index] > PART_SHARE * n_inside[largest]]
+    if len(parts) > 1 and n_inside[largest] > 0:
+        make_unknown(labels, np.asarray(cv2.convexHull(np.concatenate(parts)))[:, 0])
+        return _largest_with_holes_filled(labels, hole_px)
     is_known = (labels != UNKNOWN).view(np.uint8)
     body = labels if cv2.countNonZero(is_known) == labels.size else labels.copy()
     kept = [contours[largest]]

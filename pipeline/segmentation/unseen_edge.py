@@ -28,7 +28,7 @@ MAX_DOUBTFUL_SHARE = 0.5
 def fill_doubtful_hole(labels: GreyImage, rim_uv: PointsUV, n_doubtful: int) -> None:
     """Make a hole of `labels` (h, w) unknown if too much of its rim (N, 2) is doubtful."""
     if n_doubtful > MAX_DOUBTFUL_SHARE * len(rim_uv):
-        _make_unknown(labels, rim_uv)
+        make_unknown(labels, rim_uv)
 
 
 def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool:
@@ -48,7 +48,7 @@ def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool
             _direction(points_uv, seen, first - 1, -1),
             _direction(points_uv, seen, end, 1),
         )
-        _make_unknown(labels, np.concatenate([points_uv[gap], corner_uv]))
+        make_unknown(labels, np.concatenate([points_uv[gap], corner_uv]))
     return cv2.countNonZero(labels) > n_marked
 
 
@@ -112,7 +112,7 @@ def _corner(before_uv: Vector2, after_uv: Vector2, ahead: Vector2 | None, back: 
     return (before_uv + at_px * along + height_px * outwards)[None]
 
 
-def _make_unknown(labels: GreyImage, polygon_uv: PointsUV) -> None:
+def make_unknown(labels: GreyImage, polygon_uv: PointsUV) -> None:
     """Label unknown what is outside and within a polygon (N, 2)."""
     corners: NDArray[np.int32] = np.rint(polygon_uv).astype(np.int32)
     u, v, width, height = cv2.boundingRect(corners)
