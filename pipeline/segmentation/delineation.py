@@ -271,7 +271,7 @@ def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyIma
     largest = max(outer, key=lambda index: n_inside[index])
     parts = [contours[index] for index in outer if n_inside[index] > PART_SHARE * n_inside[largest]]
     if len(parts) > 1 and n_inside[largest] > 0:
-        make_unknown(labels, np.asarray(cv2.convexHull(np.concatenate(parts)))[:, 0])
+        make_unknown(labels, np.asarray(cv2.convexHull(np.concatenate(parts)), np.float64)[:, 0])
         return _largest_with_holes_filled(labels, hole_px)
     is_known = (labels != UNKNOWN).view(np.uint8)
     body = labels if cv2.countNonZero(is_known) == labels.size else labels.copy()
