@@ -37,6 +37,10 @@ MAX_PLACES = 48
 """Places of a contour at which the width of its edge is looked at before all else."""
 TYPICAL_SHARE = 0.8
 """Share of these places with a smaller width than the typical one: a part out of focus counts."""
+MIN_PLACES = 3
+"""Fewest places whose median tells the width of edges of one direction."""
+STEEPNESS = 1.7
+"""Ratio of rise and run of an edge that counts as across one axis of the image: within 30 degrees of it."""
 EVERY = 3
 """Points of a contour from place to place where every width is needed."""
 SMOOTHED_PLACES = 9
@@ -50,6 +54,22 @@ def typical_sigma_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage)
     return float(known[int(TYPICAL_SHARE * len(known))]) if len(known) else 0.0
 
 
+def sigmas_across_px(
+    region: RegionLevels, points_uv: PointsUV, seen: GreyImage
+) -> tuple[float, float] | None:
+    """Return the median sigma of a contour's edges (N, 2) across u, and of those across v; `None` without either."""
+    every = max(1, len(points_uv) // MAX_PLACES)
+    sigmas_px = _sigmas_px(region, points_uv, seen, every)
+    along_uv = np.roll(points_uv, -TANGENT_POINTS, axis=0) - np.roll(points_uv, TANGENT_POINTS, axis=0)
+    along_u, along_v = np.abs(along_uv[::every][: len(sigmas_px)]).T
+    is_known = np.isfinite(sigmas_px)
+    across_u = sigmas_px[is_known & (along_v > STEEPNESS * along_u)]
+    across_v = sigmas_px[is_known & (along_u > STEEPNESS * along_v)]
+    if min(len(across_u), len(across_v)) < MIN_PLACES:
+        return None
+    return float(np.median(across_u)), float(np.median(across_v))
+
+
 def local_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> Singles:
     """Return the sigma (N,) of the edge at each point of a contour; where none can be measured, that nearby."""
     sigmas_px = _sigmas_px(region, points_uv, seen, EVERY)
@@ -60,7 +80,9 @@ def local_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) 
     filled = np.interp(places, places[is_known], sigmas_px[is_known], period=len(places))
     around = filled.take(np.arange(-(SMOOTHED_PLACES // 2), len(places) + SMOOTHED_PLACES // 2), mode="wrap")
     smooth = np.median(np.lib.stride_tricks.sliding_window_view(around, SMOOTHED_PLACES), axis=1)
-    return np.interp(np.arange(len(points_uv)), EVERY * places, smooth, period=len(points_uv)).astype(np.float32)
+    return np.interp(np.arange(len(points_uv)), EVERY * places, smooth, period=len(points_uv)).astype(
+        np.float32
+    )
 
 
 def _sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage, every: int) -> Singles:
@@ -105,7 +127,13 @@ def measure_widths(
 
 @compiled_within
 def _fill_profile(
-    region: RegionLevels, u: float, v: float, along_u: float, along_v: float, reach_px: float, profile: Singles
+    region: RegionLevels,
+    u: float,
+    v: float,
+    along_u: float,
+    along_v: float,
+    reach_px: float,
+    profile: Singles,
 ) -> bool:
     """Fill in what covers the background along the inward normal of an edge; return whether it is in the region."""
     image, expected = region.image, region.expected
