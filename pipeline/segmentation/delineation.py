@@ -28,12 +28,12 @@ from pipeline.segmentation.edge_refinement import (
     move_to_steepest,
     undo_shrinkage,
 )
-from pipeline.segmentation.edge_width import local_sigmas_px, sigmas_across_px, typical_sigma_px
+from pipeline.segmentation.edge_width import local_sigmas_px, outline_sigmas_px, sigmas_across_px
 from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, find_crossings, threshold
 from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
 from pipeline.segmentation.subpixel_edge import SubpixelEdge
-from pipeline.segmentation.unseen_edge import bridge_gaps, fill_doubtful_hole
+from pipeline.segmentation.unseen_edge import bridge_gaps, fill_doubtful_hole, make_unknown
 
 Contours = Sequence[NDArray[np.int32]]
 """Pixels (N, 1, 2) around components, as OpenCV gives them."""
@@ -42,13 +42,17 @@ MIN_CONTRAST = 0.12
 """Least contrast of body and background, as a share of the background; below, grey levels do not tell them apart."""
 HOLE_PX = 400
 """Holes up to this area are glints on the body, larger ones are seen through."""
+PART_SHARE = 0.02
+"""Share of the largest component's area from which on another is a part of the body: a second body was ruled out."""
 MAX_ROUNDS = 4
 """How often the unknown may grow where an edge turns out not to be the body's."""
 NOISE_ROWS, MAX_TURNS = 16, 64
 """Every 16th row is looked at; with more changes between body and background in a row, on average, there is no body but
 a broken sensor: to follow 100 000 contours takes seconds."""
-MAX_SHARP_SIGMA_PX = 1.4
-"""Sigma up to which the edge of nearly all of an outline is sharp: lens, motion of 5 px, and pixels."""
+MAX_SHARP_SIGMA_PX = 1.6
+"""Sigma up to which most of an edge counts as sharp: steps of 2 px still see all of it."""
+MAX_DOUBTFUL_SHARE = 0.005
+"""Share of doubtful points of an outline taken for sharp from which on its widest parts decide."""
 CORE_SIGMAS = 3.0
 """Sigmas by which the core of a blurred body begins further within."""
 MAX_SCALE = 8.0
@@ -103,19 +107,25 @@ def delineate(
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
     contours = _trace(region, labels, levels, hole_px)
-    sigma_px = typical_sigma_px(region, *contours.outer)
-    is_blurred = sigma_px > MAX_SHARP_SIGMA_PX
+    sigma_px, widest_px = outline_sigmas_px(region, *contours.outer)
+    n_doubtful, is_blurred = 0, sigma_px > MAX_SHARP_SIGMA_PX
+    if not is_blurred:
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
+        is_blurred = widest_px > MAX_SHARP_SIGMA_PX and n_doubtful > MAX_DOUBTFUL_SHARE * len(
+            contours.points_uv
+        )
     across_px = sigmas_across_px(region, *contours.outer) if is_blurred else None
     if is_blurred:  # the edge reaches into the core: its level is not the body's
-        region = region._replace(trimap=_with_deeper_core(trimap, sigma_px))
+        region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
         labels, levels, _ = threshold(region, min_contrast)
         contours = _trace(region, labels, levels, hole_px)
-    for left in reversed(range(MAX_ROUNDS)):
         n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
-        if n_doubtful == 0 or left == 0:
+    for _ in range(MAX_ROUNDS - 1):
+        if n_doubtful == 0:
             break
         # what became unknown belongs to the body, whose edge is then further out
         contours = _trace(region, labels, levels, hole_px)
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
     points_uv, seen = contours.outer
     if 0 < np.count_nonzero(seen) < len(seen) and bridge_gaps(labels, points_uv, seen):
         contours = _trace(region, labels, levels, hole_px)
@@ -161,8 +171,8 @@ def _with_deeper_core(trimap: GreyImage, sigma_px: float) -> GreyImage:
     """Return the trimap with a core that begins `CORE_SIGMAS` further within: what it loses is open."""
     side = 2 * ceil(CORE_SIGMAS * sigma_px / CELL_PX) + 1
     core = (trimap == INSIDE).view(np.uint8)
-    is_lost = core & ~cv2.erode(core, np.ones((side, side), np.uint8), borderValue=0)
-    return np.where(is_lost, OPEN, trimap)
+    deeper = cv2.erode(core, np.ones((side, side), np.uint8), borderValue=0)
+    return np.where((core != 0) & (deeper == 0), OPEN, trimap)
 
 
 def _place_edge(
@@ -186,7 +196,7 @@ def _place_edge(
         move_to_steepest(region, *edge)
         n = find_doubtful(region, np.float32(min_contrast), labels, *edge)
         if first > 0:
-            fill_doubtful_hole(labels, points_uv[own], n + np.count_nonzero(seen[own] == 0))
+            fill_doubtful_hole(labels, points_uv[own], n + int(np.count_nonzero(seen[own] == 0)))
         n_doubtful += n
         if is_blurred:
             undo_shrinkage(*edge)
@@ -215,16 +225,17 @@ def silhouette_of(
         or (left + width == width_px and INSIDE in labels[:, -1])
     ):
         return no_body(frame, ViewStatus.CLIPPED, found_by)
-    border_uv = delineation.edge.border_uv
-    for axis in range(2):  # to add both to each point takes ten times as long
-        border_uv[:, axis] += corner_uv[axis]
+    outline_uv, border_uv = delineation.edge.outline_uv, delineation.edge.border_uv
+    for points_uv in (outline_uv, border_uv):
+        for axis in range(2):  # to add both to each point takes ten times as long
+            points_uv[:, axis] += corner_uv[axis]
     return Silhouette(
         camera=frame.camera,
         status=ViewStatus.OK,
         image_size_px=(width_px, height_px),
         offset_uv=corner_uv,
         labels=labels,
-        outline_uv=delineation.edge.seen_of(border_uv),
+        outline_uv=outline_uv,
         border_uv=border_uv,
         edge_sigma_px=delineation.edge_sigma_px,
         sigmas_across_px=delineation.sigmas_across_px,
@@ -250,8 +261,8 @@ def _is_noise(labels: GreyImage) -> bool:
 def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyImage, Contours]:
     """Return the component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
-    A connected body's silhouette is connected: other components are written into `labels` as outside, small holes as
-    inside; unknown pixels stay. The component may be `labels` itself.
+    A connected body's silhouette is connected: what lies between large parts of it is unknown. Small components are
+    written into `labels` as outside, small holes as inside; unknown pixels stay. The component may be `labels` itself.
     """
     found, hierarchy = cv2.findContours(labels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     contours = [np.asarray(contour, np.int32) for contour in found]
@@ -259,11 +270,12 @@ def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyIma
         return labels, contours
     outer = [index for index in range(len(contours)) if hierarchy[0][index][3] < 0]
     outer.sort(key=lambda index: -cv2.contourArea(contours[index]))
-    largest, *others = outer
-    rivals = [(_count_inside(labels, contours[index]), index) for index in others]
-    n_inside, rival = max(rivals, default=(0, largest))
-    if n_inside > 0 and n_inside > _count_inside(labels, contours[largest]):
-        largest = rival
+    n_inside = {index: _count_inside(labels, contours[index]) for index in outer}
+    largest = max(outer, key=lambda index: n_inside[index])
+    parts = [contours[index] for index in outer if n_inside[index] > PART_SHARE * n_inside[largest]]
+    if len(parts) > 1 and n_inside[largest] > 0:
+        make_unknown(labels, np.asarray(cv2.convexHull(np.concatenate(parts)), np.float64)[:, 0])
+        return _largest_with_holes_filled(labels, hole_px)
     is_known = (labels != UNKNOWN).view(np.uint8)
     body = labels if cv2.countNonZero(is_known) == labels.size else labels.copy()
     kept = [contours[largest]]

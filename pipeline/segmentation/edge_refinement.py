@@ -47,7 +47,7 @@ SHARP_SIGMA_PX = np.float32(0.85)
 CURVATURE_SIGMAS = np.float32(3)
 """Half the chord over which a curvature is taken."""
 MAX_BEND = np.float32(0.3)
-"""Greatest curvature, relative to that of a circle of the blur's sigma, whose shrinkage is undone: beyond it is a corner."""
+"""Greatest curvature, relative to a circle's of the blur's sigma, whose shrinkage is undone: beyond is a corner."""
 
 
 @compiled
@@ -145,7 +145,10 @@ def undo_shrinkage(points_uv: PointsUV, seen: GreyImage, scales: Singles, scratc
         after, before = cyclic_index(i, reach, n_points), cyclic_index(i, -reach, n_points)
         if not (seen[i] and seen[after] and seen[before]):
             continue
-        chord_u, chord_v = points_uv[after, 0] - points_uv[before, 0], points_uv[after, 1] - points_uv[before, 1]
+        chord_u, chord_v = (
+            points_uv[after, 0] - points_uv[before, 0],
+            points_uv[after, 1] - points_uv[before, 1],
+        )
         middle_u = (points_uv[after, 0] + points_uv[before, 0]) / 2 - points_uv[i, 0]
         middle_v = (points_uv[after, 1] + points_uv[before, 1]) / 2 - points_uv[i, 1]
         sagitta_px = middle_u * scratch[i, NORMAL] + middle_v * scratch[i, NORMAL + 1]

@@ -3,7 +3,7 @@
 Lens, depth and motion blur each stretch of an outline differently. With the coverage c across an edge, from 0 to 1,
 the integral of c (1 - c) is half the mean distance of two points of the blur's spread: sigma / sqrt(pi) for a
 Gaussian, and within 3 % of that for a disc or a box of the same sigma. It needs no place of the edge, and noise of
-both signs cancels in it to first order.
+both signs cancels in it to first order. No edge is wider than its steepest slope allows.
 """
 
 from math import pi, sqrt
@@ -31,12 +31,15 @@ MIN_STEP_GREY = np.float32(16)
 MARGIN = np.float32(0.3)
 """Coverages are clipped to this beyond 0 and 1: what is further off is texture."""
 PER_SIGMA = np.float32(sqrt(pi))
+STEEP_ENOUGH = np.float32(1.15 / sqrt(2 * pi))
+"""Sigmas that an edge of slope 1 has at most, 15 % more than a Gaussian: two steps beside one another, such as those of
+a bright rim, are not one wide edge."""
 
 
 MAX_PLACES = 48
 """Places of a contour at which the width of its edge is looked at before all else."""
-TYPICAL_SHARE = 0.8
-"""Share of these places with a smaller width than the typical one: a part out of focus counts."""
+MOST, NEARLY_ALL = 0.8, 0.95
+"""Shares of these places whose width is no more than what is returned."""
 MIN_PLACES = 3
 """Fewest places whose median tells the width of edges of one direction."""
 STEEPNESS = 1.7
@@ -47,11 +50,13 @@ SMOOTHED_PLACES = 9
 """Places over which the median of widths is taken: texture beside an edge makes single ones wrong."""
 
 
-def typical_sigma_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> float:
-    """Return the sigma that most of a contour's edge (N, 2) does not exceed; 0 where none can be measured."""
+def outline_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> tuple[float, float]:
+    """Return the sigmas that most of a contour's edge (N, 2), and nearly all, do not exceed; 0 without any."""
     sigmas_px = _sigmas_px(region, points_uv, seen, max(1, len(points_uv) // MAX_PLACES))
     known = np.sort(sigmas_px[np.isfinite(sigmas_px)])
-    return float(known[int(TYPICAL_SHARE * len(known))]) if len(known) else 0.0
+    if not len(known):
+        return 0.0, 0.0
+    return float(known[int(MOST * len(known))]), float(known[int(NEARLY_ALL * len(known))])
 
 
 def sigmas_across_px(
@@ -95,7 +100,7 @@ def _sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage, every
 def measure_widths(
     region: RegionLevels, points_uv: PointsUV, seen: GreyImage, every: int, sigmas_px: Singles
 ) -> int:
-    """Write the sigma of the edge at every `every`-th point (N, 2) of a contour, the body on its right; return how many.
+    """Write the sigma at every `every`-th point (N, 2) of a contour, the body on its right; return how many.
 
     NaN stands for a place without a profile: not seen, without contrast, or wider than any reach.
     """
@@ -142,8 +147,8 @@ def _fill_profile(
         depth_px = reach_px / N_HALF * (k - N_HALF)
         total = np.float32(0)
         for line in range(len(LINES_PX)):
-            at_u = u + depth_px * -along_v + LINES_PX[line] * along_u
-            at_v = v + depth_px * along_u + LINES_PX[line] * along_v
+            at_u = u + depth_px * along_v + LINES_PX[line] * along_u
+            at_v = v - depth_px * along_u + LINES_PX[line] * along_v
             x, y = int(at_u), int(at_v)
             if at_u < 0 or at_v < 0 or x >= width - 1 or y >= height - 1:
                 return False
@@ -167,9 +172,11 @@ def _width(profile: Singles, step_px: np.float32) -> tuple[np.float32, np.float3
     rise = within - beyond
     if abs(rise) < MIN_STEP_GREY:
         return np.float32(np.inf), np.float32(0)
-    spread, outside = np.float32(0), np.float32(-0.5)
+    spread, outside, steepest, before = np.float32(0), np.float32(-0.5), np.float32(0), np.float32(0)
     for k in range(N_STEPS):
         coverage = min(max((profile[k] - beyond) / rise, -MARGIN), np.float32(1) + MARGIN)
         spread += coverage * (np.float32(1) - coverage)
         outside += np.float32(1) - coverage
-    return PER_SIGMA * step_px * max(spread, np.float32(0)), step_px * (outside - np.float32(N_HALF))
+        steepest, before = max(steepest, coverage - before), coverage
+    sigma = min(PER_SIGMA * max(spread, np.float32(0)), STEEP_ENOUGH / max(steepest, np.float32(1e-3)))
+    return step_px * sigma, step_px * (outside - np.float32(N_HALF))

@@ -199,4 +199,3 @@ def _beside_edge(bits: GreyImage, region: Region) -> GreyImage:
     """Return not 0 where the background is needed: at a possible edge, as far as the profile across it reaches."""
     square = np.ones((2 * -(-PROFILE_PX // region.scale) + 1,) * 2, np.uint8)
     return cv2.dilate(bits & POSSIBLE, square) - POSSIBLE * cv2.erode(bits & CORE, square)
-

@@ -9,11 +9,11 @@ import numpy as np
 
 from pipeline.arrays import GreyImage
 
-QUIET_GREY = 3.0
-"""Noise that needs no smoothing."""
+QUIET_GREY, BROKEN_GREY = 3.0, 40.0
+"""Noise that needs no smoothing, and noise that no sensor has that works: it stays what it is."""
 SMOOTHING_PX_PER_GREY = 0.14
-"""Sigma of the smoothing for each grey level of noise: half a level for each is left, so that the limits that tell edges
-from grain hold."""
+"""Sigma of the smoothing for each grey level of noise: two levels are left, so that the limits that tell edges from
+grain hold."""
 MAX_SMOOTHING_PX = 3.0
 
 
@@ -25,7 +25,7 @@ def noise_grey(image: GreyImage) -> float:
 
 def smoothed(region: GreyImage, noise: float) -> GreyImage:
     """Return a copy of a region (h, w) of an image of such noise, smoothed where it is too much."""
-    if noise <= QUIET_GREY:
+    if not QUIET_GREY < noise < BROKEN_GREY:
         return region.copy()
     sigma_px = min(SMOOTHING_PX_PER_GREY * noise, MAX_SMOOTHING_PX)
     return np.asarray(cv2.GaussianBlur(region, (0, 0), sigma_px), np.uint8)

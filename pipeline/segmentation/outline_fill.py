@@ -67,7 +67,12 @@ def redraw(points_uv: PointsUV, ends: Indices, labels: GreyImage) -> GreyImage:
     for contour in range(len(ends) - 1):
         before = ends[contour + 1] - 1
         for i in range(ends[contour], ends[contour + 1]):
-            u, v, last_u, last_v = points_uv[i, 0], points_uv[i, 1], points_uv[before, 0], points_uv[before, 1]
+            u, v, last_u, last_v = (
+                points_uv[i, 0],
+                points_uv[i, 1],
+                points_uv[before, 0],
+                points_uv[before, 1],
+            )
             before = i
             first, end = int(np.ceil(min(v, last_v))), int(np.ceil(max(v, last_v)))
             for row in range(max(first, 0), min(end, height)):

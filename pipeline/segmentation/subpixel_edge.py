@@ -40,10 +40,10 @@ class SubpixelEdge:
         """Points (N, 2) in order around the outer contour; a copy."""
         return self.points_uv[: self.ends[1]].copy()
 
-    def seen_of(self, border_uv: PointsUV) -> PointsUV:
-        """Return those points of the outer contour (N, 2) where the edge was seen."""
-        seen = self.seen[: self.ends[1]]
-        return border_uv if seen.all() else border_uv.compress(seen, axis=0)
+    @property
+    def outline_uv(self) -> PointsUV:
+        """The points of the outer contour only where the edge was seen; a copy."""
+        return self.points_uv[: self.ends[1]].compress(self.seen[: self.ends[1]], axis=0)
 
     def coarse_px(self) -> FloatImage:
         """Return signed distances of every `COARSE_PX`-th pixel, positive within, clipped to +-`MARGIN_PX`.

@@ -17,8 +17,8 @@ from pipeline.segmentation.silhouette import OUTSIDE, UNKNOWN
 TANGENT_POINTS = 16
 """Points of seen edge beside a gap, at most, through which its tangent is drawn."""
 MIN_TANGENT_POINTS = 6
-MIN_RUN_POINTS = 20
-"""Fewest points in a row that count as a piece of the body's edge."""
+MIN_RUN_POINTS, BENT_POINTS = 27, 6
+"""Fewest seen points in a row that count as a piece of the body's edge, and how many at its ends may bend."""
 MAX_HEIGHT = 1.0
 """Greatest height of the triangle, relative to the gap: nearly parallel tangents meet anywhere."""
 MAX_DOUBTFUL_SHARE = 0.5
@@ -28,7 +28,7 @@ MAX_DOUBTFUL_SHARE = 0.5
 def fill_doubtful_hole(labels: GreyImage, rim_uv: PointsUV, n_doubtful: int) -> None:
     """Make a hole of `labels` (h, w) unknown if too much of its rim (N, 2) is doubtful."""
     if n_doubtful > MAX_DOUBTFUL_SHARE * len(rim_uv):
-        _make_unknown(labels, rim_uv)
+        make_unknown(labels, rim_uv)
 
 
 def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool:
@@ -36,9 +36,11 @@ def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool
 
     The contour has the body on its right.
     """
-    n_outside = cv2.countNonZero(labels)
+    n_marked, last_uv = cv2.countNonZero(labels), np.array(labels.shape[::-1]) - 2
     for first, end in _gaps(_without_short_runs(seen)):
         gap = np.arange(first - 1, end + 1) % len(points_uv)
+        if ((points_uv[gap] < 1) | (points_uv[gap] > last_uv)).any():
+            continue  # the body leaves the region: there is no other side
         before_uv, after_uv = points_uv[gap[0]], points_uv[gap[-1]]
         corner_uv = _corner(
             before_uv,
@@ -46,16 +48,16 @@ def bridge_gaps(labels: GreyImage, points_uv: PointsUV, seen: GreyImage) -> bool
             _direction(points_uv, seen, first - 1, -1),
             _direction(points_uv, seen, end, 1),
         )
-        _make_unknown(labels, np.concatenate([points_uv[gap], corner_uv]))
-    return cv2.countNonZero(labels) > n_outside
+        make_unknown(labels, np.concatenate([points_uv[gap], corner_uv]))
+    return cv2.countNonZero(labels) > n_marked
 
 
 def _without_short_runs(seen: GreyImage) -> GreyImage:
-    """Return flags (N,) without runs of seen points so short that texture within the body may have made them."""
-    around = cv2.morphologyEx(
-        np.concatenate([seen, seen, seen])[None], cv2.MORPH_OPEN, np.ones((1, MIN_RUN_POINTS), np.uint8)
-    )
-    return np.asarray(around[0, len(seen) : 2 * len(seen)], np.uint8)
+    """Return flags (N,) of runs of seen points, without their ends, and none that texture may have made."""
+    around = np.concatenate([seen, seen, seen])[None]
+    whole = cv2.erode(around, np.ones((1, MIN_RUN_POINTS), np.uint8))
+    kept = cv2.dilate(whole, np.ones((1, MIN_RUN_POINTS - 2 * BENT_POINTS), np.uint8))
+    return np.asarray(kept[0, len(seen) : 2 * len(seen)], np.uint8)
 
 
 def _gaps(seen: GreyImage) -> Iterator[tuple[int, int]]:
@@ -70,7 +72,7 @@ def _gaps(seen: GreyImage) -> Iterator[tuple[int, int]]:
 
 
 def _direction(points_uv: PointsUV, seen: GreyImage, at: int, step: int) -> Vector2 | None:
-    """Return the unit direction in which the seen edge beyond point `at` leads back to it, `None` where it is too short."""
+    """Return the unit direction in which the seen edge beyond a point leads to it, `None` where it is too short."""
     n = 0
     while n < TANGENT_POINTS and seen[(at + step * (n + 1)) % len(seen)]:
         n += 1
@@ -88,26 +90,29 @@ def _corner(before_uv: Vector2, after_uv: Vector2, ahead: Vector2 | None, back: 
     if length_px < 1e-6:
         return np.empty((0, 2))
     along = chord / length_px
-    outwards = np.array([along[1], -along[0]])  # the body is on the right of the contour, as it is seen
-    slopes = [0.0 if each is None else float(each @ outwards) for each in (ahead, back)]
-    most_px = MAX_HEIGHT * length_px
-    if ahead is None or back is None:
-        known = max(slopes)
-        return (before_uv + chord / 2 + min(max(known, 0.0) * length_px, most_px) * outwards)[None]
-    if max(slopes) <= 0:
+    outwards = np.array([-along[1], along[0]])
+    # angles of both tangents above the chord; where one is not known, the outline is taken for symmetric
+    known = [each for each in (ahead, back) if each is not None]
+    if not known:
         return np.empty((0, 2))
-    turn = ahead[0] * back[1] - ahead[1] * back[0]
-    if abs(turn) < 1e-6:
-        return (before_uv + chord / 2 + most_px * outwards)[None]
-    distance_px = (chord[0] * back[1] - chord[1] * back[0]) / turn
-    corner = distance_px * ahead
-    height_px = float(corner @ outwards)
-    if distance_px <= 0 or height_px > most_px:  # they part
-        corner = chord / 2 + most_px * outwards if max(slopes) > 0 else chord / 2
-    return (before_uv + corner)[None] if float(corner @ outwards) > 0 else np.empty((0, 2))
+    first, second = (
+        float(np.arctan2(each @ outwards, side * (each @ along)))
+        for each, side in (
+            (known[0], 1 if ahead is not None else -1),
+            (known[-1], -1 if back is not None else 1),
+        )
+    )
+    if min(first, second) <= 0:  # a convex outline cannot reach further than the chord
+        return np.empty((0, 2))
+    height_px, at_px = MAX_HEIGHT * length_px, length_px / 2
+    if first + second < np.pi:
+        distance_px = length_px * np.sin(second) / np.sin(first + second)
+        if distance_px * np.sin(first) < height_px:
+            height_px, at_px = distance_px * np.sin(first), distance_px * np.cos(first)
+    return (before_uv + at_px * along + height_px * outwards)[None]
 
 
-def _make_unknown(labels: GreyImage, polygon_uv: PointsUV) -> None:
+def make_unknown(labels: GreyImage, polygon_uv: PointsUV) -> None:
     """Label unknown what is outside and within a polygon (N, 2)."""
     corners: NDArray[np.int32] = np.rint(polygon_uv).astype(np.int32)
     u, v, width, height = cv2.boundingRect(corners)
