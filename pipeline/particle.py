@@ -276,7 +276,7 @@ def _measure(
         volume_mm3=volume_mm3,
         area_mm2=shape.surface_area_mm2,
         hull_mm3=hull.volume_mm3,
-        smoothness=None if body == "hull" or estimate is None else estimate.smoothness,
+        is_estimated=body == "estimate",
     )
     density = parameters.density_g_cm3
     return ParticleMeasurement(

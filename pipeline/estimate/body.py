@@ -43,8 +43,6 @@ class BodyEstimate:
     volume_mm3: float
     hull_volume_mm3: float
     hull_area_mm2: float
-    smoothness: float = 0.0
-    """Mean over the surface, from 0 (faces, touched at their edges alone) to 1 (touched everywhere)."""
     fallback: str | None = None  # why the estimate is the hull itself
 
 
@@ -69,14 +67,13 @@ def estimate_body(hull: ParticleMesh, views: PreparedViews) -> BodyEstimate:
         )
     bulge = bulge_share(inner.half_heights, inner.radii)
     vertices_mm, shares = np.empty(hull.vertices_mm.shape), np.empty(len(hull.vertices_mm))
-    mean_smoothness = _pull(hull.vertices_mm, center_mm, inner, bulge, shares, vertices_mm)
+    _pull(hull.vertices_mm, center_mm, inner, bulge, shares, vertices_mm)
     hull_volume_mm3, hull_area_mm2, volume_mm3 = _integrals(hull.vertices_mm, hull.faces, center_mm, shares)
     return BodyEstimate(
         mesh=ParticleMesh(vertices_mm, hull.faces),
         volume_mm3=volume_mm3,
         hull_volume_mm3=hull_volume_mm3,
         hull_area_mm2=hull_area_mm2,
-        smoothness=mean_smoothness,
     )
 
 
@@ -96,20 +93,14 @@ def _pull(
     bulge: float,
     shares: Values,
     moved_mm: PointsMM,
-) -> float:
-    """Pull points (N, 3) towards the centre, to the estimated surface: to `shares` (N,) of the way from there.
-
-    Their mean smoothness is returned.
-    """
-    total = 0.0
+) -> None:
+    """Pull points (N, 3) towards the centre, to the estimated surface: to `shares` (N,) of the way from there."""
     for i in range(len(points_mm)):
         excess = max(1 - inner.radii[i], 0.0)
-        smooth = smoothness(inner.local_share[i], bulge)
-        total += smooth
-        shares[i] = 1 - PULL * (excess - smooth * min(inner.half_heights[i], excess))
+        kept = smoothness(inner.local_share[i], bulge) * min(inner.half_heights[i], excess)
+        shares[i] = 1 - PULL * (excess - kept)
         for k in range(3):
             moved_mm[i, k] = center_mm[k] + shares[i] * (points_mm[i, k] - center_mm[k])
-    return total / max(len(points_mm), 1)
 
 
 @compiled

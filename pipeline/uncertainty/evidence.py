@@ -50,8 +50,7 @@ class Evidence:
     volume_mm3: float
     area_mm2: float
     hull_mm3: float
-    smoothness: float | None
-    """Share of the surface that outlines touch, 0..1 (`pipeline.estimate`); None where no body was estimated."""
+    is_estimated: bool  # False: the body is the hull
     length_sd_percent: float
 
 
@@ -63,7 +62,7 @@ def evidence_of(
     volume_mm3: float,
     area_mm2: float,
     hull_mm3: float,
-    smoothness: float | None,
+    is_estimated: bool,
 ) -> Evidence:
     """Collect what is known of the views that carved a stone, and of the volumes that they leave."""
     motion_px = _motion_sigma_px(views.silhouettes)
@@ -91,7 +90,7 @@ def evidence_of(
         volume_mm3=volume_mm3,
         area_mm2=area_mm2,
         hull_mm3=hull_mm3,
-        smoothness=smoothness,
+        is_estimated=is_estimated,
         length_sd_percent=LENGTH_SD_PERCENT,
     )
 

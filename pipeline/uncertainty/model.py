@@ -20,8 +20,8 @@ SHARE_OF_SIGMA = 0.15
 its sides by 0.27 sigma on average up to two sigmas away, an edge that is straight by none: outlines are about half of
 each."""
 NOISE_FACTOR = 1.33
-"""Of noise over step: the Cramér-Rao bound of the place of a Gaussian edge, in px, sqrt(2 sqrt(pi) sigma / length), with
-a length of two sigmas along the edge."""
+"""Of noise over step: the Cramér-Rao bound of the place of a Gaussian edge in px, sqrt(2 sqrt(pi) sigma / length), with a
+length of two sigmas along the edge."""
 TANGENCY_PER_PX = 1.18
 """Median tangency residual of outlines that are independently off by 1 px: sqrt(2) px for each of a pair's two planes,
 of which the rms has this median."""
@@ -34,14 +34,13 @@ UNSEEN_SHARE = 0.1
 """Distance, as a share of the mean radius, by which a patch that no view outlines is off; it is bridged by a chord and
 by tangents. Views share what they do not see (a bright face, a glint), so that the share of the surface
 that none outlines is that of the outlines."""
-HIDDEN_PERCENT = 2.0
-"""Volume of the dents and pores that no silhouette shows, where outlines touch a stone at corners and edges alone; one
-sigma, since they differ from stone to stone: 1 to 4 % of scanned and synthetic ones."""
-LEAST_HIDDEN_SHARE = 0.2
-"""Least share of a surface that may have dents: between the outlines of a smooth one."""
+HIDDEN_PERCENT = 2.5
+"""Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
+our bodies, up to 6 % of scanned stones."""
 COMMON_SHARE = 0.5
-"""Share of a surface's error that has the same sign all around, and so changes the volume; all of it for dents, and for
-the scale of the calibration."""
+"""Share of a surface's error that has the same sign all around, and so changes the volume."""
+ALL_COMMON = (Cause.CALIBRATION, Cause.HIDDEN)
+"""Causes whose whole error has the same sign all around: a wrong scale, dents."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +72,6 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
     volume_mm3, area_mm2 = evidence.volume_mm3, evidence.area_mm2
     radius_mm = 3 * volume_mm3 / area_mm2  # of a sphere with this ratio
     scale_mm = evidence.length_sd_percent / 100 * radius_mm
-    hidden_percent = HIDDEN_PERCENT * max(1 - (evidence.smoothness or 0.0), LEAST_HIDDEN_SHARE)
     surface_mm = {
         Cause.PIXELS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * SHARP_SIGMA_PX),
         Cause.FOCUS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * _defocus_px(view)),
@@ -84,20 +82,18 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         Cause.UNSEEN: UNSEEN_SHARE
         * radius_mm
         * float(np.mean([view.unseen_share for view in evidence.views])),
-        Cause.VIEWS: (HULL_EXCESS if evidence.smoothness is None else GAP_SHARE)
+        Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
         * max(evidence.hull_mm3 - volume_mm3, 0.0)
         / area_mm2,
         Cause.DISAGREEMENT: _disagreement_mm(evidence),
         Cause.CALIBRATION: hypot(scale_mm, _rms_mm(evidence, lambda view: view.calibration_px)),
-        Cause.HIDDEN: hidden_percent / 100 * volume_mm3 / area_mm2,
+        Cause.HIDDEN: HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2,
     }
-    per_mm = 100 * area_mm2 / volume_mm3
-    volume_percent = {cause: COMMON_SHARE * per_mm * sd_mm for cause, sd_mm in surface_mm.items()}
-    volume_percent[Cause.HIDDEN] = hidden_percent
-    volume_percent[Cause.CALIBRATION] = hypot(
-        3 * evidence.length_sd_percent,
-        COMMON_SHARE * per_mm * sqrt(max(surface_mm[Cause.CALIBRATION] ** 2 - scale_mm**2, 0)),
-    )
+    percent_per_mm = 100 * area_mm2 / volume_mm3
+    volume_percent = {
+        cause: percent_per_mm * sd_mm * (1.0 if cause in ALL_COMMON else COMMON_SHARE)
+        for cause, sd_mm in surface_mm.items()
+    }
     return Uncertainty(surface_mm=surface_mm, volume_percent=volume_percent)
 
 
