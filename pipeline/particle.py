@@ -183,7 +183,8 @@ def measure_bundle(
                 f"more than {parameters.consistency.max_suspect_views} views contradict each other",
             )
         views = views.without(consistency.suspects)
-        by_number = quality_of(rig.subset(views.camera_ids), rig, parameters.views)
+        outlined = views.with_outline()  # a view of which only unknown is left tells nothing
+        by_number = quality_of(rig.subset(outlined.camera_ids), rig, parameters.views)
         try:
             hull_mesh, estimate = _body(views, parameters, on_stage)
             angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
@@ -270,7 +271,7 @@ def _measure(
         hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
         volume_mm3 = parameters.volume_model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
     evidence = evidence_of(
-        views,
+        views.with_outline(),
         optics,
         consistency,
         volume_mm3=volume_mm3,

@@ -20,7 +20,7 @@ SHARE_OF_SIGMA = 0.15
 its sides by 0.27 sigma on average up to two sigmas away, an edge that is straight by none: outlines are about half of
 each."""
 NOISE_FACTOR = 1.33
-"""Of noise over step: the Cramér-Rao bound of the place of a Gaussian edge in px, sqrt(2 sqrt(pi) sigma / length), with a
+"""Of noise over step: the Cramér-Rao bound of the place of a Gaussian edge, sqrt(2 sqrt(pi) sigma / length) px, with a
 length of two sigmas along the edge."""
 TANGENCY_PER_PX = 1.18
 """Median tangency residual of outlines that are independently off by 1 px: sqrt(2) px for each of a pair's two planes,

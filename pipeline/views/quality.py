@@ -11,7 +11,6 @@ from pipeline.errors import RejectedError, RejectReason
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import Silhouette, SilhouetteSet, ViewStatus
-from pipeline.segmentation.segmenter_choice import unseen_share
 from pipeline.views.dropped import DropCause, DroppedView
 
 LAYER_TOLERANCE_DEG = 10.0
@@ -34,7 +33,7 @@ class ViewsParameters:
     reduced: int = 12
     min: int = 8  # fewer are not measured
     max_unusable: int = 2  # views showing several bodies, or a cut one, before the whole bundle is rejected
-    max_unseen_share: float = 0.6  # of the outline, in half of the views
+    max_unseen_share: float = 0.7  # of the outline, in half of the views
 
     def __post_init__(self) -> None:
         if not 2 <= self.min <= self.reduced <= self.good:
@@ -46,8 +45,8 @@ class ViewsParameters:
 
 
 def share_unseen(silhouette: Silhouette) -> float:
-    """Return the share of an outline that was not seen, 0..1; all of it where no edge was."""
-    return unseen_share(silhouette) if len(silhouette.outline_uv) else 1.0
+    """Return the share of the points around a silhouette, about a pixel apart, where no edge was seen, 0..1."""
+    return 1 - len(silhouette.outline_uv) / max(len(silhouette.reach_uv), 1)
 
 
 def unusable_views(silhouettes: SilhouetteSet) -> dict[CameraId, DroppedView]:

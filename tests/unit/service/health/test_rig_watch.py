@@ -134,7 +134,7 @@ def test_outlines_that_differ_without_a_shift_are_not_called_a_move():
 
 
 def test_outlines_that_are_blurred_disagree_more_without_having_moved():
-    blurred = dict.fromkeys(RIG.camera_ids, {"edge_width_px": 4 * 2.6})
+    blurred = {camera: {"edge_width_px": 4 * 2.6} for camera in RIG.camera_ids}
     stone = record(dict.fromkeys(RIG.camera_ids, 0.5)) | {"optics": blurred}
     assert not fed(*[stone] * WINDOW).suspicions()
     moved = record({"c05": 1.3}, (2.0, 0.5)) | {"optics": blurred}
@@ -142,7 +142,9 @@ def test_outlines_that_are_blurred_disagree_more_without_having_moved():
 
 
 def test_a_sharp_camera_is_compared_with_the_blurred_ones():
-    blurred = dict.fromkeys(RIG.camera_ids, {"edge_width_px": 4 * 2.6}) | {"c05": {"edge_width_px": 2.6}}
+    blurred = {camera: {"edge_width_px": 4 * 2.6} for camera in RIG.camera_ids} | {
+        "c05": {"edge_width_px": 2.6}
+    }
     stone = record({"c05": 0.5}, (0.7, 0.2)) | {"optics": blurred}
     assert not fed(*[stone] * WINDOW).suspicions()
 
