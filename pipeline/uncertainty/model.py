@@ -30,10 +30,9 @@ GAP_SHARE = 0.1
 0.14 of the gap to it on average, with the opposite sign for round bodies."""
 HULL_EXCESS = 4.0
 """Excess of the hulls of stones relative to that of a sphere's, which is all that a hull is corrected by."""
-UNSEEN_SHARE = 0.1
-"""Distance, as a share of the mean radius, by which a patch that no view outlines is off; it is bridged by a chord and
-by tangents. Views share what they do not see (a bright face, a glint), so that the share of the surface
-that none outlines is that of the outlines."""
+UNSEEN_RISE = 0.15
+"""Distance, as a share of the mean radius, by which a patch that no view outlines is off: a sphere rises by 0.13 over
+a chord of 60 degrees. The share of such patches is that of unseen outline squared: two views or more outline each."""
 HIDDEN_PERCENT = 2.5
 """Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
 our bodies, up to 6 % of scanned stones."""
@@ -79,9 +78,9 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         Cause.NOISE: _rms_mm(
             evidence, lambda view: hypot(SHARE_OF_SIGMA * _smoothing_px(view), _noise_px(view))
         ),
-        Cause.UNSEEN: UNSEEN_SHARE
+        Cause.UNSEEN: UNSEEN_RISE
         * radius_mm
-        * float(np.mean([view.unseen_share for view in evidence.views])),
+        * float(np.mean([view.unseen_share**2 for view in evidence.views])),
         Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
         * max(evidence.hull_mm3 - volume_mm3, 0.0)
         / area_mm2,

@@ -311,10 +311,10 @@ def main() -> int:
     with ProcessPoolExecutor(arguments.jobs, get_context("forkserver")) as pool:
         for done in pool.map(measure_job, jobs):
             rows += done
+            if arguments.out is not None:  # after each rig, as all of them take long
+                arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     console = Console(width=None if sys.stdout.isatty() else 220)
     console.print(table(rows))
-    if arguments.out is not None:
-        arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     broken = broken_promises(rows)
     console.print("\n".join(broken) or "All promises hold.")
     return 1 if broken else 0
