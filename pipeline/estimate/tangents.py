@@ -62,12 +62,12 @@ def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
 
     Those beside a gap in the outline, and rays that miss the body, are left out.
     """
-    cameras, outlines = views.cameras, views.outlines
+    cameras, borders = views.cameras, views.borders
     reach, farthest = np.full((len(views), N_ANGLES), -np.inf), np.empty((len(views), N_ANGLES), np.int64)
-    _find_farthest(outlines.points_uv, outlines.ends, OUTWARDS, reach, farthest)
-    is_known = is_edge_seen(outlines, farthest, SEEN_POINTS)
+    _find_farthest(borders.points_uv, borders.ends, OUTWARDS, reach, farthest)
+    is_known = is_edge_seen(borders, farthest, SEEN_POINTS)
     owners = np.repeat(np.arange(len(views)), N_ANGLES)
-    normalized = cameras.normalized_coordinates(outlines.points_uv[farthest.ravel()], owners)
+    normalized = cameras.normalized_coordinates(borders.points_uv[farthest.ravel()], owners)
     # distortion bends a plane so little that each tangent's point is among these
     heights = OUTWARDS.T @ normalized.reshape(-1, N_ANGLES, 2).transpose(0, 2, 1)
     best = heights.argmax(axis=2).ravel() + N_ANGLES * owners

@@ -16,6 +16,7 @@ from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import ball
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.placement import drop_across
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
 
@@ -43,9 +44,12 @@ class Scene:
         return render_bundle([placed], self.simulated, rng, sequence=1, label=label)
 
 
-def build_scene(seed: int, design: RigCalibration | None = None) -> Scene:
+def build_scene(
+    seed: int, design: RigCalibration | None = None, exposure: ExposureParameters | None = None
+) -> Scene:
     """Build the nominal rig, or another design, with the deviations of `as_built`, and learn its background."""
-    simulated = simulate_rig(as_built(design or nominal_rig(), seed), stream(seed, HOUSING))
+    rig = as_built(design or nominal_rig(), seed)
+    simulated = simulate_rig(rig, stream(seed, HOUSING), exposure)
     background: BackgroundModel = {}
     for number in range(N_EMPTY):
         empty = render_empty(simulated, stream(seed, EMPTY, number), sequence=number + 1)

@@ -13,17 +13,27 @@ How the body was found does not matter: a comparison with the empty rig or a net
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from math import ceil
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import GreyImage
+from pipeline.arrays import FloatImage, GreyImage, Indices, PointsUV
 from pipeline.frames import Frame
-from pipeline.segmentation.edge_refinement import N_COLUMNS, refine_edge_points
-from pipeline.segmentation.local_threshold import RegionLevels, find_crossings, threshold
+from pipeline.segmentation.edge_refinement import (
+    N_COLUMNS,
+    SHARP_SIGMA_PX,
+    find_doubtful,
+    move_to_steepest,
+    undo_shrinkage,
+)
+from pipeline.segmentation.edge_width import local_sigmas_px, outline_sigmas_px
+from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, find_crossings, threshold
+from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
 from pipeline.segmentation.subpixel_edge import SubpixelEdge
+from pipeline.segmentation.unseen_edge import bridge_gaps, fill_doubtful_hole, make_unknown
 
 Contours = Sequence[NDArray[np.int32]]
 """Pixels (N, 1, 2) around components, as OpenCV gives them."""
@@ -32,11 +42,21 @@ MIN_CONTRAST = 0.12
 """Least contrast of body and background, as a share of the background; below, grey levels do not tell them apart."""
 HOLE_PX = 400
 """Holes up to this area are glints on the body, larger ones are seen through."""
+PART_SHARE = 0.02
+"""Share of the largest component's area from which on another is a part of the body: a second body was ruled out."""
 MAX_ROUNDS = 4
 """How often the unknown may grow where an edge turns out not to be the body's."""
 NOISE_ROWS, MAX_TURNS = 16, 64
 """Every 16th row is looked at; with more changes between body and background in a row, on average, there is no body but
 a broken sensor: to follow 100 000 contours takes seconds."""
+MAX_SHARP_SIGMA_PX = 1.6
+"""Sigma up to which most of an edge counts as sharp: steps of 2 px still see all of it."""
+MAX_DOUBTFUL_SHARE = 0.005
+"""Share of doubtful points of an outline taken for sharp from which on its widest parts decide."""
+CORE_SIGMAS = 3.0
+"""Sigmas by which the core of a blurred body begins further within."""
+MAX_SCALE = 8.0
+"""Greatest width of an edge, relative to a sharp one: its profile then still ends within a silhouette's margin."""
 GAP_MARGIN = 3
 """Points beside an unseen stretch of edge that are discarded as well."""
 
@@ -48,6 +68,7 @@ class Delineation:
     labels: GreyImage  # (h, w) OUTSIDE, UNKNOWN or INSIDE
     edge: SubpixelEdge | None
     """The edge of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
+    edge_sigma_px: float | None = None  # blur of most of the edge, `None` where it cannot be measured
 
 
 def delineate(
@@ -84,27 +105,100 @@ def delineate(
     labels, levels, is_inside = threshold(region, min_contrast)
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
-    for _ in range(MAX_ROUNDS):  # what became unknown belongs to the body, whose edge is then further out
-        body, contours = _largest_with_holes_filled(labels, hole_px)
-        pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
-        ends = np.array([0, *accumulate(map(len, contours))])
-        points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
-        scratch = np.empty((len(pixels_uv), N_COLUMNS), np.float32)
-        find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
-        n_doubtful = 0
-        for first, end in pairwise(ends.tolist()):
-            own = slice(first, end)
-            n_doubtful += refine_edge_points(
-                region, np.float32(min_contrast), labels, points_uv[own], seen[own], scratch[own]
-            )
+    contours = _trace(region, labels, levels, hole_px)
+    sigma_px, widest_px = outline_sigmas_px(region, *contours.outer)
+    n_doubtful, is_blurred = 0, sigma_px > MAX_SHARP_SIGMA_PX
+    if not is_blurred:
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
+        is_blurred = widest_px > MAX_SHARP_SIGMA_PX and n_doubtful > MAX_DOUBTFUL_SHARE * len(
+            contours.points_uv
+        )
+    if is_blurred:  # the edge reaches into the core: its level is not the body's
+        region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
+        labels, levels, _ = threshold(region, min_contrast)
+        contours = _trace(region, labels, levels, hole_px)
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
+    for _ in range(MAX_ROUNDS - 1):
         if n_doubtful == 0:
             break
+        # what became unknown belongs to the body, whose edge is then further out
+        contours = _trace(region, labels, levels, hole_px)
+        n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
+    points_uv, seen = contours.outer
+    if 0 < np.count_nonzero(seen) < len(seen) and bridge_gaps(labels, points_uv, seen):
+        contours = _trace(region, labels, levels, hole_px)
+        _place_edge(region, labels, contours, min_contrast, is_blurred)
+    body, points_uv, seen, ends = contours.body, contours.points_uv, contours.seen, contours.ends
+    if is_blurred:
+        body = redraw(points_uv, ends, labels)
+        points_uv, seen, ends = closed_up(points_uv, seen, ends)
     if np.count_nonzero(seen) < len(seen):
         # the last points before a gap already bend towards what hides the edge
         around = seen.take(np.arange(-GAP_MARGIN, len(seen) + GAP_MARGIN), mode="wrap")
         seen = np.lib.stride_tricks.sliding_window_view(around, 2 * GAP_MARGIN + 1).min(axis=1)
     edge = SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
-    return Delineation(labels=labels, edge=edge)
+    return Delineation(labels=labels, edge=edge, edge_sigma_px=sigma_px or None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Contours:
+    """The contours of a body, the outer one first, as in `SubpixelEdge`; points and flags are moved in place."""
+
+    body: GreyImage
+    points_uv: PointsUV
+    ends: Indices
+    seen: GreyImage
+
+    @property
+    def outer(self) -> tuple[PointsUV, GreyImage]:
+        """Points of the outer contour, and whether each is seen."""
+        return self.points_uv[: self.ends[1]], self.seen[: self.ends[1]]
+
+
+def _trace(region: RegionLevels, labels: GreyImage, levels: FloatImage, hole_px: int) -> _Contours:
+    """Return the contours of the largest body in `labels` (h, w), their points half-way between the local levels."""
+    body, contours = _largest_with_holes_filled(labels, hole_px)
+    pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
+    ends = np.array([0, *accumulate(map(len, contours))])
+    points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
+    find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
+    return _Contours(body=body, points_uv=points_uv, ends=ends, seen=seen)
+
+
+def _with_deeper_core(trimap: GreyImage, sigma_px: float) -> GreyImage:
+    """Return the trimap with a core that begins `CORE_SIGMAS` further within: what it loses is open."""
+    side = 2 * ceil(CORE_SIGMAS * sigma_px / CELL_PX) + 1
+    core = (trimap == INSIDE).view(np.uint8)
+    deeper = cv2.erode(core, np.ones((side, side), np.uint8), borderValue=0)
+    return np.where((core != 0) & (deeper == 0), OPEN, trimap)
+
+
+def _place_edge(
+    region: RegionLevels, labels: GreyImage, contours: _Contours, min_contrast: float, is_blurred: bool
+) -> int:
+    """Move all points to where the edge is steepest; return how many turn out not to lie on the body's.
+
+    A blurred edge is looked at in units of its width, twice, since half-way between the levels is further off there.
+    """
+    points_uv, seen = contours.points_uv, contours.seen
+    scales = np.ones(len(points_uv), np.float32)
+    scratch = np.empty((len(points_uv), N_COLUMNS), np.float32)
+    n_doubtful = 0
+    for first, end in pairwise(contours.ends.tolist()):
+        own = slice(first, end)
+        edge = points_uv[own], seen[own], scales[own], scratch[own]
+        if is_blurred:
+            sigmas_px = local_sigmas_px(region, points_uv[own], seen[own])
+            scales[own] = np.nan_to_num(sigmas_px / SHARP_SIGMA_PX, nan=1.0).clip(1.0, MAX_SCALE)
+            move_to_steepest(region, *edge)
+        move_to_steepest(region, *edge)
+        n = find_doubtful(region, np.float32(min_contrast), labels, *edge)
+        if first > 0:
+            fill_doubtful_hole(labels, points_uv[own], n + int(np.count_nonzero(seen[own] == 0)))
+        n_doubtful += n
+        if is_blurred:
+            undo_shrinkage(*edge)
+    return n_doubtful
 
 
 def silhouette_of(
@@ -129,9 +223,10 @@ def silhouette_of(
         or (left + width == width_px and INSIDE in labels[:, -1])
     ):
         return no_body(frame, ViewStatus.CLIPPED, found_by)
-    outline_uv = delineation.edge.outline_uv
-    for axis in range(2):  # to add both to each point takes ten times as long
-        outline_uv[:, axis] += corner_uv[axis]
+    outline_uv, border_uv = delineation.edge.outline_uv, delineation.edge.border_uv
+    for points_uv in (outline_uv, border_uv):
+        for axis in range(2):  # to add both to each point takes ten times as long
+            points_uv[:, axis] += corner_uv[axis]
     return Silhouette(
         camera=frame.camera,
         status=ViewStatus.OK,
@@ -139,6 +234,8 @@ def silhouette_of(
         offset_uv=corner_uv,
         labels=labels,
         outline_uv=outline_uv,
+        border_uv=border_uv,
+        edge_sigma_px=delineation.edge_sigma_px,
         distances=delineation.edge,
         found_by=found_by,
     )
@@ -161,8 +258,8 @@ def _is_noise(labels: GreyImage) -> bool:
 def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyImage, Contours]:
     """Return the component of `labels` (h, w) with most of the inside, and its contours, the outer one first.
 
-    A connected body's silhouette is connected: other components are written into `labels` as outside, small holes as
-    inside; unknown pixels stay. The component may be `labels` itself.
+    A connected body's silhouette is connected: what lies between large parts of it is unknown. Small components are
+    written into `labels` as outside, small holes as inside; unknown pixels stay. The component may be `labels` itself.
     """
     found, hierarchy = cv2.findContours(labels, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     contours = [np.asarray(contour, np.int32) for contour in found]
@@ -170,11 +267,12 @@ def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyIma
         return labels, contours
     outer = [index for index in range(len(contours)) if hierarchy[0][index][3] < 0]
     outer.sort(key=lambda index: -cv2.contourArea(contours[index]))
-    largest, *others = outer
-    rivals = [(_count_inside(labels, contours[index]), index) for index in others]
-    n_inside, rival = max(rivals, default=(0, largest))
-    if n_inside > 0 and n_inside > _count_inside(labels, contours[largest]):
-        largest = rival
+    n_inside = {index: _count_inside(labels, contours[index]) for index in outer}
+    largest = max(outer, key=lambda index: n_inside[index])
+    parts = [contours[index] for index in outer if n_inside[index] > PART_SHARE * n_inside[largest]]
+    if len(parts) > 1 and n_inside[largest] > 0:
+        make_unknown(labels, np.asarray(cv2.convexHull(np.concatenate(parts)), np.float64)[:, 0])
+        return _largest_with_holes_filled(labels, hole_px)
     is_known = (labels != UNKNOWN).view(np.uint8)
     body = labels if cv2.countNonZero(is_known) == labels.size else labels.copy()
     kept = [contours[largest]]

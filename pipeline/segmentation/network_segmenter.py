@@ -29,6 +29,7 @@ from pipeline.segmentation.network_trimap import (
     find_halo,
     network_trimap,
 )
+from pipeline.segmentation.noise import noise_grey, smoothed
 from pipeline.segmentation.pixel_comparison import sampled
 from pipeline.segmentation.prediction import (
     EDGE_BLUR_PX,
@@ -89,11 +90,11 @@ class NetworkSegmenter:
         if prediction.status is not ViewStatus.OK:
             return no_body(frame, prediction.status, found_by)
         prediction = prediction.cropped_to_body()
-        noise = _noise_grey(image)
+        noise = noise_grey(image)
         bits, light = self._trimap_bits(prediction, noise / expected.wall)
-        lit = _lit_background(prediction, expected, light, image.shape)
+        lit = _lit_background(prediction, expected, light, image.shape, noise)
         rows, columns = prediction.region.within(image.shape)
-        seen = image[rows, columns].copy()
+        seen = smoothed(image[rows, columns], noise)
         delineation = self._delineate(seen, lit, bits)
         inside = prediction.region.at_centres(delineation.labels, image.shape) == INSIDE
         suspect = np.abs(prediction.image - prediction.expected * light) > SUSPECT * prediction.expected
@@ -178,16 +179,16 @@ class NetworkSegmenter:
 
 
 def _lit_background(
-    prediction: Prediction, expected: ExpectedView, light: FloatImage, shape: tuple[int, ...]
+    prediction: Prediction, expected: ExpectedView, light: FloatImage, shape: tuple[int, ...], noise: float
 ) -> LitBackground:
-    """Return what is expected where the prediction's region is in an image (H, W)."""
+    """Return what is expected where the prediction's region is in an image (H, W) of such noise."""
     if expected.levels is not None:
         rows, columns = prediction.region.within(shape)
         return LitBackground(
             region=prediction.region,
             shape=shape,
             light=light * np.float32(expected.gain),
-            levels=expected.levels[rows, columns].copy(),
+            levels=smoothed(expected.levels[rows, columns], noise),
         )
     relative = prediction.region.enlarged(prediction.expected, shape)
     levels = np.asarray(cv2.convertScaleAbs(relative, alpha=expected.wall), np.uint8)
@@ -198,9 +199,3 @@ def _beside_edge(bits: GreyImage, region: Region) -> GreyImage:
     """Return not 0 where the background is needed: at a possible edge, as far as the profile across it reaches."""
     square = np.ones((2 * -(-PROFILE_PX // region.scale) + 1,) * 2, np.uint8)
     return cv2.dilate(bits & POSSIBLE, square) - POSSIBLE * cv2.erode(bits & CORE, square)
-
-
-def _noise_grey(image: GreyImage) -> float:
-    """Estimate the noise's standard deviation from neighbours on every 64th row: most pixels are smooth."""
-    rows = np.ascontiguousarray(image[::64])
-    return float(cv2.norm(rows[:, 1:], rows[:, :-1], cv2.NORM_L1) / rows[:, 1:].size * np.sqrt(np.pi) / 2)

@@ -54,6 +54,10 @@ class _Refusal:
     network_trouble: str | None = None
 
 
+WARM_UP_BLUR_PX = 3.0
+"""Blur of the second image of the warm-up: its edge is placed another way."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChoosingSegmenter:
     """The `Segmenter` that asks one of two, view by view.
@@ -132,14 +136,15 @@ class ChoosingSegmenter:
 
 
 def warm_up() -> None:
-    """Compile what views of clean rigs need by segmenting a made-up one: it takes seconds."""
+    """Compile what views of clean rigs need, sharp and blurred, by segmenting a made-up one: it takes seconds."""
     camera = CameraId("warm-up")
     image = np.full((8 * MARGIN_PX,) * 2, 200, np.uint8)
     image[3 * MARGIN_PX : 5 * MARGIN_PX, 3 * MARGIN_PX : 5 * MARGIN_PX] = 60
     empty = {camera: CameraBackground(mean=np.full(image.shape, 200, np.float32), n_frames=1)}
-    frame = Frame(camera=camera, image=image, frame_id=0, device_ns=0, received_ns=0)
-    silhouette = ChoosingSegmenter(classical=BackgroundSegmenter(), network=None)(frame, empty)
-    _ = silhouette.fine_px
+    for shown in (np.asarray(cv2.GaussianBlur(image, (0, 0), WARM_UP_BLUR_PX), np.uint8), image):
+        frame = Frame(camera=camera, image=shown, frame_id=0, device_ns=0, received_ns=0)
+        silhouette = ChoosingSegmenter(classical=BackgroundSegmenter(), network=None)(frame, empty)
+        _ = silhouette.fine_px
     observe_optics(frame, empty, silhouette)
 
 

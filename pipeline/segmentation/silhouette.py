@@ -86,6 +86,10 @@ class Silhouette:
     """(h, w): OUTSIDE, UNKNOWN or INSIDE."""
     outline_uv: PointsUV = field(default_factory=lambda: np.zeros((0, 2)))
     """Points on the edge in image coordinates, in order, only where the edge was seen."""
+    border_uv: PointsUV = field(default_factory=lambda: np.zeros((0, 2)))
+    """Points in order around all that may be body, unseen edge included; the outline where none are given."""
+    edge_sigma_px: float | None = None
+    """Blur of the edge, as sigma: most of the outline has no more; None where it was not measured."""
     distances: Distances = NO_DISTANCES
     found_by: FoundBy = FoundBy.BACKGROUND
     fallback: str | None = None
@@ -105,6 +109,11 @@ class Silhouette:
         That is the edge of *inside or unknown*; distances are positive within.
         """
         return self.distances.fine_px(self.coarse_px)
+
+    @property
+    def reach_uv(self) -> PointsUV:
+        """Points (N, 2) in order around all that may be body."""
+        return self.border_uv if len(self.border_uv) else self.outline_uv
 
     @property
     def is_usable(self) -> bool:

@@ -36,10 +36,14 @@ class SubpixelEdge:
     seen: Flags  # whether grey levels gave the point
 
     @property
+    def border_uv(self) -> PointsUV:
+        """Points (N, 2) in order around the outer contour; a copy."""
+        return self.points_uv[: self.ends[1]].copy()
+
+    @property
     def outline_uv(self) -> PointsUV:
-        """Points in order around the outer contour, only where the edge was seen; a copy."""
-        n_outer = self.ends[1]
-        return self.points_uv[:n_outer].compress(self.seen[:n_outer], axis=0)
+        """The points of the outer contour only where the edge was seen; a copy."""
+        return self.points_uv[: self.ends[1]].compress(self.seen[: self.ends[1]], axis=0)
 
     def coarse_px(self) -> FloatImage:
         """Return signed distances of every `COARSE_PX`-th pixel, positive within, clipped to +-`MARGIN_PX`.

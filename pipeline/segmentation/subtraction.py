@@ -17,6 +17,7 @@ from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
 from pipeline.segmentation.light import EVEN_SHARE, uneven_light
+from pipeline.segmentation.noise import noise_grey, smoothed
 from pipeline.segmentation.pixel_comparison import DIFFERS, Thresholds, background_trimap, compare, sampled
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
@@ -78,7 +79,8 @@ class BackgroundSegmenter:
         if box is None:
             return no_body(frame, status), compared
         region = _full_size(box, frame.image.shape)
-        image, empty_levels = frame.image[region].copy(), known.levels[region].copy()
+        noise = noise_grey(frame.image)
+        image, empty_levels = smoothed(frame.image[region], noise), smoothed(known.levels[region], noise)
         expected = (
             empty_levels
             if compared.light is None

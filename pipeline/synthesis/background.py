@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.arrays import Directions, FloatImage, Floats, PointsUV, Values
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.synthesis.thin_lens import ThinLens, disc_kernel
 
 APERTURE_RADIUS_MM = 12.0
 HOLE_RADIUS_MM = 40.0
@@ -27,7 +28,7 @@ WALL_GREY = 205.0
 N_DOTS = 210  # about two in a field of view
 DOT_RADIUS_MM = (1.2, 2.8)  # 12 to 29 px at the far side of the wall
 DEFOCUS_PX = 8.0
-"""Standard deviation of the far wall's blur disc at about F8, focused on the centre."""
+"""Standard deviation of the far wall's blur at about F8, focused on the centre, where no lens is given."""
 COARSE_PX = 4
 """Pixel step on which the wall is computed: it is blurred over more than that."""
 
@@ -45,7 +46,7 @@ class Wall:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Background:
-    """The empty view of one camera at the nominal flash."""
+    """The empty view of one camera at the nominal flash, before vignetting and glare of its lens."""
 
     radiance: FloatImage  # (H, W) grey levels, read-only
     gain: float  # of this camera and its light; scales bodies as well
@@ -80,23 +81,30 @@ def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
 
 
 def render_backgrounds(
-    rig: RigCalibration, wall: Wall, rng: np.random.Generator
+    rig: RigCalibration, wall: Wall, rng: np.random.Generator, lens: ThinLens | None = None
 ) -> Mapping[CameraId, Background]:
     """Return the empty view of every camera."""
-    return {camera.id: _render_background(camera, wall, rng) for camera in rig.cameras}
+    return {camera.id: _render_background(camera, wall, rng, lens) for camera in rig.cameras}
 
 
-def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Generator) -> Background:
+def _render_background(
+    camera: CameraCalibration, wall: Wall, rng: np.random.Generator, lens: ThinLens | None
+) -> Background:
     width, height = camera.image_size_px
-    # two cells of margin, so that the blur does not reach the border
-    u = (np.arange(-2, -(-width // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
-    v = (np.arange(-2, -(-height // COARSE_PX) + 2) + 0.5) * COARSE_PX - 0.5
+    kernel = None if lens is None else disc_kernel(_wall_disc_px(camera, wall, lens) / COARSE_PX)
+    # cells of margin, so that the blur does not reach the border
+    margin = 2 if kernel is None else 2 + len(kernel) // 2
+    u = (np.arange(-margin, -(-width // COARSE_PX) + margin) + 0.5) * COARSE_PX - 0.5
+    v = (np.arange(-margin, -(-height // COARSE_PX) + margin) + 0.5) * COARSE_PX - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1)
     reflectance = _reflectance(wall_directions(camera, grid_uv.reshape(-1, 2), wall.radius_mm), wall)
     coarse = reflectance.reshape(len(v), len(u)).astype(np.float32)
-    blurred = cv2.GaussianBlur(coarse, (0, 0), DEFOCUS_PX / COARSE_PX)
+    if kernel is None:
+        blurred = cv2.GaussianBlur(coarse, (0, 0), DEFOCUS_PX / COARSE_PX)
+    else:
+        blurred = cv2.filter2D(coarse, -1, kernel)
     fine = cv2.resize(blurred, None, fx=COARSE_PX, fy=COARSE_PX, interpolation=cv2.INTER_CUBIC)
-    fine = fine[2 * COARSE_PX :, 2 * COARSE_PX :][:height, :width]
+    fine = fine[margin * COARSE_PX :, margin * COARSE_PX :][:height, :width]
 
     gain = float(np.clip(rng.normal(1.0, 0.03), 0.93, 1.07))
     x = np.linspace(-1, 1, width)[None, :]
@@ -107,6 +115,13 @@ def _render_background(camera: CameraCalibration, wall: Wall, rng: np.random.Gen
     radiance = np.asarray(fine * light, dtype=np.float32)
     radiance.setflags(write=False)
     return Background(radiance=radiance, gain=gain)
+
+
+def _wall_disc_px(camera: CameraCalibration, wall: Wall, lens: ThinLens) -> float:
+    """Return the diameter of the wall's blur disc in the middle of the image; it is nearly the same all over it."""
+    middle_uv = camera.K[:2, 2][None, :]
+    point_mm = wall.radius_mm * wall_directions(camera, middle_uv, wall.radius_mm)
+    return float(lens.disc_px(camera.project(point_mm)[1], camera.focal_px)[0])
 
 
 def wall_directions(camera: CameraCalibration, pixels_uv: PointsUV, radius_mm: float) -> Directions:

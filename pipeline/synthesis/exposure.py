@@ -1,6 +1,7 @@
 """A simulated exposure: blur by lens and motion, flash, sensor noise. Grey levels are linear in light."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import cv2
 import numpy as np
@@ -9,6 +10,12 @@ from scipy.special import ndtr
 from pipeline.arrays import FloatImage, Values
 from pipeline.compiled import compiled
 from pipeline.frames import Image
+from pipeline.synthesis.thin_lens import ThinLens
+
+FULL_SCALE_GREY = 255.0
+"""Grey level of a full well."""
+BLUR_PX = (0.3, 10.0)
+"""Range of the blur in focus."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,17 +24,46 @@ class ExposureParameters:
 
     exposure_us: float = 20.0
     fall_speed_mm_s: float = 2430.0
-    blur_px: float = 0.7  # sigma of the lens
+    lens: ThinLens | None = None  # None: everything is blurred alike, the wall as at about F8
+    blur_px: float = 0.7  # sigma of what the lens does to a point in focus
     flash_sd: float = 0.01  # of the strobe's energy, from flash to flash
     camera_flash_sd: float = 0.002  # of each camera's own light, on top of it
-    read_noise: float = 0.8  # grey levels
-    shot_noise: float = 0.016  # variance per grey level: sigma 2 at 200
+    read_noise: float = 0.8  # grey levels: 50 electrons
+    shot_noise: float = 0.016  # variance per grey level, sigma 2 at 200: a full well of 15 900 electrons
 
     def __post_init__(self) -> None:
         if not 0 <= self.exposure_us <= 1000:
             raise ValueError(f"exposure_us must be 0..1000, not {self.exposure_us:g}")
-        if not 0.3 <= self.blur_px <= 10:
-            raise ValueError(f"blur_px must be 0.3..10, not {self.blur_px:g}")
+        if not BLUR_PX[0] <= self.blur_px <= BLUR_PX[1]:
+            raise ValueError(f"blur_px must be {BLUR_PX[0]:g}..{BLUR_PX[1]:g}, not {self.blur_px:g}")
+
+    def with_sensor(self, *, full_well_e: float, read_noise_e: float) -> "ExposureParameters":
+        """Return the same exposure on a sensor whose wells hold `full_well_e` electrons, at grey level 255.
+
+        The number of photons is Poisson distributed: its variance in electrons is its mean.
+        """
+        grey_per_electron = FULL_SCALE_GREY / full_well_e
+        return replace(self, shot_noise=grey_per_electron, read_noise=read_noise_e * grey_per_electron)
+
+
+class LensPreset(StrEnum):
+    """A lens at one of its f-numbers; `sharp` is the uniform blur of the defaults."""
+
+    SHARP = "sharp"
+    F8 = "f8"
+    F4 = "f4"
+    F2 = "f2"
+
+
+LENS_PRESETS = {
+    LensPreset.SHARP: ExposureParameters(),
+    LensPreset.F8: ExposureParameters(lens=ThinLens(f_number=8.0, corner_loss=0.0, glare_share=0.010)),
+    LensPreset.F4: ExposureParameters(lens=ThinLens(f_number=4.0, corner_loss=0.04, glare_share=0.015)),
+    LensPreset.F2: ExposureParameters(
+        lens=ThinLens(f_number=2.0, corner_loss=0.15, glare_share=0.020), blur_px=0.9
+    ),
+}
+"""A plain lens of 25 mm: wide open it is softer, darkens the corners and spreads more light."""
 
 
 def blur_kernel(sigma_px: float, motion_uv: Values) -> FloatImage:

@@ -17,6 +17,7 @@ from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis import pixel_coverage, shading
 from pipeline.synthesis.background import Background, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.defocused_coverage import defocused_coverage
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
 from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, blurred, expose
 from pipeline.synthesis.pixel_coverage import Window
@@ -49,8 +50,9 @@ def simulate_rig(
     rig: RigCalibration, rng: np.random.Generator, parameters: ExposureParameters | None = None
 ) -> SimulatedRig:
     """Return a rig in a random housing."""
-    backgrounds = render_backgrounds(rig, build_wall(rig, rng), rng)
-    return SimulatedRig(rig=rig, backgrounds=backgrounds, parameters=parameters or ExposureParameters())
+    parameters = parameters or ExposureParameters()
+    backgrounds = render_backgrounds(rig, build_wall(rig, rng), rng, parameters.lens)
+    return SimulatedRig(rig=rig, backgrounds=backgrounds, parameters=parameters)
 
 
 def photograph(
@@ -121,6 +123,7 @@ class View:
 
     wall: FloatImage  # (H, W), in its light
     layers: tuple[Layer, ...]  # from the farthest to the nearest
+    vignetting: FloatImage | None  # (H, W) share of the light that the lens leaves
     disturbance: Disturbance
     parameters: ExposureParameters  # as disturbed
 
@@ -131,6 +134,10 @@ class View:
             background = radiance[layer.rows, layer.columns]
             background += layer.coverage * (layer.radiance - background)
         radiance *= strength
+        if self.vignetting is not None:
+            radiance *= self.vignetting
+        if self.parameters.lens is not None:
+            radiance = self.parameters.lens.with_glare(radiance)
         radiance *= self.disturbance.transmission
         radiance += self.disturbance.veil
         return radiance
@@ -156,6 +163,7 @@ def view_of(
     return View(
         wall=background.radiance * disturbance.wall_light,
         layers=tuple(layer for layer in layers if layer is not None),
+        vignetting=None if parameters.lens is None else parameters.lens.vignetting(camera),
         disturbance=disturbance,
         parameters=parameters,
     )
@@ -176,23 +184,30 @@ def _layer(
     pixels_uv, depths_mm = camera.project(surface.mesh.vertices)
     if depths_mm.min() <= 0:
         raise ValueError(f"camera {camera.id}: a body reaches behind the camera")
-    margin_px = len(kernel) // 2
+    lens = parameters.lens
+    disc_px = np.zeros_like(depths_mm) if lens is None else lens.disc_px(depths_mm, camera.focal_px)
+    margin_px = len(kernel) // 2 + int(np.ceil(disc_px.max() / 2))
     width, height = camera.image_size_px
     # beyond the image's border by the reach of the blur
     seen = Window(-margin_px, -margin_px, width + 2 * margin_px, height + 2 * margin_px)
     window = pixel_coverage.intersection(pixel_coverage.window_around(pixels_uv, margin_px), seen)
     if window is None:
         return None
-    toward_camera_mm = camera.center_mm - surface.mesh.triangles[:, 0]
-    is_front = np.einsum("ij,ij->i", surface.mesh.face_normals, toward_camera_mm) > 0
-    border_uv = pixels_uv[pixel_coverage.silhouette_edges(surface.edges, is_front)]
-    covered = pixel_coverage.coverage(border_uv[:, 0], border_uv[:, 1], window)
+    if lens is None:
+        toward_camera_mm = camera.center_mm - surface.mesh.triangles[:, 0]
+        is_front = np.einsum("ij,ij->i", surface.mesh.face_normals, toward_camera_mm) > 0
+        border_uv = pixels_uv[pixel_coverage.silhouette_edges(surface.edges, is_front)]
+        covered = pixel_coverage.coverage(border_uv[:, 0], border_uv[:, 1], window)
+    else:
+        points_mm = surface.mesh.vertices @ camera.R.T + camera.t_mm
+        covered = defocused_coverage(points_mm, surface.mesh.faces, surface.edges, camera, lens, window)
     face_radiance = surface.face_radiance
     if surface.gloss > 0:
         face_radiance = face_radiance + surface.gloss * shading.reflection(
             surface.mesh, surface.lamps, camera
         )
-    shown = shading.surface_image(surface.scene, face_radiance * gain, camera, window)
+    face_disc_px = None if lens is None else disc_px[surface.mesh.faces].mean(axis=1)
+    shown = shading.surface_image(surface.scene, face_radiance * gain, camera, window, face_disc_px)
     covered, shown = blurred(covered, kernel), blurred(shown, kernel)
 
     inside = pixel_coverage.intersection(window, Window(0, 0, width, height))

@@ -17,6 +17,7 @@ from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.bodies import Body
 from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.stones import wave_noise
+from pipeline.synthesis.thin_lens import disc_kernel
 
 TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
 DOME_GRADIENT = 0.3
@@ -84,9 +85,16 @@ def reflection(mesh: trimesh.Trimesh, lamps: Directions, camera: CameraCalibrati
 
 
 def surface_image(
-    scene: EmbreeScene, face_radiance: Values, camera: CameraCalibration, window: Window
+    scene: EmbreeScene,
+    face_radiance: Values,
+    camera: CameraCalibration,
+    window: Window,
+    face_disc_px: Values | None = None,
 ) -> FloatImage:
-    """Return the radiance (height, width) of the surface in a window, extrapolated smoothly beyond the outline."""
+    """Return the radiance (height, width) of the surface in a window, extrapolated smoothly beyond the outline.
+
+    Each face (F,) is blurred by its disc, where their diameters are given.
+    """
     u = window.left + (np.arange(-(-window.width // STEP_PX)) + 0.5) * STEP_PX - 0.5
     v = window.top + (np.arange(-(-window.height // STEP_PX)) + 0.5) * STEP_PX - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
@@ -94,12 +102,30 @@ def surface_image(
     origins = np.broadcast_to(camera.center_mm.astype(np.float32), rays.shape)
     faces = scene.run(np.ascontiguousarray(origins), rays).reshape(len(v), len(u))
     is_hit = (faces >= 0).astype(np.float32)
-    radiance = np.where(faces >= 0, face_radiance[faces], 0).astype(np.float32)
-    # beyond the outline: the mean of the surface nearby, so that edge pixels show its grey
     near = cv2.GaussianBlur(is_hit, (0, 0), 3.0)
-    smooth = cv2.GaussianBlur(radiance, (0, 0), 3.0)
-    mean = float(face_radiance.mean())
-    continued = (smooth + 1e-4 * mean) / (near + 1e-4)
-    radiance = np.where(faces >= 0, radiance, continued).astype(np.float32)
+
+    def on_grid(face_values: Values) -> FloatImage:
+        values = np.where(faces >= 0, face_values[faces], 0).astype(np.float32)
+        # beyond the outline: the mean of the surface nearby, so that edge pixels show its grey
+        smooth = cv2.GaussianBlur(values, (0, 0), 3.0)
+        mean = float(face_values.mean())
+        continued = (smooth + 1e-4 * mean) / (near + 1e-4)
+        return np.where(faces >= 0, values, continued).astype(np.float32)
+
+    radiance = on_grid(face_radiance)
+    if face_disc_px is not None:
+        radiance = _blurred_by_own_disc(radiance, on_grid(face_disc_px / STEP_PX))
     fine = cv2.resize(radiance, (len(u) * STEP_PX, len(v) * STEP_PX), interpolation=cv2.INTER_LINEAR)
     return np.asarray(fine[: window.height, : window.width])
+
+
+def _blurred_by_own_disc(image: FloatImage, diameters: FloatImage) -> FloatImage:
+    """Return an image (H, W), each pixel blurred by a disc of its own diameter: interpolated between a few discs."""
+    low = float(diameters.min())
+    high = max(float(diameters.max()), low + 1e-3)
+    levels, step = np.linspace(low, high, 2 + int(high - low), retstep=True)
+    total = np.zeros_like(image)
+    for level in levels:
+        weight = np.clip(1 - np.abs(diameters - np.float32(level)) / np.float32(step), 0, 1)
+        total += weight * cv2.filter2D(image, -1, disc_kernel(level), borderType=cv2.BORDER_REPLICATE)
+    return total

@@ -17,7 +17,8 @@ class PreparedViews:
     calibrations: tuple[CameraCalibration, ...]  # V
     cameras: CameraArrays  # the same, as arrays
     silhouettes: tuple[Silhouette, ...]  # V
-    outlines: StackedOutlines  # of these silhouettes
+    outlines: StackedOutlines  # of these silhouettes, where the edge was seen
+    borders: StackedOutlines  # around all that may be body
 
     def __len__(self) -> int:
         return len(self.calibrations)
@@ -44,6 +45,7 @@ class PreparedViews:
             cameras=self.cameras.subset(kept),
             silhouettes=silhouettes,
             outlines=stack_outlines([silhouette.outline_uv for silhouette in silhouettes]),
+            borders=stack_outlines([silhouette.reach_uv for silhouette in silhouettes]),
         )
 
 
@@ -71,4 +73,5 @@ def prepare_views(
         cameras=camera_arrays(calibrations),
         silhouettes=usable,
         outlines=stack_outlines([silhouette.outline_uv for silhouette in usable]),
+        borders=stack_outlines([silhouette.reach_uv for silhouette in usable]),
     )

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
 from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
-from pipeline.synthesis.exposure import ExposureParameters
+from pipeline.synthesis.exposure import BLUR_PX, LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
@@ -72,6 +73,25 @@ def command(
     exposure_us: Annotated[
         float, typer.Option(min=0, max=1000, help="Exposure time, us; motion blur is 1 px in 20 us.")
     ] = 20.0,
+    lens: Annotated[
+        LensPreset,
+        typer.Option(
+            help="Lens of 25 mm, focused at 300 mm, at an f-number (f2 as published), with depth blur, vignetting and "
+            "glare; sharp: the same small blur for everything."
+        ),
+    ] = LensPreset.SHARP,
+    blur_px: Annotated[
+        float | None,
+        typer.Option(
+            min=BLUR_PX[0], max=BLUR_PX[1], help="Blur (sigma) of a point in focus, px; default: the lens's."
+        ),
+    ] = None,
+    read_noise: Annotated[
+        float | None,
+        typer.Option(
+            min=0, max=50, help="Noise (sigma) of the sensor in the dark, grey levels; default: 0.8."
+        ),
+    ] = None,
     rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0,
     spread_mm: Annotated[
         tuple[float, float, float],
@@ -94,6 +114,11 @@ def command(
         raise typer.BadParameter(
             f"{spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
         )
+    exposure = replace(LENS_PRESETS[lens], exposure_us=exposure_us)
+    if blur_px is not None:
+        exposure = replace(exposure, blur_px=blur_px)
+    if read_noise is not None:
+        exposure = replace(exposure, read_noise=read_noise)
     design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
     true_rig = as_built(design, seed) if rig is None else read_rig(rig)
     names = [name.strip() for name in bodies.split(",")]
@@ -111,6 +136,7 @@ def command(
             "size_mm": size_mm,
             "spread_mm": list(spread_mm),
             "fall_jitter_ms": fall_jitter_ms,
+            "exposure": {"preset": lens.value, **asdict(exposure)},
             "rig": "rig.json took the images" + ("; rig-nominal.json is its design" if rig is None else ""),
             "truth": "truth.jsonl; truth/*.ply in world coordinates in the middle of the exposure",
         },
@@ -119,7 +145,7 @@ def command(
     )
     with writer:
         sources = [_body_source(name, size_mm) for name in names]
-        simulated = simulate_rig(true_rig, stream(seed, HOUSING), ExposureParameters(exposure_us=exposure_us))
+        simulated = simulate_rig(true_rig, stream(seed, HOUSING), exposure)
         if rig is None:
             write_rig(writer.folder / "rig-nominal.json", design)
         (writer.folder / "truth").mkdir()

@@ -73,6 +73,8 @@ def test_it_ends_with_the_daemon(daemon: DaemonProcess):
     assert watch.returncode == 1
 
 
-def test_unknown_arguments_are_refused():
-    done = subprocess.run([DEPLOY / "demo", "--twice"], check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: deploy/demo [--gige] [--once]\n")
+@pytest.mark.parametrize("arguments", [["--twice"], ["--lens"], ["--lens", "f1"]])
+def test_unknown_arguments_are_refused(arguments: list[str]):
+    done = subprocess.run([DEPLOY / "demo", *arguments], check=False, capture_output=True, text=True)
+    usage = "usage: deploy/demo [--gige] [--once] [--lens f2|f4|f8|sharp]\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", usage)

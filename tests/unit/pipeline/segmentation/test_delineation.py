@@ -16,7 +16,7 @@ from support.flat_delineation import flat_delineation
 from support.quick_and_full import examples
 
 from pipeline.arrays import Floats, GreyImage, Mask, PointsUV
-from pipeline.segmentation import edge_refinement, local_threshold, subpixel_edge
+from pipeline.segmentation import edge_refinement, edge_width, local_threshold, outline_fill, subpixel_edge
 from pipeline.segmentation.delineation import Delineation, delineate
 from pipeline.segmentation.local_threshold import trimap_of
 from pipeline.segmentation.segmenter_choice import warm_up
@@ -92,13 +92,17 @@ def test_quick_and_flat_delineation_agree(
         image.astype(np.float32), wall().astype(np.float32), core, possible, unknown
     )
     near_tie = cv2.dilate(is_tie.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    assert ((found.labels == labels) | near_tie).all()
+    # what may be body beside a dark dot is unknown, too
+    is_bridged = (found.labels == UNKNOWN) & (labels == OUTSIDE) & unknown.any()
+    assert ((found.labels == labels) | near_tie | is_bridged).all()
+    assert is_bridged.sum() < 0.1 * (labels == INSIDE).sum()
+    is_bridged_beside = cv2.dilate(is_bridged.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
     assert found.edge is not None
     (outer, *_), _ = cv2.findContours(found.edge.body, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     pixels = outer[found.edge.seen[: found.edge.ends[1]], 0]
-    is_clear = ~near_tie[pixels[:, 1], pixels[:, 0]]
+    is_clear = ~(near_tie | is_bridged_beside)[pixels[:, 1], pixels[:, 0]]
     assert is_clear.sum() > 0.5 * len(pixels)
-    off_px = np.linalg.norm(found.edge.outline_uv - points[pixels[:, 1], pixels[:, 0]], axis=1)[is_clear]
+    off_px = np.linalg.norm(outline_of(found) - points[pixels[:, 1], pixels[:, 0]], axis=1)[is_clear]
     # the half-way level there, the steepest slope here: rounding, curvature and noise tell them apart
     assert np.quantile(off_px, 0.95) < 0.1 + 0.03 * noise
     assert off_px.max() < 0.2 + 0.1 * noise
@@ -124,7 +128,8 @@ def test_where_body_and_background_are_alike_is_unknown_unless_it_is_core() -> N
     labels = delineate(image, expected, halved(core, possible, unknown)).labels
     assert (labels[core] == INSIDE).all()
     assert (labels[:, 111:][(possible & ~core)[:, 111:]] == UNKNOWN).all()
-    assert (labels[~possible] == OUTSIDE).all()
+    assert (labels[:, :108][~possible[:, :108]] == OUTSIDE).all()
+    assert (labels[~possible] != INSIDE).all()
     assert (labels[:, :109][(true_px > 1)[:, :109]] == INSIDE).all()
 
 
@@ -155,7 +160,7 @@ def test_a_step_within_the_body_is_not_taken_for_its_edge() -> None:
     assert np.quantile(depths_px, 0.98) < 0.5, "nothing of the inner step is left"
     assert found.edge is not None
     assert (found.labels[true_px > 1] != OUTSIDE).mean() > 0.998
-    assert found.edge.seen.mean() > 0.45, "the other half is seen"
+    assert found.edge.seen.mean() > 0.35, "the other half is seen, and the way around the unknown is longer"
 
 
 def blurred(image: Floats, rng: np.random.Generator) -> GreyImage:
@@ -200,7 +205,11 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
         local_threshold._label_cells,
         local_threshold.find_crossings,
-        edge_refinement.refine_edge_points,
+        edge_refinement.move_to_steepest,
+        edge_refinement.find_doubtful,
+        edge_refinement.undo_shrinkage,
+        edge_width.measure_widths,
+        outline_fill.redraw,
         subpixel_edge._interpolated,
         subpixel_edge._keep_nearest,
     ]
@@ -211,6 +220,8 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     found = delineate(photographed(true_px, rng, 2.0), wall(), halved(*masks_of(true_px)))
     assert found.edge is not None
     found.edge.fine_px(found.edge.coarse_px())
+    wide = photographed(true_px / 3, rng, 2.0)
+    assert delineate(wide, wall(), halved(*masks_of(true_px))).edge is not None
     assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 

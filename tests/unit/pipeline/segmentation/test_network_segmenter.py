@@ -20,6 +20,7 @@ from pipeline.segmentation import (
     Silhouette,
     ViewStatus,
     edge_refinement,
+    edge_width,
     local_threshold,
     subpixel_edge,
 )
@@ -240,7 +241,9 @@ def test_a_gpu_that_fails_in_a_run_flags_what_it_finds_from_then_on() -> None:
 def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
     kernels = [
         local_threshold._label_cells,
-        edge_refinement.refine_edge_points,
+        edge_refinement.move_to_steepest,
+        edge_refinement.find_doubtful,
+        edge_width.measure_widths,
         subpixel_edge._interpolated,
         subpixel_edge._keep_nearest,
     ]

@@ -208,7 +208,10 @@ def test_distance_to_a_straight_edge_is_exact(angle: float, shift_px: float, blu
     few_px = true_px[::2, ::2]
     edge = delineate(image, expected, trimap_of(few_px > 4.5, few_px > -4.5, few_px > 99)).edge
     assert edge is not None
-    errors_px, outline = edge.fine_px(edge.coarse_px()) - true_px[::FINE_PX, ::FINE_PX], edge.outline_uv
+    errors_px, outline = (
+        edge.fine_px(edge.coarse_px()) - true_px[::FINE_PX, ::FINE_PX],
+        edge.outline_uv,
+    )
     within = ((np.abs(true_px) < 5) & (np.abs(u - 40) < 25) & (np.abs(v - 40) < 25))[::FINE_PX, ::FINE_PX]
     assert np.abs(errors_px)[within].max() < 0.1
     assert abs(errors_px[within].mean()) < 0.06
