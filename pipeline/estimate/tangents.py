@@ -17,6 +17,7 @@ from pipeline.arrays import Directions, Floats, Indices, PointsMM, PointsUV, Val
 from pipeline.compiled import compiled
 from pipeline.views.outline_hull import is_edge_seen
 from pipeline.views.prepared import PreparedViews
+from pipeline.views.sharp_corners import sharpened
 from pipeline.views.tangent_planes import clip_lines
 
 N_ANGLES = 60
@@ -67,7 +68,9 @@ def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
     _find_farthest(borders.points_uv, borders.ends, OUTWARDS, reach, farthest)
     is_known = is_edge_seen(borders, farthest, SEEN_POINTS)
     owners = np.repeat(np.arange(len(views)), N_ANGLES)
-    normalized = cameras.normalized_coordinates(borders.points_uv[farthest.ravel()], owners)
+    sigmas_px = np.array([silhouette.edge_sigma_px or 0.0 for silhouette in views.silhouettes])
+    corners_uv = sharpened(borders, sigmas_px, farthest)
+    normalized = cameras.normalized_coordinates(corners_uv.reshape(-1, 2), owners)
     # distortion bends a plane so little that each tangent's point is among these
     heights = OUTWARDS.T @ normalized.reshape(-1, N_ANGLES, 2).transpose(0, 2, 1)
     best = heights.argmax(axis=2).ravel() + N_ANGLES * owners
