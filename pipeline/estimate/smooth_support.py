@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.arrays import Directions, Floats, PointsMM, Values
+from pipeline.arrays import Directions, Floats, Values
 from pipeline.compiled import compiled
 from pipeline.estimate.inner import InnerBody, inner_body
 from pipeline.estimate.tangents import Tangents
@@ -152,7 +152,9 @@ def _evaluate(directions: Floats, values: Floats, scratch: Floats) -> None:
             lag = np.sqrt((degree * degree - m * m) / (4.0 * degree * degree - 1)) if degree > m else 0.0
             for i in range(n):
                 values[middle - m, i] = own[i] * imaginary[i]
-                values[middle + m, i] = own[i] * real[i]  # after the other: of order 0 there is no imaginary one
+                values[middle + m, i] = (
+                    own[i] * real[i]
+                )  # after the other: of order 0 there is no imaginary one
                 following = scale * (directions[2, i] * own[i] - lag * before[i])
                 before[i], own[i] = own[i], following
         for i in range(n):

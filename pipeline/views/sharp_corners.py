@@ -16,6 +16,8 @@ from pipeline.views.outline_hull import StackedOutlines, ViewCorners
 
 BLUR_SIGMAS = 4.0
 """Distance from a corner, in sigmas of the blur, from which the edges beside it are as straight as the body's."""
+NEAR_SIGMAS = 2.0
+"""Distance from where the edges meet, in sigmas, up to which a point is of their corner."""
 EDGE_POINTS = 12
 """Points of each edge, about a pixel apart, through which its line is laid."""
 ROUNDING = 1.25
@@ -56,16 +58,21 @@ def _sharpen(
             t = ((bu - au) * bdv - (bv - av) * bdu) / cross
             r = ((bu - au) * adv - (bv - av) * adu) / cross
             meet_u, meet_v = au + t * adu, av + t * adv
-            if t > 0 or r > 0:  # a hollow, or edges that are not straight
+            away_px = np.hypot(meet_u - points[corner, 0], meet_v - points[corner, 1])
+            if t > 0 or r > 0 or away_px > NEAR_SIGMAS * sigma_px + 1:  # a hollow, or another corner's edges
                 continue
-            nearest_px = np.inf
+            # along the bisector
+            length = np.hypot(adu + bdu, adv + bdv)
+            out_u, out_v = -(adu + bdu) / length, -(adv + bdv) / length
+            rounded_px = np.inf
             for k in range(-skipped, skipped + 1):
                 near = begin + (corner - begin + k) % n
-                nearest_px = min(nearest_px, np.hypot(points[near, 0] - meet_u, points[near, 1] - meet_v))
+                height_px = (meet_u - points[near, 0]) * out_u + (meet_v - points[near, 1]) * out_v
+                rounded_px = min(rounded_px, height_px)
             blurred_px = np.sqrt(2 / np.pi) * np.tan(turn / 2) * sigma_px
             share = 1.0
-            if nearest_px > blurred_px:
-                share -= np.sqrt(1 - (blurred_px / nearest_px) ** 2)
+            if rounded_px > blurred_px:
+                share -= np.sqrt(1 - (blurred_px / rounded_px) ** 2)
             moved_uv[view, i, 0] += share * (meet_u - points[corner, 0])
             moved_uv[view, i, 1] += share * (meet_v - points[corner, 1])
 
