@@ -109,7 +109,12 @@ class _Scene:
 
 
 def hard_view(
-    case: HardCase, seed: int, *, with_background: bool = True, size_mm: float | None = None
+    case: HardCase,
+    seed: int,
+    *,
+    with_background: bool = True,
+    size_mm: float | None = None,
+    exposure: ExposureParameters | None = None,
 ) -> HardView:
     """Return view number `seed` of a case; `size_mm` is the stone's greatest diameter, else random."""
     rng = np.random.default_rng([seed, list(HardCase).index(case)])
@@ -120,8 +125,8 @@ def hard_view(
     body = stone(form, drawn_mm if size_mm is None else size_mm, rng)
     alone = rig.subset([camera.id])
     placed = tumble(body, alone, rng)
-    parameters = LENS_PRESETS[LensPreset.F2] if case is HardCase.F2 else ExposureParameters()
-    simulated = _simulate(rig, camera, _aperture_at_edge(placed, rig, camera, rng, case), parameters, rng)
+    exposure = exposure or LENS_PRESETS[LensPreset.F2 if case is HardCase.F2 else LensPreset.SHARP]
+    simulated = _simulate(rig, camera, _aperture_at_edge(placed, rig, camera, rng, case), rng, exposure)
     scene = SPOIL[case](_Scene(rig=rig, simulated=simulated, bodies=[placed]), rng)
 
     background: BackgroundModel = {}
@@ -134,7 +139,8 @@ def hard_view(
     image = expose(view.radiance(flash), view.parameters, rng)
     in_focus = replace(scene.simulated, parameters=ExposureParameters())
     at_once = replace(scene.disturbance, exposure_us=0.0)
-    coverage, contrast = truth_of_view(view_of(surfaces, camera, in_focus, at_once))
+    seen = view_of(surfaces, camera, in_focus, at_once)
+    coverage, contrast = truth_of_view(replace(seen, vignetting=view.vignetting))
     return HardView(
         case=case,
         frame=_frame(camera.id, image),
@@ -157,15 +163,16 @@ def truth_of_view(view: View) -> tuple[FloatImage, FloatImage]:
         )
         background_grey[window] += layer.coverage * (layer.radiance - background_grey[window])
         free[window] *= 1 - layer.coverage
-    return 1 - free, np.asarray(contrast * view.disturbance.transmission, dtype=np.float32)
+    light = view.vignetting * view.disturbance.transmission
+    return 1 - free, np.asarray(contrast * light, dtype=np.float32)
 
 
 def _simulate(
     rig: RigCalibration,
     camera: CameraCalibration,
     aperture_direction: Vector | None,
-    parameters: ExposureParameters,
     rng: np.random.Generator,
+    exposure: ExposureParameters,
 ) -> SimulatedRig:
     """Return the camera in a random housing of the whole rig, with one more aperture if a direction is given."""
     wall = build_wall(rig, rng)
@@ -177,8 +184,8 @@ def _simulate(
             disc_reflectances=np.append(wall.disc_reflectances, 0.08),
         )
     alone = rig.subset([camera.id])
-    backgrounds = render_backgrounds(alone, wall, rng, parameters.lens)
-    return SimulatedRig(rig=alone, backgrounds=backgrounds, parameters=parameters)
+    backgrounds = render_backgrounds(alone, wall, rng, exposure.lens)
+    return SimulatedRig(rig=alone, backgrounds=backgrounds, parameters=exposure)
 
 
 def _aperture_at_edge(
