@@ -33,10 +33,12 @@ class RejectReason(StrEnum):
     """Too few views are usable, or those of a whole hemisphere are missing."""
     INCONSISTENT = "inconsistent"
     """More views contradict the others than may be dropped: they do not show one rigid body at one instant."""
+    UNSEEN = "unseen"
+    """In half of the views most of the outline is not seen: body and wall look alike, or something hides the body."""
     NO_BACKGROUND = "no_background"
     """The empty rig was never photographed, so the views have no reference."""
     IMPLAUSIBLE = "implausible"
-    """The visual hull has no closed surface or no volume."""
+    """The visual hull has no closed surface or no volume, or the silhouettes contradict themselves."""
 
 
 class ProblemCode(StrEnum):

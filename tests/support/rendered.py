@@ -1,5 +1,6 @@
 """Rendered bundles shared by the tests: one synthetic rig, its background learnt once."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,15 @@ from support.render_cache import kept_rendered
 from drivers.files.bundle_file import Compression
 from drivers.files.recording import RecordingWriter
 from pipeline.evaluation.scene import Scene, build_scene
+from pipeline.evaluation.trials import STANDARDS
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel
-from pipeline.synthesis.bodies import Body, sphere
+from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, stream
+from pipeline.synthesis.exposure import ExposureParameters
+from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig
 
 SEED = 20
@@ -52,6 +56,27 @@ def bundle_of(*bodies: PlacedBody, number: int = 0) -> FrameBundle:
 def sphere_bundle() -> FrameBundle:
     """A 15 mm sphere half a millimetre off the centre."""
     return bundle_of(placed(sphere(), (0.5, -0.3, 0.2)))
+
+
+@kept_rendered
+def sphere_exposed_as(exposure: ExposureParameters) -> FrameBundle:
+    """The sphere in the middle of the rig, exposed in another way than the background was."""
+    other = replace(simulated(), parameters=exposure)
+    return render_bundle([placed(sphere())], other, stream(SEED, 3), sequence=1)
+
+
+@kept_rendered
+def bright_cube_bundle() -> FrameBundle:
+    """A cube that looks like the wall in places, in the middle of the rig."""
+    return bundle_of(placed(replace(cube(), grey=130.0, contrast=0.35)), number=4)
+
+
+@kept_rendered
+def tumbled_bundle(name: str, number: int) -> FrameBundle:
+    """A body of `trials.STANDARDS`, or the calibration ball, in a random pose."""
+    rng = stream(SEED, 4, number)
+    body = ball() if name == "ball" else STANDARDS[name]()
+    return render_bundle([tumble(body, rig(), rng)], simulated(), rng, sequence=10 + number)
 
 
 def recording_of(
