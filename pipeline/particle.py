@@ -13,6 +13,7 @@ from pipeline.frames import CameraId, FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
+from pipeline.measuring.shape import NO_POINTS
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
 from pipeline.rig.cameras import RigCalibration
@@ -260,7 +261,8 @@ def _measure(
         The mesh bounds no volume; or there are so few views that even a sphere's hull is open.
     """
     mesh = hull_mesh if estimate is None else estimate.mesh
-    shape = measure_shape(mesh.vertices_mm, mesh.faces)
+    corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
+    shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm)
     if estimate is None or estimate.fallback is not None:  # corrected by the least excess that any hull has
         body: BodyKind = "hull"
         volume_model = "sphere"

@@ -16,7 +16,7 @@ the hull swells. With discs of up to half the body's width unknown in any number
 to the truth as with all edges seen, and nearer than the hull; nothing was cut off by more than 0.3 mm.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -43,6 +43,8 @@ class BodyEstimate:
     volume_mm3: float
     hull_volume_mm3: float
     hull_area_mm2: float
+    corners_mm: PointsMM = field(default_factory=lambda: np.empty((0, 3)))
+    """Points (C, 3) where tangent rays touch the body; marching cubes cuts those at its corners."""
     fallback: str | None = None  # why the estimate is the hull itself
 
 
@@ -74,6 +76,7 @@ def estimate_body(hull: ParticleMesh, views: PreparedViews) -> BodyEstimate:
         volume_mm3=volume_mm3,
         hull_volume_mm3=hull_volume_mm3,
         hull_area_mm2=hull_area_mm2,
+        corners_mm=inner.corners_mm,
     )
 
 

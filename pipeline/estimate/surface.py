@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, PointsMM, Values, Vector
 from pipeline.compiled import compiled, compiled_within
-from pipeline.estimate.inner import inner_body
+from pipeline.estimate.smooth_support import inner_of
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
 from pipeline.estimate.tangents import find_tangents
 from pipeline.geometry.growing_hull import Facets
@@ -23,6 +23,7 @@ class InnerSurface(NamedTuple):
     radii: Values  # (N,) to the surface of the inner body
     half_heights: Values  # (N,) from there, half the mean height of the tangent planes of the face's corners
     local_share: Values  # (N,) of segments, see `smoothness`
+    corners_mm: PointsMM  # (C, 3) of the inner body, where tangent rays touch
 
 
 def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) -> InnerSurface | str:
@@ -32,8 +33,8 @@ def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) 
     outlined = views.with_outline()
     if not len(outlined):
         return "no outline was seen"
-    tangents = find_tangents(outlined, center_mm)
-    inner = inner_body(tangents)
+    found = find_tangents(outlined, center_mm)
+    tangents, inner = inner_of(found)
     if inner is None:
         return "the outlines that were seen do not span a body"
     if not (inner.facets.planes[:, 3] < 0).all():
@@ -42,8 +43,10 @@ def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) 
     sphere_mm = sphere_segment_mm(centers_mm, float(np.cbrt(3 * inner.volume_mm3 / (4 * np.pi))))
     if not np.isfinite(sphere_mm):
         return "the views leave the hull of a sphere open"
-    shares = local_share(tangents.normals, segment_shares(tangents, sphere_mm))
-    surface = InnerSurface(*np.empty((3, len(points_mm))))
+    shares = local_share(tangents.normals, segment_shares(found, sphere_mm))
+    corners_mm = center_mm + inner.points_mm[np.unique(inner.facets.corners)]
+    radii, half_heights, shares_there = np.empty((3, len(points_mm)))
+    surface = InnerSurface(radii, half_heights, shares_there, corners_mm)
     planes = np.column_stack([tangents.normals, tangents.offsets_mm, shares])
     last = np.zeros((2, 2, 2), np.int32)
     _follow_rays(points_mm, center_mm, inner.facets, inner.solvers, planes, last, surface)

@@ -17,6 +17,7 @@ from pipeline.arrays import Directions, Floats, Indices, PointsMM, PointsUV, Val
 from pipeline.compiled import compiled
 from pipeline.views.outline_hull import is_edge_seen
 from pipeline.views.prepared import PreparedViews
+from pipeline.views.sharp_corners import sharpened
 from pipeline.views.tangent_planes import clip_lines
 
 N_ANGLES = 60
@@ -45,10 +46,11 @@ class Tangents:
 
     normals: Directions  # (N, 3) outwards
     offsets_mm: Values  # (N,)
-    points_mm: PointsMM  # (N, 3) foot of the centre on the ray
+    points_mm: PointsMM  # (N, 3) on the ray
     directions: Directions  # (N, 3) away from the camera
     low_mm: Values  # (N,)
     high_mm: Values  # (N,)
+    owners: Indices  # (N,) index of the view, in order
 
     @property
     def lengths_mm(self) -> Values:
@@ -66,7 +68,9 @@ def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
     _find_farthest(borders.points_uv, borders.ends, OUTWARDS, reach, farthest)
     is_known = is_edge_seen(borders, farthest, SEEN_POINTS)
     owners = np.repeat(np.arange(len(views)), N_ANGLES)
-    normalized = cameras.normalized_coordinates(borders.points_uv[farthest.ravel()], owners)
+    sigmas_px = np.array([silhouette.edge_sigma_px or 0.0 for silhouette in views.silhouettes])
+    corners_uv = sharpened(borders, sigmas_px, farthest)
+    normalized = cameras.normalized_coordinates(corners_uv.reshape(-1, 2), owners)
     # distortion bends a plane so little that each tangent's point is among these
     heights = OUTWARDS.T @ normalized.reshape(-1, N_ANGLES, 2).transpose(0, 2, 1)
     best = heights.argmax(axis=2).ravel() + N_ANGLES * owners
@@ -81,15 +85,55 @@ def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
     points_mm = centers_mm - (directions * centers_mm).sum(axis=1, keepdims=True) * directions
     low_mm, high_mm = segments_mm(normals, offsets_mm, points_mm, directions)
     touching = np.isfinite(high_mm - low_mm) & (high_mm - low_mm > -MAX_OVERLAP_MM)
-    middle_mm = (low_mm + high_mm) / 2
-    return Tangents(
+    tangents = Tangents(
         normals=normals[touching],
         offsets_mm=offsets_mm[touching],
         points_mm=points_mm[touching],
         directions=directions[touching],
-        low_mm=np.minimum(low_mm, middle_mm)[touching],
-        high_mm=np.maximum(high_mm, middle_mm)[touching],
+        low_mm=low_mm[touching],
+        high_mm=high_mm[touching],
+        owners=np.repeat(np.arange(len(views)), is_known.sum(axis=1))[touching],
     )
+    _settle(
+        tangents.normals,
+        tangents.offsets_mm,
+        tangents.points_mm,
+        tangents.directions,
+        tangents.low_mm,
+        tangents.high_mm,
+    )
+    return tangents
+
+
+@compiled
+def _settle(
+    normals: Directions,
+    offsets_mm: Values,
+    points_mm: PointsMM,
+    directions: Directions,
+    low_mm: Values,
+    high_mm: Values,
+) -> None:
+    """Move rays of which the planes leave nothing, so that they touch below all planes: towards the centre.
+
+    Outlines are rounded where the body has a corner, and more in one view than in another. Then a ray misses what the
+    others leave of the body, and half-way between the planes that pass each other it is beside the body.
+    """
+    for ray in range(len(points_mm)):
+        if not high_mm[ray] < low_mm[ray]:
+            continue
+        t_mm = (low_mm[ray] + high_mm[ray]) / 2
+        x = points_mm[ray, 0] + t_mm * directions[ray, 0]
+        y = points_mm[ray, 1] + t_mm * directions[ray, 1]
+        z = points_mm[ray, 2] + t_mm * directions[ray, 2]
+        share = 1.0
+        for plane in range(len(normals)):
+            height_mm = x * normals[plane, 0] + y * normals[plane, 1] + z * normals[plane, 2]
+            reach_mm = offsets_mm[plane] + SLACK_MM
+            if height_mm * share > reach_mm > 0:
+                share = reach_mm / height_mm
+        points_mm[ray, 0], points_mm[ray, 1], points_mm[ray, 2] = share * x, share * y, share * z
+        low_mm[ray] = high_mm[ray] = 0.0
 
 
 @compiled

@@ -24,7 +24,7 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.exposure import expose
+from pipeline.synthesis.exposure import ExposureParameters, expose
 from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminate, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
@@ -95,7 +95,12 @@ class _Scene:
 
 
 def hard_view(
-    case: HardCase, seed: int, *, with_background: bool = True, size_mm: float | None = None
+    case: HardCase,
+    seed: int,
+    *,
+    with_background: bool = True,
+    size_mm: float | None = None,
+    exposure: ExposureParameters | None = None,
 ) -> HardView:
     """Return view number `seed` of a case; `size_mm` is the stone's greatest diameter, else random."""
     rng = np.random.default_rng([seed, list(HardCase).index(case)])
@@ -106,12 +111,13 @@ def hard_view(
     body = stone(form, drawn_mm if size_mm is None else size_mm, rng)
     alone = rig.subset([camera.id])
     placed = tumble(body, alone, rng)
-    simulated = _simulate(rig, camera, _aperture_at_edge(placed, rig, camera, rng, case), rng)
+    exposure = exposure or ExposureParameters()
+    simulated = _simulate(rig, camera, _aperture_at_edge(placed, rig, camera, rng, case), rng, exposure)
     scene = SPOIL[case](_Scene(rig=rig, simulated=simulated, bodies=[placed]), rng)
 
     background: BackgroundModel = {}
     for _ in range(N_EMPTY if with_background else 0):
-        empty = expose(simulated.backgrounds[camera.id].radiance, simulated.parameters, rng)
+        empty = expose(view_of([], camera, simulated).radiance(), simulated.parameters, rng)
         background = learn_background(background, {camera.id: _frame(camera.id, empty)})
     view = view_of(
         [illuminate(placed, rng) for placed in scene.bodies], camera, scene.simulated, scene.disturbance
@@ -141,7 +147,8 @@ def truth_of_view(view: View) -> tuple[FloatImage, FloatImage]:
         )
         background_grey[window] += layer.coverage * (layer.radiance - background_grey[window])
         free[window] *= 1 - layer.coverage
-    return 1 - free, np.asarray(contrast * view.disturbance.transmission, dtype=np.float32)
+    light = view.vignetting * view.disturbance.transmission
+    return 1 - free, np.asarray(contrast * light, dtype=np.float32)
 
 
 def _simulate(
@@ -149,6 +156,7 @@ def _simulate(
     camera: CameraCalibration,
     aperture_direction: Vector | None,
     rng: np.random.Generator,
+    exposure: ExposureParameters,
 ) -> SimulatedRig:
     """Return the camera in a random housing of the whole rig, with one more aperture if a direction is given."""
     wall = build_wall(rig, rng)
@@ -160,7 +168,8 @@ def _simulate(
             disc_reflectances=np.append(wall.disc_reflectances, 0.08),
         )
     alone = rig.subset([camera.id])
-    return SimulatedRig(rig=alone, backgrounds=render_backgrounds(alone, wall, rng))
+    backgrounds = render_backgrounds(alone, wall, rng, exposure.lens)
+    return SimulatedRig(rig=alone, backgrounds=backgrounds, parameters=exposure)
 
 
 def _aperture_at_edge(

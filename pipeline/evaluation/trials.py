@@ -15,7 +15,6 @@ from pipeline.evaluation.scene import BODY, Scene, rig_error
 from pipeline.evaluation.surface_distances import Surface, SurfaceDistances, surface_distances
 from pipeline.frames import FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.measuring.solid import solid_of
 from pipeline.meshing import ParticleMesh, mesh_hull
 from pipeline.particle import PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
@@ -70,6 +69,7 @@ class Measured:
     """A measured surface in the true rig's frame."""
 
     mesh: trimesh.Trimesh
+    shape: ShapeMeasurement
     volume_mm3: float  # as reported
 
 
@@ -106,12 +106,8 @@ def try_body(
         trial = Trial(body=body.name, number=number, rig=rig, method=method, failure=None)
         if isinstance(measured, str):
             return replace(trial, failure=measured)
-        try:
-            errors = _errors(measured, shape)
-        except MeshError as err:
-            return replace(trial, failure=str(err))
         distances = surface_distances(measured.mesh, truth, _stream(scene.seed, body.name, number, 2))
-        trial = replace(trial, distances=distances, errors=errors)
+        trial = replace(trial, distances=distances, errors=_errors(measured, shape))
         on_measured(trial, measured, truth.mesh)
         return trial
 
@@ -142,20 +138,28 @@ def _measure(
         )
         if result.mesh is None or result.measurement is None:
             return str(result.rejection)
-        return Measured(mesh=_trimesh(result.mesh), volume_mm3=result.measurement.volume_mm3)
+        return Measured(
+            mesh=_trimesh(result.mesh),
+            shape=result.measurement.shape,
+            volume_mm3=result.measurement.volume_mm3,
+        )
     parameters = CarvingParameters(field="view_count" if method == "paper's field" else "sub_voxel")
     hull = mesh_hull(carve(prepare_views(silhouettes, rig), parameters))
     if hull is None:
         return "the silhouettes have no common body"
-    return _uncorrected(_trimesh(hull))
+    try:
+        return _uncorrected(_trimesh(hull))
+    except MeshError as err:
+        return str(err)
 
 
 def _uncorrected(mesh: trimesh.Trimesh) -> Measured:
-    return Measured(mesh=mesh, volume_mm3=solid_of(mesh.vertices, mesh.faces).volume_mm3)
+    shape = measure_shape(mesh.vertices, mesh.faces)
+    return Measured(mesh=mesh, shape=shape, volume_mm3=shape.volume_mm3)
 
 
 def _errors(measured: Measured, true: ShapeMeasurement) -> ShapeErrors:
-    shape = measure_shape(measured.mesh.vertices, measured.mesh.faces)
+    shape = measured.shape
     return ShapeErrors(
         mesh_volume_percent=100 * (shape.volume_mm3 / true.volume_mm3 - 1),
         volume_percent=100 * (measured.volume_mm3 / true.volume_mm3 - 1),

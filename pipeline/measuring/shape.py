@@ -17,6 +17,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pipeline.arrays import PointsMM
 from pipeline.geometry.icosphere import icosphere
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.boxes import smallest_around_mm
@@ -27,6 +28,7 @@ from pipeline.measuring.solid import solid_of
 ZINGG_LIMIT = 2 / 3
 """Limit of both ratios in Zingg's diagram; a ratio equal to it counts as below."""
 WARM_UP_RADIUS_MM = 5.0
+NO_POINTS = np.empty((0, 3))
 
 
 class ZinggClass(StrEnum):
@@ -90,8 +92,13 @@ class ShapeMeasurement:
     """Shape factor (Corey 1949), 0..1: c / (a b)^(1/2)."""
 
 
-def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
+def measure_shape(
+    vertices_mm: ArrayLike, faces: ArrayLike, corners_mm: PointsMM = NO_POINTS
+) -> ShapeMeasurement:
     """Measure a closed mesh with vertices (N, 3) in mm and faces (M, 3); deterministic.
+
+    Sizes are those of the mesh with points (C, 3) that the body is known to have beyond it: a mesh of marching cubes
+    cuts corners.
 
     Volume and area are exactly those of the polyhedron. All else is taken from its convex hull, without points
     that stand out by less than 3e-5 of the extent (`quickhull.TOLERANCE`): of that hull the D4791 triple is exact,
@@ -104,7 +111,7 @@ def measure_shape(vertices_mm: ArrayLike, faces: ArrayLike) -> ShapeMeasurement:
         The mesh is not a closed, consistently oriented surface around a volume; names the defect.
     """
     solid = solid_of(vertices_mm, faces)
-    body = convex_body(solid.vertices_mm, solid.center_mm)
+    body = convex_body(np.concatenate([solid.vertices_mm, corners_mm]), solid.center_mm)
     longest = max_feret(body)
     length_mm = float(np.linalg.norm(longest))
     across_mm, thickness_mm = extents_across(body, longest)

@@ -28,20 +28,14 @@ def defocused_coverage(
     lens: ThinLens,
     window: Window,
 ) -> FloatImage:
-    """Return the covered share 0..1 (height, width) of the window's pixels by a closed mesh in the camera frame.
-
-    Raises
-    ------
-    ValueError
-        The mesh has holes.
-    """
+    """Return the covered share 0..1 (height, width) of the window's pixels by a closed mesh in the camera frame."""
     corners = points_camera_mm[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     facing = -np.einsum("ij,ij->i", normals, corners[:, 0])  # of the lens's centre
     region_lens = region_lenses(camera.K[None], camera.distortion[None], [(window.left, window.top)])[0]
     region_lens[[2, 4]] += 0.5  # from the window's border
     area = np.zeros((window.height, window.width + 2))  # room for what lies beyond the right border
-    is_closed = _add_apertures(
+    _add_apertures(
         np.ascontiguousarray(points_camera_mm),
         facing,
         np.ascontiguousarray(normals[:, :2]),
@@ -53,8 +47,6 @@ def defocused_coverage(
         tuple(region_lens.tolist()),
         area,
     )
-    if not is_closed:
-        raise ValueError("the silhouette edges form no closed loops: the mesh has holes")
     return np.asarray(np.cumsum(area, axis=1)[:, : window.width], dtype=np.float32)
 
 
@@ -70,12 +62,10 @@ def _add_apertures(
     focus_mm: float,
     lens: RegionLens,
     area: Floats,
-) -> bool:
-    """Add to each pixel of `area` by how much more of it is covered than of its left neighbour; whether loops close."""
-    turns = np.empty(
-        len(edge_vertices), np.int64
-    )  # of each edge: how often it borders what is seen, and which way
-    border_uv = np.empty((len(edge_vertices), 4))  # start and end of those that do; v in lines
+) -> None:
+    """Add to each pixel of `area` by how much more of it is covered than of its left neighbour."""
+    turns = np.empty(len(edge_vertices), np.int64)  # of each edge around the faces that look to the point
+    border_uv = np.empty((len(edge_vertices), 4))  # start and end of those edges; v in lines
     border_turns = np.empty(len(edge_vertices), np.int64)
     for at in range(len(apertures_mm)):
         x_mm, y_mm = apertures_mm[at]
@@ -96,14 +86,12 @@ def _add_apertures(
                     border_uv[n_border, 2 * end + 1] = LINES_PER_PIXEL * v - offset
                 border_turns[n_border] = turns[edge]
                 n_border += 1
-        if not _add_covered(border_uv[:n_border], border_turns, 1 / len(apertures_mm), area):
-            return False
-    return True
+        _add_covered(border_uv[:n_border], border_turns, 1 / len(apertures_mm), area)
 
 
 @compiled_within
-def _add_covered(border_uv: Floats, turns: Indices, share: float, area: Floats) -> bool:
-    """Add a share of what directed edges (N, 4) enclose, line by line; whether they form closed loops."""
+def _add_covered(border_uv: Floats, turns: Indices, share: float, area: Floats) -> None:
+    """Add a share of what directed edges (N, 4), closed loops, enclose, line by line."""
     width = area.shape[1] - 2
     n_lines = area.shape[0] * LINES_PER_PIXEL
     stops = np.zeros(n_lines + 1, np.int64)  # of the crossings of each line
@@ -136,9 +124,6 @@ def _add_covered(border_uv: Floats, turns: Indices, share: float, area: Floats) 
                 column = int(u)
                 area[row, column] += step * (1 - (u - column))
                 area[row, column + 1] += step * (u - column)
-        if winding != 0:
-            return False
-    return True
 
 
 @compiled_within

@@ -123,7 +123,7 @@ class View:
 
     wall: FloatImage  # (H, W), in its light
     layers: tuple[Layer, ...]  # from the farthest to the nearest
-    vignetting: FloatImage | None  # (H, W) share of the light that the lens leaves
+    vignetting: FloatImage | float  # share of the light that the lens leaves
     disturbance: Disturbance
     parameters: ExposureParameters  # as disturbed
 
@@ -134,8 +134,7 @@ class View:
             background = radiance[layer.rows, layer.columns]
             background += layer.coverage * (layer.radiance - background)
         radiance *= strength
-        if self.vignetting is not None:
-            radiance *= self.vignetting
+        radiance *= self.vignetting
         if self.parameters.lens is not None:
             radiance = self.parameters.lens.with_glare(radiance)
         radiance *= self.disturbance.transmission
@@ -163,7 +162,7 @@ def view_of(
     return View(
         wall=background.radiance * disturbance.wall_light,
         layers=tuple(layer for layer in layers if layer is not None),
-        vignetting=None if parameters.lens is None else parameters.lens.vignetting(camera),
+        vignetting=1.0 if parameters.lens is None else parameters.lens.vignetting(camera),
         disturbance=disturbance,
         parameters=parameters,
     )

@@ -11,13 +11,15 @@ from support.render_cache import kept_rendered
 from drivers.files.bundle_file import Compression
 from drivers.files.recording import RecordingWriter
 from pipeline.evaluation.scene import Scene, build_scene
+from pipeline.evaluation.trials import STANDARDS
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel
-from pipeline.synthesis.bodies import Body, cube, sphere
+from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, stream
 from pipeline.synthesis.exposure import ExposureParameters
+from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig
 
 SEED = 20
@@ -67,6 +69,14 @@ def sphere_exposed_as(exposure: ExposureParameters) -> FrameBundle:
 def bright_cube_bundle() -> FrameBundle:
     """A cube that looks like the wall in places, in the middle of the rig."""
     return bundle_of(placed(replace(cube(), grey=130.0, contrast=0.35)), number=4)
+
+
+@kept_rendered
+def tumbled_bundle(name: str, number: int) -> FrameBundle:
+    """A body of `trials.STANDARDS`, or the calibration ball, in a random pose."""
+    rng = stream(SEED, 4, number)
+    body = ball() if name == "ball" else STANDARDS[name]()
+    return render_bundle([tumble(body, rig(), rng)], simulated(), rng, sequence=10 + number)
 
 
 def recording_of(

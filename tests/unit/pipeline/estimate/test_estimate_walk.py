@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.silhouettes import sphere_silhouettes
 
-from pipeline.estimate.inner import inner_body
+from pipeline.estimate.smooth_support import inner_of
 from pipeline.estimate.surface import InnerSurface, inner_surface
 from pipeline.estimate.tangents import find_tangents
 from pipeline.rig.design import as_built, nominal_rig
@@ -26,7 +26,7 @@ def test_the_walk_ends_in_the_face_that_ends_the_ray(seed: int) -> None:
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    inner = inner_body(find_tangents(VIEWS, CENTER_MM))
+    _, inner = inner_of(find_tangents(VIEWS, CENTER_MM))
     assert inner is not None
     planes = inner.facets.planes
     nearest_mm = 1 / (directions @ (planes[:, :3] / -planes[:, 3:]).T).max(axis=1)

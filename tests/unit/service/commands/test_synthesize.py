@@ -60,6 +60,45 @@ def test_a_recording_of_known_bodies_with_its_truth(tmp_path: Path, rig_path: Pa
     assert truths[1]["max_feret_mm"] == pytest.approx(20)
 
 
+def test_a_lens_changes_the_images_and_not_what_is_in_them(tmp_path: Path, rig_path: Path) -> None:
+    def render(name: str, *options: str) -> list[FrameBundle]:
+        out = tmp_path / name
+        arguments = [
+            str(out),
+            "--bodies",
+            "cube",
+            "--count",
+            "1",
+            "--backgrounds",
+            "1",
+            "--rig",
+            str(rig_path),
+        ]
+        app = typer.Typer()
+        app.command()(command)
+        done = CliRunner().invoke(app, [*arguments, *options])
+        assert done.exit_code == 0, done.output
+        return bundles_of(out)
+
+    def exposure(name: str) -> dict[str, Any]:
+        made_by = json.loads((tmp_path / name / "recording.json").read_text())["made_by"]
+        return dict(made_by["exposure"])
+
+    plain, sharp = render("plain"), render("sharp", "--lens", "sharp")
+    f2 = render("f2", "--lens", "f2", "--blur-px", "1.5", "--read-noise", "5")
+    assert all(same_pixels(a, b) for a, b in zip(plain, sharp, strict=True))
+    assert not any(same_pixels(a, b) for a, b in zip(plain, f2, strict=True))
+    assert (tmp_path / "f2" / "truth.jsonl").read_text() == (tmp_path / "sharp" / "truth.jsonl").read_text()
+    assert exposure("sharp") == exposure("plain")
+    assert exposure("sharp")["lens"] is None
+    assert exposure("f2")["lens"]["f_number"] == 2
+    assert (exposure("f2")["preset"], exposure("f2")["blur_px"], exposure("f2")["read_noise"]) == (
+        "f2",
+        1.5,
+        5,
+    )
+
+
 def test_a_bundle_depends_on_the_seed_and_not_on_the_others(tmp_path: Path, rig_path: Path) -> None:
     def render(name: str, count: int, seed: int, backgrounds: int) -> list[FrameBundle]:
         command(
