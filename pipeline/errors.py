@@ -69,6 +69,8 @@ class ProblemCode(StrEnum):
     SCALE_NOT_OBSERVABLE = "scale_not_observable"
     FOCAL_LENGTH = "focal_length"
     FOCAL_LENGTH_OR_DIAMETER = "focal_length_or_diameter"
+    OUT_OF_FOCUS = "out_of_focus"
+    """A camera is sharpest beside the middle of the measuring volume."""
     LARGE_RESIDUAL = "large_residual"
     LARGE_HELD_OUT_RESIDUAL = "large_held_out_residual"
     UNCERTAIN_LENGTHS = "uncertain_lengths"
