@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.frames import CameraId
 from pipeline.segmentation.optics import ViewOptics
-from pipeline.segmentation.silhouette import Silhouette
+from pipeline.segmentation.silhouette import UNKNOWN, Silhouette
 from pipeline.views.consistency import Consistency
 from pipeline.views.prepared import PreparedViews
 from pipeline.views.quality import share_unseen
@@ -37,6 +37,7 @@ class ViewEvidence:
     noise_grey: float
     step_grey: float  # height of the edge
     unseen_share: float  # of the outline, 0..1
+    undecided_share: float  # of the area that may be body: unknown, where the edge was not seen
     calibration_px: float  # residual of the camera's calibration
     tangency_px: float | None  # epipolar residual against the other views, None where no pair shows it
     residual_px: float  # rms by which the outline leaves the hull of the others
@@ -80,6 +81,7 @@ def evidence_of(
                 noise_grey=noise_grey,
                 step_grey=WALL_GREY * (TYPICAL_CONTRAST if contrast is None else contrast),
                 unseen_share=share_unseen(silhouette),
+                undecided_share=_undecided_share(silhouette),
                 calibration_px=RMS_PX if camera.rms_px is None else camera.rms_px,
                 tangency_px=consistency.tangency_px.get(camera.id),
                 residual_px=consistency.residuals_px.get(camera.id, 0.0),
@@ -93,6 +95,17 @@ def evidence_of(
         is_estimated=is_estimated,
         length_sd_percent=LENGTH_SD_PERCENT,
     )
+
+
+def _undecided_share(silhouette: Silhouette) -> float:
+    """Return the share of unknown area, at most that of unseen outline: within a seen edge it is body."""
+    unseen = share_unseen(silhouette)
+    if unseen == 0:
+        return 0.0
+    n_unknown, n_body = (
+        int(np.count_nonzero(of)) for of in (silhouette.labels == UNKNOWN, silhouette.labels)
+    )
+    return min(n_unknown / max(n_body, 1), unseen)
 
 
 def _motion_sigma_px(silhouettes: Sequence[Silhouette]) -> float:

@@ -38,8 +38,8 @@ HIDDEN_PERCENT = 2.5
 our bodies, up to 6 % of scanned stones."""
 COMMON_SHARE = 0.5
 """Share of a surface's error that has the same sign all around, and so changes the volume."""
-ALL_COMMON = (Cause.CALIBRATION, Cause.HIDDEN)
-"""Causes whose whole error has the same sign all around: a wrong scale, dents."""
+ALL_COMMON = (Cause.UNSEEN, Cause.CALIBRATION, Cause.HIDDEN)
+"""Causes whose whole error has the same sign all around: what is unknown is not carved; a wrong scale; dents."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,9 +78,7 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         Cause.NOISE: _rms_mm(
             evidence, lambda view: hypot(SHARE_OF_SIGMA * _smoothing_px(view), _noise_px(view))
         ),
-        Cause.UNSEEN: UNSEEN_RISE
-        * radius_mm
-        * float(np.mean([view.unseen_share**2 for view in evidence.views])),
+        Cause.UNSEEN: _unseen_mm(evidence, radius_mm),
         Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
         * max(evidence.hull_mm3 - volume_mm3, 0.0)
         / area_mm2,
@@ -116,6 +114,17 @@ def _defocus_px(view: ViewEvidence) -> float:
     """Return the sigma of an edge beyond that of a sharp one, of motion and of smoothing."""
     others_px = hypot(SHARP_SIGMA_PX, view.motion_sigma_px, _smoothing_px(view))
     return sqrt(max(view.edge_sigma_px**2 - others_px**2, 0.0))
+
+
+def _unseen_mm(evidence: Evidence, radius_mm: float) -> float:
+    """Return by how much patches that no view outlines are off, and openings that only undecided views look through.
+
+    An opening is filled where the views through it leave it unknown: a share of the volume as great as that of their
+    area is at stake, in each of them.
+    """
+    rise_mm = UNSEEN_RISE * radius_mm * float(np.mean([view.unseen_share**2 for view in evidence.views]))
+    filled = float(np.sqrt(np.mean([view.undecided_share**2 for view in evidence.views])))
+    return hypot(rise_mm, filled * evidence.volume_mm3 / evidence.area_mm2)
 
 
 def _disagreement_mm(evidence: Evidence) -> float:

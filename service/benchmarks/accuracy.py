@@ -29,6 +29,7 @@ from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
 
 RigName = Literal["true", "paper", "ours"]
 RIGS: tuple[RigName, ...] = ("true", "paper", "ours")
@@ -47,6 +48,7 @@ class BenchPlan:
     poses: Mapping[str, int]  # by body; of a random body the number of bodies
     own_bodies: Mapping[str, Body] = field(default_factory=dict)  # from mesh files, by name in `poses`
     seed: int = 1
+    lens: LensPreset = LensPreset.F2  # as published
     methods: Mapping[RigName, tuple[Method, ...]] = field(
         default_factory=lambda: dict.fromkeys(RIGS, METHODS)
     )
@@ -110,7 +112,7 @@ def run_accuracy_bench(
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), mp_context=context, initializer=_use_one_thread) as pool:
         try:
-            dropped = [pool.submit(_drop, plan.seed, number) for number in range(n_drops)]
+            dropped = [pool.submit(_drop, plan.seed, plan.lens, number) for number in range(n_drops)]
             finished(dropped)
             drops = [future.result() for future in dropped]
             solved = {
@@ -196,13 +198,13 @@ def _use_one_thread() -> None:
 
 
 @cache
-def _scene(seed: int) -> Scene:
+def _scene(seed: int, lens: LensPreset) -> Scene:
     """Return the scene, which is built once in each process and is equal in all."""
-    return build_scene(seed)
+    return build_scene(seed, exposure=LENS_PRESETS[lens])
 
 
-def _drop(seed: int, number: int) -> BallDrop:
-    return drop_ball(_scene(seed), number, BALL_DIAMETER_MM)
+def _drop(seed: int, lens: LensPreset, number: int) -> BallDrop:
+    return drop_ball(_scene(seed, lens), number, BALL_DIAMETER_MM)
 
 
 def _calibrate(drops: Sequence[BallDrop], method: Literal["paper", "bundle"]) -> CalibrationReport | str:
@@ -231,4 +233,4 @@ def _try(plan: BenchPlan, name: str, number: int, rigs: Mapping[RigName, RigCali
     measured_with: dict[str, tuple[RigCalibration, Sequence[Method]]] = {
         name: (rig, plan.methods[name]) for name, rig in rigs.items()
     }
-    return try_body(body, number, _scene(plan.seed), measured_with, picture)
+    return try_body(body, number, _scene(plan.seed, plan.lens), measured_with, picture)

@@ -17,6 +17,7 @@ from pipeline.evaluation.scene import rig_error
 from pipeline.evaluation.trials import METHODS, STANDARDS
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, body_from_mesh
+from pipeline.synthesis.exposure import LensPreset
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
 from service.benchmarks.accuracy import (
@@ -84,6 +85,9 @@ def command(
             help="true: the one that took the images; paper: its calibration, 8 drops; ours: 20 drops."
         ),
     ] = ",".join(RIGS),
+    lens: Annotated[
+        LensPreset, typer.Option(help="Lens of the images of --accuracy; f2 as published.")
+    ] = LensPreset.F2,
     pictures: Annotated[
         Path | None,
         typer.Option(help="Folder for pictures of each body's first pose, coloured by distance."),
@@ -103,6 +107,7 @@ def command(
         poses=dict.fromkeys(names, poses),
         own_bodies=own_bodies,
         seed=seed,
+        lens=lens,
         methods=dict.fromkeys(_rigs(rigs), METHODS),
         pictures=pictures,
     )
@@ -138,7 +143,7 @@ def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
     """Return the averages by body, with the paper's published figures first where there are some."""
     table = Table(
         title=f"distance to the true surface, mm, and errors of volume and area; averages over"
-        f" random poses or bodies, seed {plan.seed}",
+        f" random poses or bodies, lens {plan.lens}, seed {plan.seed}",
         caption="max: mean of the greatest distances; back: true surface to measured one; volume: as reported, "
         "mesh: of the mesh. published: the paper's real parts. exact hull: with the true rig, the limit of every hull.",
     )
@@ -166,7 +171,8 @@ def accuracy_table(plan: BenchPlan, result: BenchResult) -> Table:
 def size_table(plan: BenchPlan, result: BenchResult) -> Table:
     """Return bias and rms of the sizes that standards define, by body."""
     table = Table(
-        title=f"errors of sizes, mm: bias (mean of measured less true) and rms over the same trials, seed {plan.seed}",
+        title=f"errors of sizes, mm: bias (mean of measured less true) and rms over the same trials, lens {plan.lens},"
+        f" seed {plan.seed}",
         caption="true: the same functions on the true body's mesh. sieve: smallest square aperture; Feret: greatest "
         "and least caliper (EN 933-4); thickness: ASTM D4791.",
     )

@@ -17,6 +17,7 @@ SHARP = ViewEvidence(
     noise_grey=2.0,
     step_grey=140.0,
     unseen_share=0.0,
+    undecided_share=0.0,
     calibration_px=0.05,
     tangency_px=0.05,
     residual_px=0.02,
@@ -44,6 +45,7 @@ VIEWS = st.builds(
     noise_grey=st.floats(0, 60),
     step_grey=st.floats(10, 250),
     unseen_share=st.floats(0, 1),
+    undecided_share=st.floats(0, 1),
     calibration_px=st.floats(0, 3),
     tangency_px=st.none() | st.floats(0, 50),
     residual_px=st.floats(0, 20),
@@ -78,6 +80,7 @@ def test_variances_of_all_causes_add_up(evidence: Evidence) -> None:
         (Cause.NOISE, [{"noise_grey": grey} for grey in (1.0, 3.0, 7.0, 20.0)]),
         (Cause.NOISE, [{"step_grey": grey} for grey in (200.0, 100.0, 50.0)]),
         (Cause.UNSEEN, [{"unseen_share": share} for share in (0.0, 0.01, 0.1, 0.5, 1.0)]),
+        (Cause.UNSEEN, [{"undecided_share": share} for share in (0.0, 0.01, 0.1, 0.5)]),
         (Cause.DISAGREEMENT, [{"tangency_px": px} for px in (0.3, 1.0, 10.0)]),
         (Cause.DISAGREEMENT, [{"residual_px": px} for px in (0.3, 1.0, 10.0)]),
         (Cause.CALIBRATION, [{"calibration_px": px} for px in (0.01, 0.1, 1.0)]),
@@ -122,6 +125,11 @@ def test_a_wrong_scale_moves_the_surface_as_it_does_a_sphere() -> None:
     found = uncertainty(replace(seen(calibration_px=0.0), length_sd_percent=1.0))
     assert found.surface_mm[Cause.CALIBRATION] == pytest.approx(0.075)
     assert found.volume_percent[Cause.CALIBRATION] == pytest.approx(3)
+
+
+def test_an_opening_that_no_view_decides_about_is_volume() -> None:
+    """A tenth of each view's area unknown at an unseen edge: a tenth of the volume."""
+    assert uncertainty(seen(undecided_share=0.1)).volume_percent[Cause.UNSEEN] == pytest.approx(10)
 
 
 def test_outlines_without_any_pair_still_have_an_uncertainty() -> None:
