@@ -20,7 +20,6 @@ from pipeline.calibration.report import (
     Estimate,
     ScaleSource,
     Uncertainty,
-    UnseenLenses,
 )
 from pipeline.calibration.robust_adjustment import Adjusted, adjust
 from pipeline.calibration.sphere_image import view_offsets_px
@@ -199,7 +198,7 @@ def by_paper(
         focal_factor=_mean(
             np.array([new.focal_px / old.focal_px for new, old in zip(cameras, initial.cameras, strict=True)])
         ),
-        lenses=UnseenLenses.NO_WIDTHS,
+        lenses=None,
         fall=None,
         uncertainty=None,
     )

@@ -97,7 +97,7 @@ class CalibrationReport:
     ball_centers_mm: Mapping[str, tuple[float, float, float]]
     distance_factor: Estimate  # mean ratio of the cameras' distances from the origin to the initial ones
     focal_factor: Estimate  # mean ratio of the focal lengths to the initial ones
-    lenses: FoundLenses | UnseenLenses
+    lenses: FoundLenses | UnseenLenses | None  # `None`: the paper's method does not look for them
     fall: Fall | None  # `None`: the drops do not determine it, the vertical is the initial rig's
     uncertainty: Uncertainty | None  # `None` of the paper's method
     problems: tuple[Problem, ...] = ()

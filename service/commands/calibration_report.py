@@ -91,7 +91,8 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
         yield "scale: not observable; lengths are those of the initial rig"
     if report.uncertainty is not None:
         yield f"length in the measuring volume: +- {report.uncertainty.length_sd_percent:.3f} % (1 sd)"
-    yield _lens_line(report.lenses)
+    if report.lenses is not None:
+        yield _lens_line(report.lenses)
     if report.edge_offset_px is not None:
         side = "large" if report.edge_offset_px > 0 else "small"
         yield f"outlines are {abs(report.edge_offset_px):.3f} px too {side}, as balls of two sizes show"

@@ -8,6 +8,7 @@ beside its place. Printed are
   their common place (the paper's: of the centroids),
 - length, %: the largest relative error, over all directions, of lengths that the calibrated rig measures,
 - 3-D, um rms: error of points over +-12 mm after the best rigid motion,
+- F, focus mm off: f-number found, and rms distance of the planes in focus from the true ones, beside the balls,
 
 and the same for the paper's method on the same drops, without outliers.
 
@@ -31,7 +32,7 @@ from pipeline.calibration import BallDrop, CalibrationReport, calibrate, observe
 from pipeline.calibration.bundle_adjustment import N_CAMERA, Solution
 from pipeline.calibration.held_out import located_offsets_px
 from pipeline.calibration.paper import ball_points_mm, residuals_px
-from pipeline.calibration.report import UnseenLenses
+from pipeline.calibration.report import FoundLenses
 from pipeline.calibration.sphere_image import sightings_of
 from pipeline.evaluation.scene import BALL, build_scene, drop_ball, rig_error
 from pipeline.frames import CameraId, FrameBundle
@@ -133,6 +134,7 @@ class Accuracy:
     reprojection_px: float
     length_percent: float
     rigid_um: float
+    lens: tuple[str, str]  # f-number and error of the focus, in words
 
 
 def accuracy(report: CalibrationReport, true: RigCalibration, held_out: Sequence[BallDrop]) -> Accuracy:
@@ -144,7 +146,10 @@ def accuracy(report: CalibrationReport, true: RigCalibration, held_out: Sequence
     else:
         reprojection_px = held_against(rig, held_out, report.edge_offset_px or 0.0)
     return Accuracy(
-        reprojection_px=reprojection_px, length_percent=error.length_percent, rigid_um=1e3 * error.rms_mm
+        reprojection_px=reprojection_px,
+        length_percent=error.length_percent,
+        rigid_um=1e3 * error.rms_mm,
+        lens=lens_found(report, true),
     )
 
 
@@ -189,7 +194,7 @@ def rows_of(seen: Photographed, seed: int) -> Iterator[tuple[str, CalibrationRep
 def table_of(rows: Sequence[tuple[int, str, CalibrationReport, Accuracy]]) -> Table:
     table = Table(
         "rig", "calibration", "before px", "after px", "reprojection px", "length %", "3-D um",
-        "predicted length sd %", "edge px", "F", "focus mm off, rms", "views left out",
+        "predicted length sd %", "edge px", "F", "focus mm off", "views left out",
         title="calibration from rendered ball drops, judged by what was not used",
     )  # fmt: skip
     for seed, label, report, found in rows:
@@ -199,24 +204,35 @@ def table_of(rows: Sequence[tuple[int, str, CalibrationReport, Accuracy]]) -> Ta
         )
         predicted = report.uncertainty and f"{report.uncertainty.length_sd_percent:.4f}"
         edge = "" if report.edge_offset_px is None else f"{report.edge_offset_px:+.3f}"
-        f_number, focus = _lens_found(report)
         left_out = sum(len(views) for views in report.views_left_out.values())
         table.add_row(
             str(seed), label, f"{before:.1f}", f"{after:.4f}", f"{found.reprojection_px:.4f}",
             f"{found.length_percent:.4f}", f"{found.rigid_um:.2f}", predicted or "", edge,
-            f_number, focus, str(left_out),
+            *found.lens, str(left_out),
         )  # fmt: skip
     return table
 
 
-def _lens_found(report: CalibrationReport) -> tuple[str, str]:
-    """The f-number and how far the focus is from the plane in focus, or why they are not seen."""
+def lens_found(report: CalibrationReport, true: RigCalibration) -> tuple[str, str]:
+    """The f-number, and how far the planes in focus lie from the true ones; or why they are not seen."""
     lenses = report.lenses
-    if isinstance(lenses, UnseenLenses):
-        return lenses.value.replace("_", " "), ""
-    off_mm = np.array([found.value - TRUE_FOCUS_MM for found in lenses.focus_mm.values()])
+    if not isinstance(lenses, FoundLenses):
+        return "" if lenses is None else lenses.value.replace("_", " "), ""
+    off_mm = focus_errors_mm(report.rig, true)
     f_number = f"{lenses.f_number.value:.2f} +- {lenses.f_number.sd:.2f}"
-    return f_number, f"{np.sqrt((off_mm**2).mean()):.2f} ({len(off_mm)} cameras)"
+    return f_number, f"{np.sqrt(np.square(off_mm).mean()):.2f} ({len(off_mm)} cameras)"
+
+
+def focus_errors_mm(rig: RigCalibration, true: RigCalibration) -> list[float]:
+    """How much further away each plane in focus is than the true one, in the world that both rigs measure."""
+    error = rig_error(rig, true)
+    return [
+        camera.lens.focus_mm
+        + float(true_camera.R[2] @ (error.R @ camera.center_mm + error.t_mm - true_camera.center_mm))
+        - TRUE_FOCUS_MM
+        for camera, true_camera in zip(rig.cameras, true.cameras, strict=True)
+        if camera.lens is not None
+    ]
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from accuracy.calibration import (
     Accuracy,
     Photographed,
     accuracy,
+    focus_errors_mm,
     photographed,
     solved,
     table_of,
@@ -79,15 +80,14 @@ def test_aperture_and_focus_are_found(
     else:
         assert isinstance(lenses, FoundLenses)
         assert lenses.f_number.value == pytest.approx(lens.f_number, rel=0.03)
-        assert [found.value for found in lenses.focus_mm.values()] == pytest.approx(
-            [lens.focus_mm] * 16, abs=2.5
-        )
+        assert focus_errors_mm(judged[n_drops][0].rig, seen.rig) == pytest.approx([0] * 16, abs=0.5)
 
 
 def test_cut_off_ball_and_spot_are_dropped(seen: Photographed) -> None:
     assert seen.cut_off.refused
-    assert all("cut off" in reason for reason in seen.cut_off.refused.values())
+    # at F2 a blurred edge may be lost before the ball reaches the border
+    assert all("cut off" in reason or "hidden" in reason for reason in seen.cut_off.refused.values())
     # the spot goes, the ball's own outline stays
     assert not seen.spotted.refused
     for view in seen.spotted.views.values():
-        assert view.rms_px < 0.05
+        assert view.rms_px < (0.1 if seen.lens is LensPreset.F2 else 0.05)

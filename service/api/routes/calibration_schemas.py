@@ -134,5 +134,6 @@ class CalibrationDocument(CalibrationSummary):
     )
     report: dict[str, Any] | None = Field(
         description="Result of the solution: residuals before and after (px), drops and views left out, centres of the"
-        " balls (mm), uncertainty, problems; null before it is solved"
+        " balls (mm), f-number and focus of the lenses (mm) or why they do not show, uncertainty, problems; null before"
+        " it is solved"
     )
