@@ -87,7 +87,7 @@ def row(item: dict[str, Any], truth: dict[str, Any] | None) -> str:
         f"{item['sieve_size_mm']:.2f}" if measured else "",
         sieve_error,
         f"{item['timings_ms'].get('total', 0):.0f}",
-        item["detail"] or dropped,
+        item["detail"] or dropped or ", ".join(item["quality_causes"]),
     )
 
 

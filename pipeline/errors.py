@@ -33,10 +33,12 @@ class RejectReason(StrEnum):
     """Too few views are usable, or those of a whole hemisphere are missing."""
     INCONSISTENT = "inconsistent"
     """More views contradict the others than may be dropped: they do not show one rigid body at one instant."""
+    UNSEEN = "unseen"
+    """In half of the views most of the outline is not seen: body and wall look alike, or something hides the body."""
     NO_BACKGROUND = "no_background"
     """The empty rig was never photographed, so the views have no reference."""
     IMPLAUSIBLE = "implausible"
-    """The visual hull has no closed surface or no volume."""
+    """The visual hull has no closed surface or no volume, or the silhouettes contradict themselves."""
 
 
 class ProblemCode(StrEnum):
@@ -67,6 +69,8 @@ class ProblemCode(StrEnum):
     SCALE_NOT_OBSERVABLE = "scale_not_observable"
     FOCAL_LENGTH = "focal_length"
     FOCAL_LENGTH_OR_DIAMETER = "focal_length_or_diameter"
+    OUT_OF_FOCUS = "out_of_focus"
+    """A camera is sharpest beside the middle of the measuring volume."""
     LARGE_RESIDUAL = "large_residual"
     LARGE_HELD_OUT_RESIDUAL = "large_held_out_residual"
     UNCERTAIN_LENGTHS = "uncertain_lengths"

@@ -20,6 +20,7 @@ from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
+from pipeline.uncertainty import Cause, QualityParameters, Uncertainty, evidence_of, uncertainty, verdict
 from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
@@ -57,6 +58,7 @@ class PipelineParameters:
 
     segmentation: SegmentationParameters = field(default_factory=SegmentationParameters)
     views: ViewsParameters = field(default_factory=ViewsParameters)
+    quality: QualityParameters = field(default_factory=QualityParameters)
     consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     carving: CarvingParameters = field(default_factory=CarvingParameters)
     mesher: Mesher = Mesher.LEAVES
@@ -94,6 +96,17 @@ class ParticleMeasurement:
     angularity: float | None
     """AIMS-type gradient angularity, mean over the views."""
     mass_g: float | None
+    uncertainty: Uncertainty
+
+    @property
+    def surface_sd_mm(self) -> float:
+        """Standard deviation of the surface's distance to the body's."""
+        return self.uncertainty.surface_sd_mm
+
+    @property
+    def volume_sd_percent(self) -> float:
+        """Standard deviation of the corrected volume."""
+        return self.uncertainty.volume_sd_percent
 
     @property
     def equivalent_diameter_mm(self) -> float:
@@ -126,6 +139,7 @@ class ParticleResult:
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
     consistency: Consistency | None = None  # `None` when it was rejected before the views were compared
     quality: Quality | None = None
+    quality_causes: tuple[Cause, ...] = ()  # that keep the quality from being good, the greatest first
     mesh: ParticleMesh | None = None  # of the body that was measured
     hull: ParticleMesh | None = None
     measurement: ParticleMeasurement | None = None
@@ -170,20 +184,17 @@ def measure_bundle(
                 f"more than {parameters.consistency.max_suspect_views} views contradict each other",
             )
         views = views.without(consistency.suspects)
-        quality = quality_of(rig.subset(views.camera_ids), rig, parameters.views)
-        hull = carve(views, parameters.carving)
-        on_stage("carve")
-        if hull.touches_border:
-            raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
-        hull_mesh = mesh_hull(hull, parameters.mesher)
-        on_stage("mesh")
-        if hull_mesh is None:
-            raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
-        estimate = None if parameters.body.kind == "hull" else estimate_body(hull_mesh, views)
-        on_stage("estimate")
-        mesh = hull_mesh if estimate is None else estimate.mesh
-        angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
-        measurement = _measure(mesh, estimate, views, angularity, parameters.measuring)
+        outlined = views.with_outline()  # a view of which only unknown is left tells nothing
+        by_number = quality_of(rig.subset(outlined.camera_ids), rig, parameters.views)
+        try:
+            hull_mesh, estimate = _body(views, parameters, on_stage)
+            angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
+            measurement = _measure(
+                hull_mesh, estimate, views, optics, consistency, angularity, parameters.measuring
+            )
+        except (MeshError, ValueError, ArithmeticError) as err:
+            raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
+        quality = verdict(measurement.uncertainty, by_number, parameters.quality)
         on_stage("measure")
     except RejectedError as rejection:
         return ParticleResult(
@@ -200,25 +211,58 @@ def measure_bundle(
         dropped=dropped,
         residuals_px=consistency.residuals_px,
         consistency=consistency,
-        quality=quality,
-        mesh=mesh,
+        quality=quality.quality,
+        quality_causes=quality.causes,
+        mesh=hull_mesh if estimate is None else estimate.mesh,
         hull=hull_mesh,
         measurement=measurement,
     )
 
 
+def _body(
+    views: PreparedViews, parameters: PipelineParameters, on_stage: Callable[[str], None]
+) -> tuple[ParticleMesh, BodyEstimate | None]:
+    """Return the visual hull of the views and the body estimated within it, if one is asked for.
+
+    Raises
+    ------
+    RejectedError
+        The silhouettes have no common body, or one that leaves the carved volume.
+    ValueError
+        The silhouettes contradict themselves.
+    """
+    hull = carve(views, parameters.carving)
+    on_stage("carve")
+    if hull.touches_border:
+        raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
+    mesh = mesh_hull(hull, parameters.mesher)
+    on_stage("mesh")
+    if mesh is None:
+        raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
+    estimate = None if parameters.body.kind == "hull" else estimate_body(mesh, views)
+    on_stage("estimate")
+    return mesh, estimate
+
+
 def _measure(
-    mesh: ParticleMesh,
+    hull_mesh: ParticleMesh,
     estimate: BodyEstimate | None,
     views: PreparedViews,
+    optics: Mapping[CameraId, ViewOptics],
+    consistency: Consistency,
     angularity: float | None,
     parameters: MeasuringParameters,
 ) -> ParticleMeasurement:
-    try:
-        corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
-        shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm)
-    except MeshError as err:
-        raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
+    """Measure the body, and how far it may be from the truth.
+
+    Raises
+    ------
+    MeshError, ValueError
+        The mesh bounds no volume; or there are so few views that even a sphere's hull is open.
+    """
+    mesh = hull_mesh if estimate is None else estimate.mesh
+    corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
+    shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm)
     if estimate is None or estimate.fallback is not None:  # corrected by the least excess that any hull has
         body: BodyKind = "hull"
         volume_model = "sphere"
@@ -228,6 +272,15 @@ def _measure(
         body, volume_model = "estimate", parameters.volume_model.id
         hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
         volume_mm3 = parameters.volume_model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
+    evidence = evidence_of(
+        views.with_outline(),
+        optics,
+        consistency,
+        volume_mm3=volume_mm3,
+        area_mm2=shape.surface_area_mm2,
+        hull_mm3=hull.volume_mm3,
+        is_estimated=body == "estimate",
+    )
     density = parameters.density_g_cm3
     return ParticleMeasurement(
         body=body,
@@ -238,6 +291,7 @@ def _measure(
         volume_estimate_mm3=None if estimate is None else estimate.volume_mm3,
         angularity=angularity,
         mass_g=None if density is None else density * volume_mm3 / 1000,
+        uncertainty=uncertainty(evidence),
     )
 
 
@@ -256,11 +310,8 @@ def _sphere_excess(shape: ShapeMeasurement, views: PreparedViews) -> float:
 
     Raises
     ------
-    RejectedError
+    ValueError
         There are so few views that even a sphere's hull is open.
     """
     centers_mm = np.array([camera.center_mm for camera in views.calibrations])
-    try:
-        return sphere_hull_excess(centers_mm, np.array(shape.center_mm), shape.equivalent_diameter_mm / 2)
-    except ValueError as err:
-        raise RejectedError(RejectReason.IMPLAUSIBLE, str(err)) from err
+    return sphere_hull_excess(centers_mm, np.array(shape.center_mm), shape.equivalent_diameter_mm / 2)

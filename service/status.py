@@ -197,6 +197,11 @@ class CameraOptics(Report):
     )
     noise_grey: float | None = Field(default=None, description="Noise of a pixel, grey levels")
     edge_width_px: float | None = Field(default=None, description="Width of outlines from 10 to 90 %, px")
+    edge_width_u_px: float | None = Field(
+        default=None,
+        description="The same across u: greater than across v where stones or camera move along u",
+    )
+    edge_width_v_px: float | None = Field(default=None, description="The same across v")
     contrast: float | None = Field(
         default=None, description="Contrast of stone and wall at the outline, share of the wall's level"
     )

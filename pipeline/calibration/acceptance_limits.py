@@ -34,6 +34,8 @@ class AcceptanceLimits:
     max_residual_px: float = 1.0  # a camera rotated by 0.01 degrees: the hull is 0.05 mm off there
     good_length_percent: float = 0.1  # of a length in the measuring volume: 15 um of 15 mm
     max_length_percent: float = 0.5  # 1.5 percent of a volume: more than the hull's own error
+    good_focus_mm: float = 5.0  # of the sharpest depth beside the middle, which F2 then spreads over 4 px
+    focus_significance: float = 4.0
     good_edge_px: float = 0.6  # offset of the outlines; 0.5 is usual with a lens out of focus
     max_edge_px: float = 1.0  # no lens does that: a diameter is wrong by 0.05 mm, lengths by 0.5 percent
     max_contradicting_share: float = 0.5  # of a camera's views; single ones are dust, a stone, a screw

@@ -86,6 +86,7 @@ def ball_view(silhouette: Silhouette) -> BallView | str:
         center_uv=ellipse.center_uv,
         radius_px=ellipse.radius_px,
         rms_px=ellipse.rms_px,
+        edge_sigma_px=silhouette.edge_sigma_px,
     )
 
 

@@ -14,7 +14,14 @@ from pipeline.calibration.diagnosis import diagnose_after, diagnose_before
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.gravity import fall_of, upright
 from pipeline.calibration.held_out import held_out_px, located_offsets_px, rms_by_camera
-from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource, Uncertainty
+from pipeline.calibration.lens_fit import fit_lenses, lens_of
+from pipeline.calibration.report import (
+    CalibrationReport,
+    Estimate,
+    ScaleSource,
+    Uncertainty,
+    UnseenLenses,
+)
 from pipeline.calibration.robust_adjustment import Adjusted, adjust
 from pipeline.calibration.sphere_image import view_offsets_px
 from pipeline.calibration.uncertainty import (
@@ -87,7 +94,12 @@ def by_bundle_adjustment(
     diameters_mm = [drop.diameter_mm for drop in adjusted.drops if drop.diameter_mm is not None]
     fall = fall_of(solution.centers_mm, [drop.fall_ns for drop in adjusted.drops])
     R = np.eye(3) if fall is None else upright(fall).as_matrix()
-    cameras = tuple(_rotated(camera, R, after_px.get(camera.id)) for camera in solution.cameras)
+    lenses = fit_lenses(adjusted.drops, solution.cameras, solution.centers_mm)
+    length_percent = length_sd_percent(solution, found, diameters_mm)
+    cameras = tuple(
+        replace(_rotated(camera, R), rms_px=after_px.get(camera.id), lens=lens_of(camera, lenses))
+        for camera in solution.cameras
+    )
     return CalibrationReport(
         rig=RigCalibration(
             name=name,
@@ -95,6 +107,7 @@ def by_bundle_adjustment(
             created_at=created_at,
             cameras=cameras,
             ball_diameter_mm=mode(diameters_mm) if diameters_mm else None,
+            length_sd_percent=length_percent,
         ),
         initial=initial,
         drops_used=tuple(drop.name for drop in adjusted.drops),
@@ -108,10 +121,11 @@ def by_bundle_adjustment(
         ball_centers_mm=_named(adjusted.drops, solution.centers_mm @ R.T),
         distance_factor=distance_factor,
         focal_factor=focal_factor,
+        lenses=lenses,
         fall=fall,
         uncertainty=Uncertainty(
             cameras=camera_uncertainties(initial.camera_ids, solution, found),
-            length_sd_percent=length_sd_percent(solution, found, diameters_mm),
+            length_sd_percent=length_percent,
             observation_px=adjusted.noise.center_px,
         ),
     )
@@ -166,7 +180,7 @@ def by_paper(
             name=name,
             method="paper",
             created_at=created_at,
-            cameras=tuple(replace(camera, rms_px=after_px[camera.id]) for camera in cameras),
+            cameras=tuple(replace(camera, rms_px=after_px[camera.id], lens=None) for camera in cameras),
             ball_diameter_mm=mode(diameters_mm) if diameters_mm else None,
         ),
         initial=initial,
@@ -185,14 +199,15 @@ def by_paper(
         focal_factor=_mean(
             np.array([new.focal_px / old.focal_px for new, old in zip(cameras, initial.cameras, strict=True)])
         ),
+        lenses=UnseenLenses.NO_WIDTHS,
         fall=None,
         uncertainty=None,
     )
 
 
-def _rotated(camera: CameraCalibration, R: Matrix33, rms_px: float | None) -> CameraCalibration:
+def _rotated(camera: CameraCalibration, R: Matrix33) -> CameraCalibration:
     """Return the camera in the world frame rotated by R."""
-    return replace(camera, R=camera.R @ R.T, rms_px=rms_px)
+    return replace(camera, R=camera.R @ R.T)
 
 
 def _all_left_out(drops: Sequence[BallDrop], adjusted: Adjusted) -> Mapping[str, Mapping[CameraId, str]]:

@@ -46,6 +46,7 @@ def diagnose_after(
         *solution_checks.scale_problems(report, drops, limits),
         *solution_checks.left_out_problems(report, drops, limits),
         *solution_checks.moved_problems(report, limits),
+        *solution_checks.focus_problems(report, limits),
         *solution_checks.residual_problems(report, limits),
         *solution_checks.uncertainty_problems(report, limits),
         *solution_checks.edge_problems(report, drops, limits),

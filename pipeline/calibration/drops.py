@@ -17,6 +17,7 @@ class BallView:
     """Centre of the fitted ellipse, hence the centroid of the silhouette; not the image of the ball's centre."""
     radius_px: float  # mean of the ellipse's semi-axes
     rms_px: float  # distance of the outline from that ellipse
+    edge_sigma_px: float | None = None  # blur of the edge, as sigma; `None` where it was not measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

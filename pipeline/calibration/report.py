@@ -56,6 +56,27 @@ class Fall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FoundLenses:
+    """Aperture and focus of the lenses."""
+
+    focal_length_mm: float  # on the barrel; it only turns the aperture, which images show, into an f-number
+    f_number: Estimate
+    blur_px: Estimate  # sigma of an edge in focus
+    focus_mm: Mapping[CameraId, Estimate]  # depth of the plane in focus, where the balls show it
+
+
+class UnseenLenses(StrEnum):
+    """Why the balls do not show the lenses. The word is part of the REST contract and of the report files."""
+
+    NO_WIDTHS = "no_widths"
+    """The widths of edges were not measured, or in too few views."""
+    STOPPED_DOWN = "stopped_down"
+    """Edges are equally wide at all depths: the aperture is too small to matter."""
+    LITTLE_DEPTH = "little_depth"
+    """The balls fell in too thin a layer, or too few of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationReport:
     """A calibrated rig with the evidence for it.
 
@@ -76,6 +97,7 @@ class CalibrationReport:
     ball_centers_mm: Mapping[str, tuple[float, float, float]]
     distance_factor: Estimate  # mean ratio of the cameras' distances from the origin to the initial ones
     focal_factor: Estimate  # mean ratio of the focal lengths to the initial ones
+    lenses: FoundLenses | UnseenLenses
     fall: Fall | None  # `None`: the drops do not determine it, the vertical is the initial rig's
     uncertainty: Uncertainty | None  # `None` of the paper's method
     problems: tuple[Problem, ...] = ()
@@ -104,6 +126,8 @@ def report_document(report: CalibrationReport) -> dict[str, Any]:
         **document,
         "distance_factor": asdict(report.distance_factor),
         "focal_factor": asdict(report.focal_factor),
+        "lenses": asdict(report.lenses) if isinstance(report.lenses, FoundLenses) else None,
+        "lenses_unseen": report.lenses if isinstance(report.lenses, UnseenLenses) else None,
         "fall": None if report.fall is None else asdict(report.fall),
         "uncertainty": None if report.uncertainty is None else asdict(report.uncertainty),
         "problems": [asdict(problem) for problem in report.problems],

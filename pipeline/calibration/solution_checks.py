@@ -9,7 +9,7 @@ from pipeline.calibration.ball_sizes import either_wrong, ratio_per_edge_px
 from pipeline.calibration.bundle_adjustment import Tolerances
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.movement import image_changes_px, steps
-from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource
+from pipeline.calibration.report import CalibrationReport, Estimate, ScaleSource, UnseenLenses
 from pipeline.calibration.robust_adjustment import adjust
 from pipeline.calibration.uncertainty import common_factors, covariance
 from pipeline.errors import Problem, ProblemCode, RigError
@@ -180,6 +180,24 @@ def _odd_lenses(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator
                 code=ProblemCode.FOCAL_LENGTH,
                 detail=f"the focal length of camera {camera.id} is {percent:+.1f} percent from the other cameras'; the "
                 "new calibration corrects it, see that it has the right lens and is focused",
+                camera=camera.id,
+                is_fatal=False,
+            )
+
+
+def focus_problems(report: CalibrationReport, limits: AcceptanceLimits) -> Iterator[Problem]:
+    """Yield cameras that are sharpest beside the middle of the measuring volume."""
+    for camera in report.rig.cameras:
+        if isinstance(report.lenses, UnseenLenses) or camera.id not in report.lenses.focus_mm:
+            continue
+        focus_mm, middle_mm = report.lenses.focus_mm[camera.id], float(camera.t_mm[2])
+        off_mm = focus_mm.value - middle_mm
+        if abs(off_mm) > max(limits.good_focus_mm, limits.focus_significance * focus_mm.sd):
+            yield Problem(
+                code=ProblemCode.OUT_OF_FOCUS,
+                detail=f"camera {camera.id} is sharpest {abs(off_mm):.1f} +- {focus_mm.sd:.1f} mm "
+                f"{'behind' if off_mm > 0 else 'before'} the middle of the measuring volume: focus it on the middle, "
+                f"{middle_mm:.0f} mm away, fasten it and calibrate again",
                 camera=camera.id,
                 is_fatal=False,
             )

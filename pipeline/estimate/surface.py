@@ -45,8 +45,8 @@ def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) 
         return "the views leave the hull of a sphere open"
     shares = local_share(tangents.normals, segment_shares(found, sphere_mm))
     corners_mm = center_mm + inner.points_mm[np.unique(inner.facets.corners)]
-    radii, half_heights, local_shares = np.empty((3, len(points_mm)))
-    surface = InnerSurface(radii, half_heights, local_shares, corners_mm)
+    radii, half_heights, shares_there = np.empty((3, len(points_mm)))
+    surface = InnerSurface(radii, half_heights, shares_there, corners_mm)
     planes = np.column_stack([tangents.normals, tangents.offsets_mm, shares])
     last = np.zeros((2, 2, 2), np.int32)
     _follow_rays(points_mm, center_mm, inner.facets, inner.solvers, planes, last, surface)

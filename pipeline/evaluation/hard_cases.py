@@ -24,7 +24,7 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.exposure import ExposureParameters, expose
+from pipeline.synthesis.exposure import LENS_PRESETS, ExposureParameters, LensPreset, expose
 from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminate, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
@@ -38,6 +38,10 @@ FLICKER_FACTOR = (0.4, 1.2)
 SHADOW_STRENGTH = (0.15, 0.6)
 LONG_EXPOSURE_US = (40.0, 100.0)  # the longest: 5 px
 STRONG_NOISE = (2.0, 4.0)
+DEFOCUS_BLUR_PX = (3.0, 4.0)
+STRONGEST_NOISE = 10.0
+TEXTURED_GREY, TEXTURE_CONTRAST = (90.0, 180.0), (0.3, 0.4)
+LONGEST_EXPOSURE_US = 185.0  # 9 px, across a horizontal view
 N_BODIES = (2, 3)
 N_FRAGMENTS = (2, 6)
 FRAGMENT_MM = (1.0, 4.0)
@@ -66,6 +70,14 @@ class HardCase(StrEnum):
     NOISE = "noise"
     SEVERAL = "several"
     FRAGMENTS = "fragments"
+    F2 = "f2"
+    """Through a lens wide open: edges out of focus by their depth, less light in the corners, glare."""
+    DEFOCUS = "defocus"
+    """The whole body is out of focus alike."""
+    NOISE_10 = "noise 10"
+    BRIGHT_TEXTURE = "bright texture"
+    """Patches of the body are as bright as the wall."""
+    MOTION_9 = "motion 9"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,9 +87,11 @@ class HardView:
     case: HardCase
     frame: Frame
     background: BackgroundModel  # of this camera; empty if none is known
-    coverage: FloatImage  # (H, W) share of the pixel covered by bodies
+    coverage: FloatImage
+    """(H, W) share of the pixel covered by bodies in focus, in the middle of the exposure."""
     contrast: FloatImage
-    """|body - background| in grey levels, without noise; 0 far from any body. No edge is seen where it is low."""
+    """|body - background| in grey levels, in focus, without noise; 0 far from any body. No edge is seen where it is
+    low."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,7 +125,7 @@ def hard_view(
     body = stone(form, drawn_mm if size_mm is None else size_mm, rng)
     alone = rig.subset([camera.id])
     placed = tumble(body, alone, rng)
-    exposure = exposure or ExposureParameters()
+    exposure = exposure or LENS_PRESETS[LensPreset.F2 if case is HardCase.F2 else LensPreset.SHARP]
     simulated = _simulate(rig, camera, _aperture_at_edge(placed, rig, camera, rng, case), rng, exposure)
     scene = SPOIL[case](_Scene(rig=rig, simulated=simulated, bodies=[placed]), rng)
 
@@ -119,12 +133,14 @@ def hard_view(
     for _ in range(N_EMPTY if with_background else 0):
         empty = expose(view_of([], camera, simulated).radiance(), simulated.parameters, rng)
         background = learn_background(background, {camera.id: _frame(camera.id, empty)})
-    view = view_of(
-        [illuminate(placed, rng) for placed in scene.bodies], camera, scene.simulated, scene.disturbance
-    )
+    surfaces = [illuminate(placed, rng) for placed in scene.bodies]
+    view = view_of(surfaces, camera, scene.simulated, scene.disturbance)
     flash = 1 + simulated.parameters.flash_sd * float(np.clip(rng.normal(), -3, 3))
     image = expose(view.radiance(flash), view.parameters, rng)
-    coverage, contrast = truth_of_view(view)
+    in_focus = replace(scene.simulated, parameters=ExposureParameters())
+    at_once = replace(scene.disturbance, exposure_us=0.0)
+    seen = view_of(surfaces, camera, in_focus, at_once)
+    coverage, contrast = truth_of_view(replace(seen, vignetting=view.vignetting))
     return HardView(
         case=case,
         frame=_frame(camera.id, image),
@@ -246,6 +262,23 @@ def _spoil_noise(scene: _Scene, rng: np.random.Generator) -> _Scene:
     return replace(scene, disturbance=Disturbance(read_noise=rng.uniform(*STRONG_NOISE)))
 
 
+def _spoil_defocus(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    blurred = replace(scene.simulated.parameters, blur_px=rng.uniform(*DEFOCUS_BLUR_PX))
+    return replace(scene, simulated=replace(scene.simulated, parameters=blurred))
+
+
+def _spoil_noise_10(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(scene, disturbance=Disturbance(read_noise=STRONGEST_NOISE))
+
+
+def _spoil_bright_texture(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return _with_appearance(scene, rng.uniform(*TEXTURED_GREY), contrast=rng.uniform(*TEXTURE_CONTRAST))
+
+
+def _spoil_motion_9(scene: _Scene, rng: np.random.Generator) -> _Scene:
+    return replace(scene, disturbance=Disturbance(exposure_us=LONGEST_EXPOSURE_US))
+
+
 def _spoil_several(scene: _Scene, rng: np.random.Generator) -> _Scene:
     n_more = int(rng.integers(N_BODIES[0] - 1, N_BODIES[1]))
     return _with_stones(scene, [float(rng.uniform(5, 15)) for _ in range(n_more)], rng)
@@ -293,4 +326,9 @@ SPOIL: dict[HardCase, Callable[[_Scene, np.random.Generator], _Scene]] = {
     HardCase.NOISE: _spoil_noise,
     HardCase.SEVERAL: _spoil_several,
     HardCase.FRAGMENTS: _spoil_fragments,
+    HardCase.F2: _spoil_nothing,
+    HardCase.DEFOCUS: _spoil_defocus,
+    HardCase.NOISE_10: _spoil_noise_10,
+    HardCase.BRIGHT_TEXTURE: _spoil_bright_texture,
+    HardCase.MOTION_9: _spoil_motion_9,
 }

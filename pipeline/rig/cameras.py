@@ -9,7 +9,7 @@ tangential distortion (k1, k2, p1, p2, k3) of OpenCV.
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +21,24 @@ from pipeline.rig.lens import distort, normalized_coordinates
 
 FORMAT = "stonefall-rig/1"
 Method = Literal["nominal", "paper", "bundle", "imported"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
+    """What blurs the image of a point out of focus, see `pipeline.rig.depth_blur`.
+
+    Images show the aperture's diameter alone: the nominal focal length only turns it into the number on the barrel.
+    """
+
+    focal_length_mm: float
+    f_number: float
+    focus_mm: float  # depth of the plane in focus, along the optical axis
+    blur_px: float  # sigma of an edge in focus: lens, pixels and the motion of a falling body
+
+    @property
+    def aperture_mm(self) -> float:
+        """Diameter of the aperture."""
+        return self.focal_length_mm / self.f_number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,6 +53,7 @@ class CameraCalibration:
     t_mm: Vector
     serial: str | None = None
     rms_px: float | None = None
+    lens: Lens | None = None  # `None`: how it blurs is not known
 
     def __post_init__(self) -> None:
         for array in (self.K, self.distortion, self.R, self.t_mm):
@@ -85,6 +104,7 @@ class RigCalibration:
     created_at: str
     cameras: tuple[CameraCalibration, ...]
     ball_diameter_mm: float | None = None
+    length_sd_percent: float | None = None  # standard deviation of lengths, by its calibration
 
     @property
     def camera_ids(self) -> tuple[CameraId, ...]:
@@ -99,14 +119,7 @@ class RigCalibration:
     def subset(self, camera_ids: Iterable[CameraId]) -> "RigCalibration":
         """Return the same rig with only these cameras, in its order."""
         wanted = set(camera_ids)
-        kept = tuple(camera for camera in self.cameras if camera.id in wanted)
-        return RigCalibration(
-            name=self.name,
-            method=self.method,
-            created_at=self.created_at,
-            cameras=kept,
-            ball_diameter_mm=self.ball_diameter_mm,
-        )
+        return replace(self, cameras=tuple(camera for camera in self.cameras if camera.id in wanted))
 
 
 # --- the rig document (format "stonefall-rig/1") ---
@@ -120,23 +133,27 @@ def rig_to_document(rig: RigCalibration) -> dict[str, Any]:
         "created_at": rig.created_at,
         "method": rig.method,
         "ball_diameter_mm": rig.ball_diameter_mm,
-        "cameras": [
-            {
-                "id": camera.id,
-                "serial": camera.serial,
-                "image_size_px": list(camera.image_size_px),
-                "K": camera.K.tolist(),
-                "distortion": camera.distortion.tolist(),
-                "R": camera.R.tolist(),
-                "t_mm": camera.t_mm.tolist(),
-                "projection": camera.projection.tolist(),
-                "rms_px": camera.rms_px,
-            }
-            for camera in rig.cameras
-        ],
+        "cameras": [_camera_document(camera) for camera in rig.cameras],
     }
+    if rig.length_sd_percent is not None:  # a file without it keeps its checksum
+        document["length_sd_percent"] = rig.length_sd_percent
     document["checksum"] = checksum_of(document)
     return document
+
+
+def _camera_document(camera: CameraCalibration) -> dict[str, Any]:
+    document = {
+        "id": camera.id,
+        "serial": camera.serial,
+        "image_size_px": list(camera.image_size_px),
+        "K": camera.K.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "R": camera.R.tolist(),
+        "t_mm": camera.t_mm.tolist(),
+        "projection": camera.projection.tolist(),
+        "rms_px": camera.rms_px,
+    }
+    return document if camera.lens is None else {**document, "lens": asdict(camera.lens)}
 
 
 def checksum_of(document: Mapping[str, Any]) -> str:

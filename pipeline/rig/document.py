@@ -10,12 +10,19 @@ import scipy.linalg
 from pipeline.arrays import Floats, Matrix33, Vector
 from pipeline.errors import RigError
 from pipeline.frames import CAMERA_ID, CameraId
-from pipeline.rig.cameras import FORMAT, CameraCalibration, Method, RigCalibration, checksum_of
+from pipeline.rig.cameras import FORMAT, CameraCalibration, Lens, Method, RigCalibration, checksum_of
 
 FIELD_AT_ORIGIN_MM = (20.0, 250.0)
 """Plausible range of the image's width at the origin; outside it a focal length is in the wrong unit."""
 MAX_MISS_MM = 10.0
 """Largest plausible distance between the origin and the ray through the centre of the image."""
+LENS_RANGES = {
+    "focal_length_mm": (1.0, 1000.0),
+    "f_number": (0.5, 64.0),
+    "focus_mm": (10.0, 1e5),
+    "blur_px": (0.0, 50.0),
+}
+"""Plausible ranges of the members of a lens."""
 
 
 def rig_from_document(document: Any) -> RigCalibration:
@@ -41,11 +48,7 @@ def rig_from_document(document: Any) -> RigCalibration:
     method = root.get("method", "imported")
     if method not in get_args(Method):
         raise RigError("method", f"must be one of {', '.join(get_args(Method))}, not {method!r}")
-    ball = root.get("ball_diameter_mm")
-    if ball is not None and (
-        isinstance(ball, bool) or not isinstance(ball, int | float) or not 0 < ball < 100
-    ):
-        raise RigError("ball_diameter_mm", f"must be a diameter in mm or null, not {ball!r}")
+    ball_mm = _number(root, "ball_diameter_mm", (1e-6, 100), "", "a diameter in mm or null")
     entries = _member(root, "cameras", list, "")
     cameras = tuple(_camera(entry, f"cameras[{i}]") for i, entry in enumerate(entries))
     if len(cameras) < 2:
@@ -58,7 +61,10 @@ def rig_from_document(document: Any) -> RigCalibration:
         method=method,
         created_at=_created_at(root.get("created_at", "")),
         cameras=cameras,
-        ball_diameter_mm=None if ball is None else float(ball),
+        ball_diameter_mm=ball_mm,
+        length_sd_percent=_number(
+            root, "length_sd_percent", (0, 100), "", "a standard deviation in percent or null"
+        ),
     )
 
 
@@ -95,11 +101,8 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
             raise RigError(f"{path}.K", "must be upper triangular with last row [0, 0, 1]")
     else:
         K, R, t_mm = decompose_projection(_numbers(members, "projection", (3, 4), path), path)
-    serial, rms_px = members.get("serial"), members.get("rms_px")
-    if rms_px is not None and (
-        isinstance(rms_px, bool) or not isinstance(rms_px, int | float) or not 0 <= rms_px < 1e6
-    ):
-        raise RigError(f"{path}.rms_px", f"must be a residual in pixels or null, not {rms_px!r}")
+    serial = members.get("serial")
+    rms_px = _number(members, "rms_px", (0, 1e6), path, "a residual in pixels or null")
     if serial is not None and not isinstance(serial, str):
         raise RigError(f"{path}.serial", f"must be text or null, not {serial!r}")
     camera = CameraCalibration(
@@ -110,12 +113,24 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
         R=R,
         t_mm=t_mm,
         serial=serial,
-        rms_px=None if rms_px is None else float(rms_px),
+        rms_px=rms_px,
+        lens=None if members.get("lens") is None else _lens(members["lens"], f"{path}.lens"),
     )
     _require_plausible(camera, path)
     if has_model and members.get("projection") is not None:
         _require_agreement(camera, _numbers(members, "projection", (3, 4), path), path)
     return camera
+
+
+def _lens(entry: Any, path: str) -> Lens:
+    members = _mapping(entry, path)
+    numbers = {}
+    for name, (least, greatest) in LENS_RANGES.items():
+        number = _number(members, name, (least, greatest), path, f"{least:g} to {greatest:g}")
+        if number is None:
+            raise RigError(f"{path}.{name}", "is missing")
+        numbers[name] = number
+    return Lens(**numbers)
 
 
 def _require_plausible(camera: CameraCalibration, path: str) -> None:
@@ -188,6 +203,18 @@ def _member(members: Mapping[str, Any], key: str, kind: type[Any], path: str) ->
         where = f"{path}.{key}" if path else key
         raise RigError(where, "is missing" if value is None else f"must be a {kind.__name__}, not {value!r}")
     return value
+
+
+def _number(
+    members: Mapping[str, Any], key: str, limits: tuple[float, float], path: str, wanted: str
+) -> float | None:
+    """Return an optional number within limits; `wanted` says in the error what it must be."""
+    value = members.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not limits[0] <= value <= limits[1]:
+        raise RigError(f"{path}.{key}" if path else key, f"must be {wanted}, not {value!r}")
+    return float(value)
 
 
 def _numbers(members: Mapping[str, Any], key: str, shape: tuple[int, ...], path: str) -> Floats:

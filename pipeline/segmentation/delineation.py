@@ -28,7 +28,7 @@ from pipeline.segmentation.edge_refinement import (
     move_to_steepest,
     undo_shrinkage,
 )
-from pipeline.segmentation.edge_width import local_sigmas_px, outline_sigmas_px
+from pipeline.segmentation.edge_width import local_sigmas_px, outline_sigmas_px, sigmas_across_px
 from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, find_crossings, threshold
 from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
@@ -69,6 +69,7 @@ class Delineation:
     edge: SubpixelEdge | None
     """The edge of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
     edge_sigma_px: float | None = None  # blur of most of the edge, `None` where it cannot be measured
+    sigmas_across_px: tuple[float, float] | None = None  # of a blurred edge: across u and across v
 
 
 def delineate(
@@ -113,6 +114,7 @@ def delineate(
         is_blurred = widest_px > MAX_SHARP_SIGMA_PX and n_doubtful > MAX_DOUBTFUL_SHARE * len(
             contours.points_uv
         )
+    across_px = sigmas_across_px(region, *contours.outer) if is_blurred else None
     if is_blurred:  # the edge reaches into the core: its level is not the body's
         region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
         labels, levels, _ = threshold(region, min_contrast)
@@ -137,7 +139,7 @@ def delineate(
         around = seen.take(np.arange(-GAP_MARGIN, len(seen) + GAP_MARGIN), mode="wrap")
         seen = np.lib.stride_tricks.sliding_window_view(around, 2 * GAP_MARGIN + 1).min(axis=1)
     edge = SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
-    return Delineation(labels=labels, edge=edge, edge_sigma_px=sigma_px or None)
+    return Delineation(labels=labels, edge=edge, edge_sigma_px=sigma_px or None, sigmas_across_px=across_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -236,6 +238,7 @@ def silhouette_of(
         outline_uv=outline_uv,
         border_uv=border_uv,
         edge_sigma_px=delineation.edge_sigma_px,
+        sigmas_across_px=delineation.sigmas_across_px,
         distances=delineation.edge,
         found_by=found_by,
     )

@@ -40,6 +40,10 @@ MAX_PLACES = 48
 """Places of a contour at which the width of its edge is looked at before all else."""
 MOST, NEARLY_ALL = 0.8, 0.95
 """Shares of these places whose width is no more than what is returned."""
+MIN_PLACES = 3
+"""Fewest places whose median tells the width of edges of one direction."""
+STEEPNESS = 1.7
+"""Ratio of rise and run of an edge that counts as across one axis of the image: within 30 degrees of it."""
 EVERY = 3
 """Points of a contour from place to place where every width is needed."""
 SMOOTHED_PLACES = 9
@@ -53,6 +57,22 @@ def outline_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage
     if not len(known):
         return 0.0, 0.0
     return float(known[int(MOST * len(known))]), float(known[int(NEARLY_ALL * len(known))])
+
+
+def sigmas_across_px(
+    region: RegionLevels, points_uv: PointsUV, seen: GreyImage
+) -> tuple[float, float] | None:
+    """Return the median sigma of a contour's edges (N, 2) across u, and of those across v; `None` without either."""
+    every = max(1, len(points_uv) // MAX_PLACES)
+    sigmas_px = _sigmas_px(region, points_uv, seen, every)
+    along_uv = np.roll(points_uv, -TANGENT_POINTS, axis=0) - np.roll(points_uv, TANGENT_POINTS, axis=0)
+    along_u, along_v = np.abs(along_uv[::every][: len(sigmas_px)]).T
+    is_known = np.isfinite(sigmas_px)
+    across_u = sigmas_px[is_known & (along_v > STEEPNESS * along_u)]
+    across_v = sigmas_px[is_known & (along_u > STEEPNESS * along_v)]
+    if min(len(across_u), len(across_v)) < MIN_PLACES:
+        return None
+    return float(np.median(across_u)), float(np.median(across_v))
 
 
 def local_sigmas_px(region: RegionLevels, points_uv: PointsUV, seen: GreyImage) -> Singles:

@@ -18,7 +18,7 @@ from pipeline.arrays import FloatImage, Floats, Mask, Singles
 from pipeline.compiled import compiled
 from pipeline.frames import CameraId, Frame, Image
 from pipeline.segmentation.background import COARSE, MIN_WEIGHT, BackgroundModel, CameraBackground
-from pipeline.segmentation.edge_profile import edge_profile
+from pipeline.segmentation.edge_profile import PLATEAU_PX, EdgeProfile, edge_profile
 from pipeline.segmentation.light import LIGHT_BLOCK
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 from pipeline.view_mapper import ViewMapper
@@ -47,6 +47,10 @@ MAX_NOISE_GREY = 40.0
 """Differences of two neighbours are clipped to this: larger ones are edges."""
 
 
+WIDTH_SIGMAS = 2.563
+"""Width of a Gaussian edge from 10 to 90 %, in sigmas."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewOptics:
     """How well one camera saw in one exposure; `None` where the view does not show it."""
@@ -60,6 +64,7 @@ class ViewOptics:
     saturated_share: float  # of all pixels
     noise_grey: float  # standard deviation of a pixel from exposure to exposure
     edge_width_px: float | None  # of the body's outline, from 10 to 90 %
+    edge_widths_uv_px: tuple[float, float] | None  # the same of blurred edges across u, and of those across v
     contrast: float | None  # of body and wall at the outline, as a share of the wall's level
 
 
@@ -116,9 +121,26 @@ def observe_optics(
         spots_share=_spots_share(light, is_wall) if n_dark else 0.0,  # in a clean rig nothing is dark
         saturated_share=saturated_share,
         noise_grey=_noise_grey(frame.image, known, is_wall),
-        edge_width_px=None if edge is None else edge.width_px,
+        edge_width_px=_edge_width_px(edge, silhouette),
+        edge_widths_uv_px=_edge_widths_uv_px(silhouette),
         contrast=None if edge is None else edge.contrast,
     )
+
+
+def _edge_width_px(edge: EdgeProfile | None, silhouette: Silhouette | None) -> float | None:
+    """Return the width of an outline; that of the silhouette where it is too wide for the profile across it."""
+    if edge is not None and edge.width_px <= PLATEAU_PX:
+        return edge.width_px
+    if silhouette is None or silhouette.edge_sigma_px is None:
+        return None if edge is None else edge.width_px
+    return WIDTH_SIGMAS * silhouette.edge_sigma_px
+
+
+def _edge_widths_uv_px(silhouette: Silhouette | None) -> tuple[float, float] | None:
+    if silhouette is None or silhouette.sigmas_across_px is None:
+        return None
+    u_px, v_px = silhouette.sigmas_across_px
+    return WIDTH_SIGMAS * u_px, WIDTH_SIGMAS * v_px
 
 
 def _visible_wall(known: CameraBackground, silhouette: Silhouette | None) -> Mask:

@@ -90,6 +90,8 @@ class Silhouette:
     """Points in order around all that may be body, unseen edge included; the outline where none are given."""
     edge_sigma_px: float | None = None
     """Blur of the edge, as sigma: most of the outline has no more; None where it was not measured."""
+    sigmas_across_px: tuple[float, float] | None = None
+    """Blur of the edges across u, and of those across v; None for a sharp edge, or without one of the two."""
     distances: Distances = NO_DISTANCES
     found_by: FoundBy = FoundBy.BACKGROUND
     fallback: str | None = None

@@ -1,15 +1,14 @@
-"""The training loop: seeded and on one thread, so that the same samples give the same weights."""
+"""The training loop: seeded and on one thread, so that the same samples give the same weights on the same device."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import torch
+from torch import Tensor
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from pipeline.training.architecture import BodyNetwork
-from pipeline.training.samples import Sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,7 +16,6 @@ class FittingParameters:
     """Parameters of AdamW under a one-cycle schedule, and of the running mean of the weights that is kept."""
 
     n_steps: int
-    batch: int = 8
     coarse_share: float = 0.65
     """Share of the steps, the first ones, at half resolution: a quarter of the cost, and the weights hold at full."""
     learning_rate: float = 6e-3  # the highest, after the first tenth of the steps
@@ -43,15 +41,22 @@ def new_network(seed: int) -> BodyNetwork:
     return BodyNetwork()
 
 
-def fit(network: BodyNetwork, samples: Iterator[Sample], parameters: FittingParameters) -> Iterator[Progress]:
-    """Train `network` in place, step by step; it holds the averaged weights after the last one.
+def fit(
+    network: BodyNetwork,
+    batches: Iterable[tuple[Tensor, Tensor]],
+    parameters: FittingParameters,
+    device: str = "cpu",
+) -> Iterator[Progress]:
+    """Train `network` in place, step by step; it holds the averaged weights after the last one, on the CPU.
 
-    The loss is the cross-entropy with the covered share of each pixel: where body and wall cannot be told apart, the
-    network learns the odds, and unfounded confidence costs most.
+    `batches` are views (N, 2, H, W) and their coverage (N, H, W), one batch a step. The loss is the cross-entropy
+    with the covered share of each pixel: where body and wall cannot be told apart, the network learns the odds, and
+    unfounded confidence costs most.
     """
     torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
-    network.train().to(memory_format=torch.channels_last)
+    # not every operation need have a deterministic kernel on every GPU
+    torch.use_deterministic_algorithms(True, warn_only=device != "cpu")
+    network.train().to(device, memory_format=torch.channels_last)
     kept = 1 - 1 / max(1.0, parameters.averaged_share * parameters.n_steps)
     averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(kept), use_buffers=True)
     optimizer = torch.optim.AdamW(
@@ -60,10 +65,8 @@ def fit(network: BodyNetwork, samples: Iterator[Sample], parameters: FittingPara
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, max_lr=parameters.learning_rate, total_steps=parameters.n_steps, pct_start=0.1
     )
-    for step in range(1, parameters.n_steps + 1):
-        batch = [next(samples) for _ in range(parameters.batch)]
-        views = torch.from_numpy(np.stack([sample.view for sample in batch]))
-        coverage = torch.from_numpy(np.stack([sample.coverage for sample in batch]))[:, None]
+    for step, (views, coverage) in zip(range(1, parameters.n_steps + 1), batches, strict=True):
+        views, coverage = views.to(device), coverage.to(device)[:, None]
         if step <= parameters.coarse_share * parameters.n_steps:
             views, coverage = functional.avg_pool2d(views, 2), functional.avg_pool2d(coverage, 2)
         logits = network(views.contiguous(memory_format=torch.channels_last))
@@ -76,4 +79,4 @@ def fit(network: BodyNetwork, samples: Iterator[Sample], parameters: FittingPara
         averaged.update_parameters(network)
         yield Progress(step, loss.item())
     network.load_state_dict(averaged.module.state_dict())
-    network.eval()
+    network.eval().to("cpu")

@@ -1,10 +1,10 @@
 """Training samples: bodies before walls, disturbed in every way that segmentation should survive, with the truth.
 
-Composing one takes some milliseconds, so every sample of a training run is new. Everything is random from the
-generator that is passed in.
+Composing one takes some milliseconds, so every sample of a training run is new.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import cv2
@@ -16,6 +16,7 @@ from pipeline.segmentation.network import MAX_RELATIVE
 from pipeline.synthesis.background import WALL_GREY
 from pipeline.synthesis.disturbance import cast_shadow, dust
 from pipeline.synthesis.exposure import ExposureParameters
+from pipeline.synthesis.thin_lens import ThinLens
 from pipeline.training.image_layers import CANVAS_PX, VIEW_PX, BodyLayer, WallLayer
 
 T = TypeVar("T")
@@ -24,12 +25,20 @@ N_BODIES = (0.08, 0.72, 0.12, 0.08)
 """Probabilities of none, one, two and three bodies in a view."""
 FRAGMENTS_SHARE, MAX_FRAGMENTS = 0.12, 5
 DUST_SHARE, SHADOW_SHARE, SLOPE_SHARE, DIM_SHARE = 0.2, 0.2, 0.3, 0.5
-MOTION_SHARE, LONGEST_MOTION_PX = 0.2, 6.0
+PATCHES_SHARE, PATCHES_CONTRAST, N_PATCHES = 0.2, (0.1, 0.4), (3, 32)
+"""Share of samples with larger patches on all bodies, their relative sd, and how many lie side by side in a view."""
+MOTION_SHARE, LONGEST_MOTION_PX = 0.2, 9.0
+BLUR_SHARE, WIDEST_BLUR_PX = 0.3, 6.0
+"""Share of samples whose whole image is out of focus, and the greatest sigma of that, in image pixels."""
+VIGNETTING_SHARE, MOST_VIGNETTING = 0.4, 0.08
+"""Share of samples that a lens darkens around its axis, and about the greatest loss of light half a view from it."""
+GLARE_SHARE, MOST_GLARE = 0.4, 0.05
+"""Share of samples with glare, and the greatest part of the light that it spreads."""
 NO_BACKGROUND_SHARE = 0.3
 CLEAN_BACKGROUND_SHARE = 0.6
 """Share of the known backgrounds that were learnt before dust, shadow and slope; the others show them, too."""
-STRONG_NOISE = (1.0, 4.5)
-"""Range of the read noise, in grey levels, in two of five samples; the others have the design's."""
+STRONG_NOISE = (1.0, 12.0)
+"""Range of the read noise (log-uniform), in grey levels, in two of five samples; the others have the design's."""
 BRIGHTEST = 255.0
 
 
@@ -40,6 +49,24 @@ class Sample(NamedTuple):
     coverage: FloatImage  # (VIEW_PX, VIEW_PX) share covered by bodies
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Samples:
+    """All samples of a training run: each depends on the layers, the seed and its number alone."""
+
+    bodies: Sequence[BodyLayer]
+    walls: Sequence[WallLayer]
+    seed: int
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, number: int) -> Sample:
+        if not 0 <= number < self.count:
+            raise IndexError(number)
+        return compose(self.bodies, self.walls, np.random.default_rng([self.seed, 2, number]))
+
+
 def compose(bodies: Sequence[BodyLayer], walls: Sequence[WallLayer], rng: np.random.Generator) -> Sample:
     """Compose one sample of randomly chosen layers."""
     wall = _cut(rng)(_chosen(walls, rng).grey) * np.float32(rng.uniform(0.9, 1.1))
@@ -48,9 +75,22 @@ def compose(bodies: Sequence[BodyLayer], walls: Sequence[WallLayer], rng: np.ran
     for body_light, body_coverage in _bodies_in_view(first, bodies, rng):
         light = body_light + (1 - body_coverage) * light
         coverage = body_coverage + (1 - body_coverage) * coverage
+    if rng.random() < PATCHES_SHARE:
+        light = light * _patches(rng)
     if rng.random() < MOTION_SHARE:
         smear = _motion(rng.uniform(1, LONGEST_MOTION_PX) / first.scale)
         light, coverage = smear(light), smear(coverage)
+    if rng.random() < BLUR_SHARE:
+        sigma = rng.uniform(1, WIDEST_BLUR_PX) / first.scale
+        light, coverage, wall = (
+            np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE), np.float32)
+            for image in (light, coverage, wall)
+        )
+    if rng.random() < VIGNETTING_SHARE:
+        vignetting = _vignetting(rng)
+        light, wall = light * vignetting, wall * vignetting
+    glare_share = rng.uniform(0, MOST_GLARE) if rng.random() < GLARE_SHARE else 0.0
+    lens = ThinLens(f_number=2.0, glare_share=glare_share, glare_px=rng.uniform(20, 120) / first.scale)
 
     known = wall
     wall_light, bodies_light, transmission, veil = _disturbances(rng)
@@ -58,9 +98,9 @@ def compose(bodies: Sequence[BodyLayer], walls: Sequence[WallLayer], rng: np.ran
     if rng.random() > CLEAN_BACKGROUND_SHARE:  # the background has learnt what stays
         known = spoilt * transmission + veil
     flash = rng.uniform(0.3, 1.15) if rng.random() < DIM_SHARE else rng.uniform(0.97, 1.03)
-    image = flash * (light * bodies_light + (1 - coverage) * spoilt) * transmission + veil
+    image = flash * lens.with_glare(light * bodies_light + (1 - coverage) * spoilt) * transmission + veil
     image = _exposed(image, first.scale, rng)
-    return Sample(_relative(image, known, rng), np.clip(coverage, 0, 1))
+    return Sample(_relative(image, lens.with_glare(known), rng), np.clip(coverage, 0, 1))
 
 
 def _bodies_in_view(
@@ -112,6 +152,14 @@ def _placed(
     return found[0], found[1]
 
 
+def _patches(rng: np.random.Generator) -> FloatImage:
+    """Return a factor on the light of bodies with a texture of patches."""
+    n_patches = int(rng.integers(N_PATCHES[0], N_PATCHES[1] + 1))
+    noise = rng.standard_normal((n_patches, n_patches), dtype=np.float32)
+    coarse = np.clip(1 + np.float32(rng.uniform(*PATCHES_CONTRAST)) * noise, 0.4, 1.7)
+    return np.asarray(cv2.resize(coarse, (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_LINEAR))
+
+
 def _disturbances(
     rng: np.random.Generator,
 ) -> tuple[FloatImage | float, FloatImage | float, FloatImage | float, FloatImage | float]:
@@ -140,6 +188,15 @@ def _slope(rng: np.random.Generator) -> FloatImage:
     return np.asarray(cv2.resize(coarse.astype(np.float32), (VIEW_PX, VIEW_PX)))
 
 
+def _vignetting(rng: np.random.Generator) -> FloatImage:
+    """Return the share of the light that a lens leaves around its axis, which is anywhere in the view."""
+    v, u = np.mgrid[-1:1:32j, -1:1:32j]
+    center_u, center_v = rng.uniform(-1, 1, size=2)
+    squared = (u - center_u) ** 2 + (v - center_v) ** 2
+    coarse = 1 / (1 + rng.uniform(0, MOST_VIGNETTING) * squared)
+    return np.asarray(cv2.resize(coarse.astype(np.float32), (VIEW_PX, VIEW_PX)))
+
+
 def _motion(length_px: float) -> Callable[[FloatImage], FloatImage]:
     """Return a vertical motion blur of `length_px` on the canvas; views are rotated at random."""
     count = max(3, 2 * int(np.ceil(length_px / 2)) + 1)
@@ -156,7 +213,7 @@ def _motion(length_px: float) -> Callable[[FloatImage], FloatImage]:
 def _exposed(image: FloatImage, scale: float, rng: np.random.Generator) -> FloatImage:
     """Return the image with the noise that remains after averaging over `scale` squared pixels."""
     design = ExposureParameters()
-    read_noise = rng.uniform(*STRONG_NOISE) if rng.random() < 0.4 else design.read_noise
+    read_noise = np.exp(rng.uniform(*np.log(STRONG_NOISE))) if rng.random() < 0.4 else design.read_noise
     sigma = np.sqrt(
         design.shot_noise * np.maximum(image, 0) + np.float32(read_noise**2 + 1 / 12)
     ) / np.float32(scale)

@@ -10,7 +10,7 @@ from pipeline.arrays import Values
 from pipeline.errors import RejectedError, RejectReason
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from pipeline.segmentation import SilhouetteSet, ViewStatus
+from pipeline.segmentation import Silhouette, SilhouetteSet, ViewStatus
 from pipeline.views.dropped import DropCause, DroppedView
 
 LAYER_TOLERANCE_DEG = 10.0
@@ -18,7 +18,7 @@ LAYER_TOLERANCE_DEG = 10.0
 
 
 class Quality(StrEnum):
-    """Grade of a result by the number of views it rests on."""
+    """Grade of a result: by the number of views it rests on, and by its uncertainty."""
 
     GOOD = "good"
     REDUCED = "reduced"
@@ -33,12 +33,20 @@ class ViewsParameters:
     reduced: int = 12
     min: int = 8  # fewer are not measured
     max_unusable: int = 2  # views showing several bodies, or a cut one, before the whole bundle is rejected
+    max_unseen_share: float = 0.7  # of the outline, in half of the views
 
     def __post_init__(self) -> None:
         if not 2 <= self.min <= self.reduced <= self.good:
             raise ValueError("views need 2 <= min <= reduced <= good")
         if self.max_unusable < 0:
             raise ValueError("max_unusable must not be negative")
+        if not 0 < self.max_unseen_share <= 1:
+            raise ValueError("max_unseen_share must be in 0..1")
+
+
+def share_unseen(silhouette: Silhouette) -> float:
+    """Return the share of the points around a silhouette, about a pixel apart, where no edge was seen, 0..1."""
+    return 1 - len(silhouette.outline_uv) / max(len(silhouette.reach_uv), 1)
 
 
 def unusable_views(silhouettes: SilhouetteSet) -> dict[CameraId, DroppedView]:
@@ -61,7 +69,8 @@ def require_enough_views(
     Raises
     ------
     RejectedError
-        Most views show no body, or several show more than one or a cut one, or too few are not dropped.
+        Most views show no body, or several show more than one or a cut one, or hardly any of the outline is seen, or
+        too few are not dropped.
     """
     shown = [silhouette.status for silhouette in silhouettes.values()]
     n_of = {status: shown.count(status) for status in ViewStatus}
@@ -78,6 +87,12 @@ def require_enough_views(
             RejectReason.CLIPPED, f"the body leaves the image in {n_of[ViewStatus.CLIPPED]} views"
         )
     left = [camera for camera in silhouettes if camera not in dropped]
+    unseen = [share_unseen(silhouettes[camera]) for camera in left]
+    if unseen and np.median(unseen) > parameters.max_unseen_share:
+        raise RejectedError(
+            RejectReason.UNSEEN,
+            f"in half of the views {np.median(unseen):.0%} or more of the outline is not seen",
+        )
     quality_of(rig.subset(left), rig, parameters)
 
 

@@ -75,6 +75,7 @@ def write_drop(path: Path, drop: BallDrop) -> None:
                 "center_uv": view.center_uv.tolist(),
                 "radius_px": view.radius_px,
                 "rms_px": view.rms_px,
+                "edge_sigma_px": view.edge_sigma_px,
             }
             for camera, view in drop.views.items()
         },
@@ -95,6 +96,7 @@ def read_drop(path: Path) -> BallDrop:
                 center_uv=np.array(view["center_uv"]),
                 radius_px=view["radius_px"],
                 rms_px=view["rms_px"],
+                edge_sigma_px=view.get("edge_sigma_px"),  # older files have none
             )
             for camera, view in header["views"].items()
         }

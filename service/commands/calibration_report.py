@@ -9,7 +9,14 @@ from rich.table import Table
 
 from pipeline.calibration import CalibrationReport, Problem, ScaleSource
 from pipeline.calibration.coverage import Coverage
+from pipeline.calibration.report import FoundLenses, UnseenLenses
 from pipeline.calibration.self_calibration import StoneCalibration
+
+UNSEEN_LENSES = {
+    UnseenLenses.NO_WIDTHS: "unknown, since the widths of edges were not measured",
+    UnseenLenses.STOPPED_DOWN: "stopped down: edges are as wide at all depths, aperture and focus do not show",
+    UnseenLenses.LITTLE_DEPTH: "unknown, since the balls fell in too thin a layer to show aperture and focus",
+}
 
 
 def print_ball_report(report: CalibrationReport, covered: Coverage, unreadable: Sequence[str]) -> None:
@@ -49,7 +56,7 @@ def _print(table: Table, lines: Iterable[str]) -> None:
 
 def _table(report: CalibrationReport, covered: Coverage) -> Table:
     table = Table("camera")
-    for title in ("drops", "field %", "before px", "after px", "f px"):
+    for title in ("drops", "field %", "before px", "after px", "f px", "focus mm"):
         table.add_column(title, justify="right")
     table.add_column("left out")
     for camera in report.rig.cameras:
@@ -65,6 +72,7 @@ def _table(report: CalibrationReport, covered: Coverage) -> Table:
             _fixed(report.residuals_before_px.get(camera.id), 1),
             _fixed(report.residuals_after_px.get(camera.id), 3),
             f"{camera.focal_px:.1f}",
+            _fixed(camera.lens.focus_mm if camera.lens else None, 1),
             ", ".join(f"{n} x {reason}" for reason, n in refused.most_common()),
         )
     return table
@@ -83,6 +91,7 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
         yield "scale: not observable; lengths are those of the initial rig"
     if report.uncertainty is not None:
         yield f"length in the measuring volume: +- {report.uncertainty.length_sd_percent:.3f} % (1 sd)"
+    yield _lens_line(report.lenses)
     if report.edge_offset_px is not None:
         side = "large" if report.edge_offset_px > 0 else "small"
         yield f"outlines are {abs(report.edge_offset_px):.3f} px too {side}, as balls of two sizes show"
@@ -91,6 +100,16 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
         yield f"fall: {tilt_deg:.2f} +- {report.fall.sd_deg:.2f} degrees off the initial vertical; corrected"
     yield from (_problem_line(problem) for problem in report.problems)
     yield f"calibration: {report.rig.calibration_id}"
+
+
+def _lens_line(lenses: FoundLenses | UnseenLenses) -> str:
+    if isinstance(lenses, UnseenLenses):
+        return f"lenses: {UNSEEN_LENSES[lenses]}"
+    f_number, sigma_px = lenses.f_number, lenses.blur_px.value
+    return (
+        f"lenses of {lenses.focal_length_mm:g} mm: F{f_number.value:.2f} +- {f_number.sd:.2f} (1 sd), "
+        f"edges in focus {sigma_px:.2f} px wide (sigma)"
+    )
 
 
 def _problem_line(problem: Problem) -> str:

@@ -309,7 +309,7 @@ def _print_summary(records: list[dict[str, Any]], as_json: bool) -> None:
             f"{record['volume_mm3']:.1f}" if measured else "",
             f"{record['sieve_size_mm']:.2f}" if measured else "",
             str(len(record["views"])) if measured else "",
-            record["detail"] or dropped,
+            record["detail"] or dropped or ", ".join(record["quality_causes"]),
         )
     Console().print(table)
     typer.echo(f"{len(records)} bundles = " + " + ".join(f"{n} {outcome}" for outcome, n in summary.items()))

@@ -1,6 +1,7 @@
 """`stonefall models`: list, fetch and train segmentation networks."""
 
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from service.models.device import Device
 from service.models.networks import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
 
 command = typer.Typer(help="List, fetch and train the networks that segment images.")
@@ -57,16 +59,31 @@ def train(
     out: Annotated[
         Path, typer.Option(help="ONNX file to write; its description is written beside it, as .json.")
     ],
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds, views and steps give equal networks.")] = 1,
-    views: Annotated[int, typer.Option(min=1, help="Views of stones to render, about 12 per second.")] = 1600,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit, about 5 per second.")] = 5000,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0, help="Equal seeds, views, steps and batches give equal networks on equal devices."
+        ),
+    ] = 1,
+    views: Annotated[
+        int, typer.Option(min=1, help="Views of bodies to render, about 15 a second and process.")
+    ] = 1600,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the fit.")] = 5000,
+    batch: Annotated[int, typer.Option(min=1, help="Samples a step.")] = 8,
+    jobs: Annotated[
+        int,
+        typer.Option(min=1, max=256, help="Processes that render and compose; any number gives the same."),
+    ] = os.cpu_count() or 1,
+    device: Annotated[Device, typer.Option(help="auto is a GPU if PyTorch sees one.")] = Device.AUTO,
 ) -> None:
     """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
     # imported here: it brings the renderer, which no other command of models needs
     from service.models.training import TrainingPlan, train_network
 
-    plan = TrainingPlan(seed=seed, n_views=views, n_steps=steps)
-    description = train_network(plan, out, lambda line: typer.echo(line, err=True))
+    plan = TrainingPlan(seed=seed, n_views=views, n_steps=steps, batch=batch)
+    description = train_network(
+        plan, out, lambda line: typer.echo(line, err=True), n_jobs=jobs, device=device
+    )
     typer.echo(json.dumps(description, indent=2))
 
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pipeline.carving import CarvingParameters
 from pipeline.particle import BodyParameters, PipelineParameters
+from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
@@ -82,6 +83,7 @@ class Settings(BaseModel):
     empty_rig: EmptyRigParameters = EmptyRigParameters()
     segmentation: SegmentationSettings = SegmentationSettings()
     views: ViewsParameters = ViewsParameters()
+    quality: QualityParameters = QualityParameters()
     consistency: ConsistencyParameters = ConsistencyParameters()
     optics: OpticalParameters = OpticalParameters()
     carving: CarvingParameters = CarvingParameters()

@@ -41,7 +41,9 @@ class OpticalParameters:
     spots_share: float = 0.05  # of the view, darker than its surroundings
     saturated_share: float = 0.02  # of all pixels
     noise_grey: float = 8.0  # the design's is 2
-    edge_width_px: float = 8.0  # of a stone's outline, 10 to 90 %; the design's is 2.5
+    edge_width_px: float = (
+        12.0  # of a stone's outline, 10 to 90 %, along its wider axis; 2.5 at F8, 3 to 4 at F2
+    )
 
     def __post_init__(self) -> None:
         for limit in fields(self):
@@ -68,15 +70,24 @@ class OpticalFinding:
 
 LIGHT_CHANGE, GRADIENT = "light_change", "gradient"
 """Limits of the light, whose findings are composed by geometry, see `dark_panels`."""
+EDGE_WIDTH = "edge_width_px"
+AXES = ("edge_width_u_px", "edge_width_v_px")
+"""Widths of outlines across each axis of the image; a sharp outline has one width."""
 DETAILS = {
     "flicker": "light varies by {:.0%} from exposure to exposure: look at the strobe and its supply",
     "dust": "{:.0%} of the light is lost in patches: clean window and lens",
     "spots_share": "{:.0%} of the view is darker than its surroundings: clean window and wall",
     "saturated_share": "{:.1%} of all pixels are saturated: less gain, or a shorter flash",
     "noise_grey": "images are noisy, {:.1f} grey levels: look at gain and temperature",
-    "edge_width_px": "outlines are {:.1f} px wide: look at focus, window and exposure time",
+    EDGE_WIDTH: "outlines are {:.1f} px wide: look at focus and window",
 }
 """By the name of the limit: the text of its finding, with the remedy."""
+MOTION_RATIO = 1.4
+"""Ratio of the widths of outlines along the two axes of the image from which it is motion: a lens blurs both alike."""
+MOTION = (
+    "outlines are {:.1f} px wide along one axis of the image, {:.1f} along the other: stones move too far during the"
+    " exposure: look at the strobe and the exposure time"
+)
 
 
 @dataclass(slots=True)
@@ -88,7 +99,10 @@ class _Camera:
     def add(self, figures: Mapping[str, Any], limits: OpticalParameters) -> None:
         """Take the figures of one exposure into account."""
         gradient_u, gradient_v = figures["gradient_uv"]
-        for name, value in {**figures, "gradient_u": gradient_u, "gradient_v": gradient_v}.items():
+        width_px = figures[EDGE_WIDTH]
+        named = {**figures, "gradient_u": gradient_u, "gradient_v": gradient_v}
+        named |= dict(zip(AXES, named.pop("edge_widths_uv_px", None) or (width_px, width_px), strict=True))
+        for name, value in named.items():
             if name != "gradient_uv" and value is not None:
                 self.series.setdefault(name, deque(maxlen=WINDOW)).append(value)
         typical = {name: median(seen) for name, seen in self.series.items() if len(seen) >= MIN_EXPOSURES}
@@ -101,9 +115,23 @@ class _Camera:
         """Return the figures that have a limit, by the name of the limit."""
         optics = self.optics
         figures = {name: value for name in DETAILS if (value := getattr(optics, name)) is not None}
+        if EDGE_WIDTH in figures:
+            figures[EDGE_WIDTH] = max(figures[EDGE_WIDTH], *self.widths_px())
         if (light := _light(optics)) is not None:
             figures |= {LIGHT_CHANGE: abs(1 - light.brightness), GRADIENT: hypot(*light.gradient_uv)}
         return figures
+
+    def widths_px(self) -> tuple[float, float]:
+        """Return the widths of outlines along the wider and the narrower axis of the image; 0 while unknown."""
+        u_px, v_px = (getattr(self.optics, axis) or 0.0 for axis in AXES)
+        return max(u_px, v_px), min(u_px, v_px)
+
+    def detail(self, limit: str) -> str:
+        """Describe a figure that has reached its limit, with the remedy."""
+        wide_px, narrow_px = self.widths_px()
+        if limit == EDGE_WIDTH and wide_px > MOTION_RATIO * narrow_px > 0:
+            return MOTION.format(wide_px, narrow_px)
+        return DETAILS[limit].format(self.limited_figures()[limit])
 
     def severity(self, *limits: str) -> Severity:
         """Return the worst severity among these limits."""
@@ -152,7 +180,7 @@ class OpticalWatch:
             OpticalFinding(
                 cameras=tuple(group),
                 severity=max(self._cameras[name].severity(limit) for name in group),
-                detail=DETAILS[limit].format(values[group[0]]),
+                detail=self._cameras[group[0]].detail(limit),
             )
             for group in groups
         ]

@@ -29,6 +29,8 @@ IN_A_ROW = 3
 """Stones in a row whose view contradicts the hull of the others, but not their tangents, before it is an alarm."""
 RESIDUAL_DRIFT_PX = 0.3
 """Alarm limit of the rise of the median residual against the hull, compared with this calibration's first stones."""
+SHARP_WIDTH_PX = 2.6
+"""Width of a sharp outline, from 10 to 90 %: lens and pixels."""
 MAX_TAN_TO_FALL = 0.2
 """Tangent of the angle (11 degrees) between a shift and the fall up to which a wrong time can explain the shift."""
 REMEDY = "recalibrate (stonefall calibrate RECORDING --method stones, or drop the ball)"
@@ -81,15 +83,21 @@ class _Series:
 class _Camera:
     calibration: CameraCalibration
     tangency: _Series = field(default_factory=_Series)
+    blurs: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))  # relative to a sharp outline's
     residual: _Series = field(default_factory=_Series)
     shifts_px: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=MIN_STONES))
     latest_px: float | None = None  # score of the latest stone
     n_dropped: int = 0  # latest stones in a row whose measurement dropped this view
 
     @property
+    def alarm_px(self) -> float:
+        """Score from which it has moved: outlines agree to a tenth of their blur, sharp ones to 0.1 px."""
+        return ALARM_PX * max(1.0, median(self.blurs or [1.0]))
+
+    @property
     def is_dropped(self) -> bool:
         """Whether its view was dropped for another reason than a single odd silhouette."""
-        is_displaced = self.latest_px is not None and self.latest_px >= ALARM_PX
+        is_displaced = self.latest_px is not None and self.latest_px >= self.alarm_px
         return self.n_dropped >= (1 if is_displaced else IN_A_ROW)
 
     @property
@@ -120,7 +128,11 @@ class RigWatch:
         scores_px = record.get("tangency_px")
         if not scores_px or record["calibration_id"] != self._calibration_id:
             return
+        widths_px = {name: seen["edge_width_px"] for name, seen in record.get("optics", {}).items()}
+        typical_px = median([width_px for width_px in widths_px.values() if width_px] or [SHARP_WIDTH_PX])
         for name, camera in self._cameras.items():
+            # a sharp outline is compared with the others' blurred ones
+            camera.blurs.append(max(typical_px, widths_px.get(name) or 0.0) / SHARP_WIDTH_PX)
             camera.latest_px = scores_px.get(name)
             if name in scores_px:  # it saw the stone whole
                 camera.tangency.add(scores_px[name])
@@ -152,7 +164,8 @@ class RigWatch:
                 detail=_describe_displacement(camera, score_px, self._speed_mm_s),
             )
             for name, camera in self._cameras.items()
-            if (score_px := camera.score_px) is not None and (camera.is_dropped or score_px >= ALARM_PX)
+            if (score_px := camera.score_px) is not None
+            and (camera.is_dropped or score_px >= camera.alarm_px)
         ]
         if 2 * len(displaced) > len(self._cameras):
             displaced = [_common_suspicion(displaced, len(self._cameras))]
@@ -178,7 +191,7 @@ def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) 
     A camera that exposes late sees the stone further down, and so does one that was tilted up: where the shift cannot
     tell these apart both are named. The text ends with the remedy.
     """
-    if score_px < ALARM_PX:
+    if score_px < camera.alarm_px:
         return (
             f"contradicts the hull of the others, {camera.n_dropped} stones in a row:"
             " clean its window, look at its light and focus"

@@ -80,6 +80,9 @@ class ViewOptics(BaseModel):
     edge_width_px: float | None = Field(
         description="Width of the outline from 10 to 90 %, px; null without one"
     )
+    edge_widths_uv_px: list[float] | None = Field(
+        description="The same of blurred edges across u, and of those across v; null for a sharp outline"
+    )
     contrast: float | None = Field(
         description="Contrast of stone and wall at the outline, share of the wall's level"
     )
@@ -111,8 +114,12 @@ class Result(BaseModel):
     reason: str | None = Field(default=None, description="Why rejected or lost, one word; null when measured")
     detail: str | None = Field(default=None, description="The reason for people")
     quality: Literal["good", "reduced", "degraded"] | None = Field(
-        default=None, description="How well the stone was seen"
+        default=None,
+        description="How far from the truth the result may be, by `[quality]` and by the number of views",
     )
+    quality_causes: list[
+        Literal["pixels", "focus", "motion", "noise", "unseen", "views", "disagreement", "calibration"]
+    ] = Field(default=[], description="Why the quality is not `good`, the greatest cause first")
     views: list[str] = Field(default=[], description="Cameras whose views were measured")
     dropped_views: dict[str, str] = Field(
         default={}, description="Cameras whose views were not used, each with the reason"
@@ -130,6 +137,10 @@ class Result(BaseModel):
     volume_mm3: Number = _measured(
         "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"
     )
+    volume_sd_percent: Number = _measured(
+        "Standard deviation of `volume_mm3`, %, dents that no silhouette shows included"
+    )
+    surface_sd_mm: Number = _measured("Standard deviation of the mesh's distance to the stone's surface, mm")
     volume_raw_mm3: Number = _measured("Volume of the visual hull, mm³")
     volume_estimate_mm3: Number = _measured(
         "Volume of the estimated body's mesh, mm³; null when nothing is estimated"

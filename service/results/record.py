@@ -30,6 +30,7 @@ def result_record(
         "reason": None if rejection is None else str(rejection.reason),
         "detail": None if rejection is None else rejection.detail,
         "quality": None if result.quality is None else str(result.quality),
+        "quality_causes": [str(cause) for cause in result.quality_causes],
         "views": list(result.views),
         "dropped_views": {camera: str(why) for camera, why in result.dropped.items()},
         "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
@@ -70,6 +71,9 @@ def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
             "saturated_share": round(seen.saturated_share, 5),
             "noise_grey": round(seen.noise_grey, 2),
             "edge_width_px": None if seen.edge_width_px is None else round(seen.edge_width_px, 2),
+            "edge_widths_uv_px": None
+            if seen.edge_widths_uv_px is None
+            else [round(width_px, 2) for width_px in seen.edge_widths_uv_px],
             "contrast": None if seen.contrast is None else round(seen.contrast, 3),
         }
         for camera, seen in optics.items()

@@ -11,7 +11,7 @@ beside its place. Printed are
 
 and the same for the paper's method on the same drops, without outliers.
 
-Run: .venv/bin/python tests/accuracy/calibration.py [--rigs 4] [--seed 1] [--two-sizes]
+Run: .venv/bin/python tests/accuracy/calibration.py [--rigs 4] [--seed 1] [--lens f2] [--two-sizes]
 """
 
 import argparse
@@ -31,6 +31,7 @@ from pipeline.calibration import BallDrop, CalibrationReport, calibrate, observe
 from pipeline.calibration.bundle_adjustment import N_CAMERA, Solution
 from pipeline.calibration.held_out import located_offsets_px
 from pipeline.calibration.paper import ball_points_mm, residuals_px
+from pipeline.calibration.report import UnseenLenses
 from pipeline.calibration.sphere_image import sightings_of
 from pipeline.evaluation.scene import BALL, build_scene, drop_ball, rig_error
 from pipeline.frames import CameraId, FrameBundle
@@ -39,6 +40,7 @@ from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import ball
 from pipeline.synthesis.bundles import stream
+from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
 from pipeline.synthesis.renderer import PlacedBody
 
 N_DROPS = 20
@@ -49,6 +51,7 @@ CUT_OFF_MM = (23.0, 3.0, -2.0)
 """Where a 10 mm ball reaches beyond the border of most images."""
 SPOTTED_MM = (-3.0, 4.0, 2.0)
 SPOTTED = tuple(CameraId(name) for name in ("c02", "c07", "c12"))
+TRUE_FOCUS_MM = 300.0
 OUTLIER_SHARE = 0.03
 OUTLIER_PX = 8.0
 
@@ -57,6 +60,7 @@ OUTLIER_PX = 8.0
 class Photographed:
     """One rig and what it saw."""
 
+    lens: LensPreset
     rig: RigCalibration  # the truth
     drops: tuple[BallDrop, ...]
     held_out: tuple[BallDrop, ...]
@@ -65,9 +69,11 @@ class Photographed:
     spotted: BallDrop
 
 
-def photographed(seed: int, n_drops: int = N_DROPS, n_large: int = 0) -> Photographed:
+def photographed(
+    seed: int, n_drops: int = N_DROPS, n_large: int = 0, lens: LensPreset = LensPreset.SHARP
+) -> Photographed:
     """A rig of this seed and its drops, found in rendered images."""
-    scene = build_scene(seed)
+    scene = build_scene(seed, exposure=LENS_PRESETS[lens])
 
     def seen(bundle: FrameBundle) -> BallDrop:
         return observe_ball(bundle, scene.background, BackgroundSegmenter(), SMALL_MM)
@@ -78,6 +84,7 @@ def photographed(seed: int, n_drops: int = N_DROPS, n_large: int = 0) -> Photogr
 
     to_be_spotted = ball_at(SPOTTED_MM, 301, "spotted")
     return Photographed(
+        lens=lens,
         rig=scene.true_rig,
         drops=tuple(drop_ball(scene, number, SMALL_MM) for number in range(n_drops - 2)),
         held_out=tuple(drop_ball(scene, 100 + number, SMALL_MM) for number in range(N_HELD_OUT)),
@@ -182,7 +189,7 @@ def rows_of(seen: Photographed, seed: int) -> Iterator[tuple[str, CalibrationRep
 def table_of(rows: Sequence[tuple[int, str, CalibrationReport, Accuracy]]) -> Table:
     table = Table(
         "rig", "calibration", "before px", "after px", "reprojection px", "length %", "3-D um",
-        "predicted length sd %", "edge px", "views left out",
+        "predicted length sd %", "edge px", "F", "focus mm off, rms", "views left out",
         title="calibration from rendered ball drops, judged by what was not used",
     )  # fmt: skip
     for seed, label, report, found in rows:
@@ -192,23 +199,38 @@ def table_of(rows: Sequence[tuple[int, str, CalibrationReport, Accuracy]]) -> Ta
         )
         predicted = report.uncertainty and f"{report.uncertainty.length_sd_percent:.4f}"
         edge = "" if report.edge_offset_px is None else f"{report.edge_offset_px:+.3f}"
+        f_number, focus = _lens_found(report)
         left_out = sum(len(views) for views in report.views_left_out.values())
         table.add_row(
             str(seed), label, f"{before:.1f}", f"{after:.4f}", f"{found.reprojection_px:.4f}",
-            f"{found.length_percent:.4f}", f"{found.rigid_um:.2f}", predicted or "", edge, str(left_out),
+            f"{found.length_percent:.4f}", f"{found.rigid_um:.2f}", predicted or "", edge,
+            f_number, focus, str(left_out),
         )  # fmt: skip
     return table
+
+
+def _lens_found(report: CalibrationReport) -> tuple[str, str]:
+    """The f-number and how far the focus is from the plane in focus, or why they are not seen."""
+    lenses = report.lenses
+    if isinstance(lenses, UnseenLenses):
+        return lenses.value.replace("_", " "), ""
+    off_mm = np.array([found.value - TRUE_FOCUS_MM for found in lenses.focus_mm.values()])
+    f_number = f"{lenses.f_number.value:.2f} +- {lenses.f_number.sd:.2f}"
+    return f_number, f"{np.sqrt((off_mm**2).mean()):.2f} ({len(off_mm)} cameras)"
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rigs", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--lens", type=LensPreset, choices=tuple(LensPreset), default=LensPreset.SHARP)
     parser.add_argument("--two-sizes", action="store_true", help="also with four balls of 16 mm")
     arguments = parser.parse_args()
     rows = [
         (seed, *row)
         for seed in range(arguments.seed, arguments.seed + arguments.rigs)
-        for row in rows_of(photographed(seed, n_large=N_LARGE if arguments.two_sizes else 0), seed)
+        for row in rows_of(
+            photographed(seed, n_large=N_LARGE if arguments.two_sizes else 0, lens=arguments.lens), seed
+        )
     ]
-    Console(width=170).print(table_of(rows))
+    Console(width=200).print(table_of(rows))

@@ -15,16 +15,18 @@ from accuracy.calibration import (
 from rich.console import Console
 
 from pipeline.calibration import CalibrationReport
+from pipeline.calibration.report import FoundLenses, UnseenLenses
 from pipeline.synthesis.bundles import stream
+from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
 
 SEED = 3
 
 pytestmark = pytest.mark.full
 
 
-@pytest.fixture(scope="module")
-def seen() -> Photographed:
-    return photographed(SEED)
+@pytest.fixture(scope="module", params=[LensPreset.SHARP, LensPreset.F2])
+def seen(request: pytest.FixtureRequest) -> Photographed:
+    return photographed(SEED, lens=request.param)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +53,7 @@ def judged(
 
 
 @pytest.mark.parametrize(
-    ("n_drops", "reprojection_px", "length_percent", "rigid_um"), [(8, 0.1, 0.05, 10), (20, 0.06, 0.02, 5)]
+    ("n_drops", "reprojection_px", "length_percent", "rigid_um"), [(8, 0.1, 0.02, 10), (20, 0.06, 0.02, 5)]
 )
 def test_calibration_from_drops(
     judged: dict[int, tuple[CalibrationReport, Accuracy]],
@@ -65,6 +67,21 @@ def test_calibration_from_drops(
     assert found.reprojection_px <= reprojection_px
     assert found.length_percent <= length_percent
     assert found.rigid_um <= rigid_um
+
+
+@pytest.mark.parametrize("n_drops", [8, 20])
+def test_aperture_and_focus_are_found(
+    judged: dict[int, tuple[CalibrationReport, Accuracy]], seen: Photographed, n_drops: int
+) -> None:
+    lenses, lens = judged[n_drops][0].lenses, LENS_PRESETS[seen.lens].lens
+    if lens is None:
+        assert lenses is UnseenLenses.STOPPED_DOWN
+    else:
+        assert isinstance(lenses, FoundLenses)
+        assert lenses.f_number.value == pytest.approx(lens.f_number, rel=0.03)
+        assert [found.value for found in lenses.focus_mm.values()] == pytest.approx(
+            [lens.focus_mm] * 16, abs=2.5
+        )
 
 
 def test_cut_off_ball_and_spot_are_dropped(seen: Photographed) -> None:

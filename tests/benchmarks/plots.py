@@ -5,13 +5,15 @@ Run: .venv/bin/pip install --require-hashes -r deploy/requirements-benchmark.loc
      .venv/bin/stonefall benchmark --scaling --poses 2 --json > scaling.json
      .venv/bin/python tests/benchmarks/carving.py --json > peers.json
      .venv/bin/python tests/benchmarks/sustained.py --rates 4,10 --seconds 60 --queue 150 --json > latency.json
-     .venv/bin/python tests/benchmarks/plots.py stages.json scaling.json peers.json latency.json [--out FOLDER]
+     .venv/bin/python tests/accuracy/uncertainty.py --out uncertainty.json
+     .venv/bin/python tests/benchmarks/plots.py stages.json scaling.json peers.json latency.json uncertainty.json
 
 The name of a file decides what is drawn; its plot has the same name.
 """
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -99,11 +101,32 @@ def draw_latency(axes: Axes, runs: list[dict[str, Any]]) -> None:
     axes.legend()
 
 
+def draw_uncertainty(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    """Draw the share of stones against error / sigma, of surface and volume, beside that of a normal error."""
+    stones = [row for row in rows if row["condition"] != "ideal" and row["error_mm"] is not None]
+    share = 100 * np.arange(1, len(stones) + 1) / len(stones)
+    for label, error, sd in (
+        ("mean distance of the surface", "error_mm", "surface_sd_mm"),
+        ("volume", "volume_error_percent", "volume_sd_percent"),
+    ):
+        axes.plot(np.sort([abs(row[error]) / row[sd] for row in stones]), share, label=label)
+    sigmas = np.linspace(0, 4, 81)
+    axes.plot(sigmas, [100 * math.erf(x / math.sqrt(2)) for x in sigmas], "k:", lw=0.8, label="normal")
+    axes.axvline(3, color="k", lw=0.8)
+    axes.set_xlim(0, 4)
+    axes.set_xlabel(
+        f"error / sigma, {len(stones)} stones under {len({row['condition'] for row in stones})} conditions"
+    )
+    axes.set_ylabel("% of the stones")
+    axes.legend(loc="lower right")
+
+
 DRAWN: dict[str, Callable[[Axes, Any], None]] = {
     "stages": draw_stages,
     "scaling": draw_scaling,
     "peers": draw_peers,
     "latency": draw_latency,
+    "uncertainty": draw_uncertainty,
 }
 
 

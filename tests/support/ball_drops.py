@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pipeline.calibration.drops import BallDrop, BallView
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.rig.depth_blur import expected_sigma_px
 
 Array = NDArray[np.float64]
 
@@ -53,13 +54,15 @@ def drop(
     entered_mm: float | None = None,
     noise_px: float = 0.0,
     edge_offset_px: float = 0.0,
+    width_noise: float = 0.02,
     fall_ns: int | None = None,
     rng: np.random.Generator | None = None,
 ) -> BallDrop:
     """The drop of a ball as `rig` sees it; a ball that is not whole in a view is refused there as clipped.
 
     `noise_px` is the standard deviation of each outline point in u and v, `edge_offset_px` how much too far out
-    all of them are; the operator entered `entered_mm`, by default the true diameter.
+    all of them are; the operator entered `entered_mm`, by default the true diameter. A camera with a lens shows the
+    width of the ball's edge, with a relative error of `width_noise` (sd).
     """
     rng = rng or np.random.default_rng(0)
     views: dict[CameraId, BallView] = {}
@@ -73,6 +76,11 @@ def drop(
             refused[camera.id] = "clipped"
         else:
             views[camera.id] = ball_view(seen_uv)
+            limb_mm = np.asarray(center_mm) + (diameter_mm / 2) ** 2 / 300**2 * camera.center_mm
+            sigmas_px = expected_sigma_px(camera, camera.project(limb_mm[None])[1])
+            if sigmas_px is not None:
+                sigma_px = float(sigmas_px[0] * np.exp(width_noise * rng.normal()))
+                views[camera.id] = replace(views[camera.id], edge_sigma_px=sigma_px)
     return BallDrop(
         name=name,
         diameter_mm=diameter_mm if entered_mm is None else entered_mm,

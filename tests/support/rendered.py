@@ -1,5 +1,6 @@
 """Rendered bundles shared by the tests: one synthetic rig, its background learnt once."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel
-from pipeline.synthesis.bodies import Body, ball, sphere
+from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, stream
+from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig
 
@@ -54,6 +56,19 @@ def bundle_of(*bodies: PlacedBody, number: int = 0) -> FrameBundle:
 def sphere_bundle() -> FrameBundle:
     """A 15 mm sphere half a millimetre off the centre."""
     return bundle_of(placed(sphere(), (0.5, -0.3, 0.2)))
+
+
+@kept_rendered
+def sphere_exposed_as(exposure: ExposureParameters) -> FrameBundle:
+    """The sphere in the middle of the rig, exposed in another way than the background was."""
+    other = replace(simulated(), parameters=exposure)
+    return render_bundle([placed(sphere())], other, stream(SEED, 3), sequence=1)
+
+
+@kept_rendered
+def bright_cube_bundle() -> FrameBundle:
+    """A cube that looks like the wall in places, in the middle of the rig."""
+    return bundle_of(placed(replace(cube(), grey=130.0, contrast=0.35)), number=4)
 
 
 @kept_rendered

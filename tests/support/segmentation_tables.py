@@ -91,7 +91,7 @@ def error_cells(judged: Sequence[SilhouetteErrors]) -> list[str]:
         f"{np.median(ious):.4f}",
         f"{min(ious):.4f}",
         f"{offsets_px.mean():+.3f}",
-        f"{max((errors.bias_px for errors in judged), key=abs):+.3f}",
+        f"{max((errors.bias_px for errors in judged if len(errors.offsets_px)), key=abs):+.3f}",
         f"{np.sqrt(np.mean(offsets_px**2)):.3f}",
         percent([errors.seen_share for errors in judged]),
         percent([errors.unknown_share for errors in judged]),

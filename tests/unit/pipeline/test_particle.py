@@ -8,9 +8,10 @@ import pytest
 from support import rendered
 
 from pipeline.errors import RejectReason
-from pipeline.frames import CameraId, FrameBundle
+from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.particle import MeasuringParameters, ParticleResult, PipelineParameters, measure_bundle
-from pipeline.segmentation import BackgroundModel
+from pipeline.segmentation import BackgroundModel, Silhouette
+from pipeline.segmentation.silhouette import KnownDistances
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.bundles import stream, without_views
@@ -144,6 +145,29 @@ def test_views_of_different_stones_are_rejected_as_inconsistent() -> None:
     parameters = replace(PARAMETERS, views=ViewsParameters(min=4, reduced=4, good=4))
     bundle = replace(rendered.sphere_bundle(), frames=frames)
     assert rejected_for(measured(bundle, parameters=parameters)) is RejectReason.INCONSISTENT
+
+
+def test_a_body_that_is_hardly_seen_is_rejected_as_unseen() -> None:
+    def half_blind(frame: Frame, background: BackgroundModel) -> Silhouette:
+        found = BackgroundSegmenter()(frame, background)
+        return replace(found, outline_uv=found.outline_uv[: len(found.outline_uv) // 10])
+
+    result = measure_bundle(rendered.sphere_bundle(), RIG, rendered.background(), half_blind, PARAMETERS)
+    assert rejected_for(result) is RejectReason.UNSEEN
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_silhouettes_that_contradict_themselves_are_rejected(seed: int) -> None:
+    """Distances that jump from node to node bound no surface."""
+    rng = np.random.default_rng(seed)
+
+    def torn(frame: Frame, background: BackgroundModel) -> Silhouette:
+        found = BackgroundSegmenter()(frame, background)
+        distances = rng.normal(0, 30, found.labels.shape).astype(np.float32)
+        return replace(found, distances=KnownDistances(distances))
+
+    result = measure_bundle(rendered.sphere_bundle(), RIG, rendered.background(), torn, PARAMETERS)
+    assert rejected_for(result) in (RejectReason.IMPLAUSIBLE, RejectReason.INCONSISTENT)
 
 
 def test_without_background_nothing_is_measured() -> None:

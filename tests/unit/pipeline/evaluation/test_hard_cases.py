@@ -53,6 +53,16 @@ def test_what_was_photographed_covers_as_much_as_the_truth_says() -> None:
     assert np.abs(hard.frame.image - behind)[is_far].mean() < 2.5
 
 
+def test_the_truth_is_in_focus_where_the_image_is_not() -> None:
+    def dark_px_beside_body(hard: HardView) -> int:
+        is_dark = hard.frame.image < 0.9 * expected(hard)
+        near = cv2.dilate((hard.coverage > 0).astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+        return np.count_nonzero(is_dark & near & (hard.coverage < 0.02))
+
+    assert dark_px_beside_body(view(HardCase.CLEAN)) < 50
+    assert dark_px_beside_body(view(HardCase.DEFOCUS)) > 500  # of an outline of about 600 px
+
+
 def test_a_view_without_background_knows_of_none() -> None:
     assert view(HardCase.DUST, with_background=False).background == {}
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pipeline.errors import RigError
 from pipeline.rig.camera_arrays import camera_arrays
-from pipeline.rig.cameras import checksum_of, rig_to_document
+from pipeline.rig.cameras import Lens, RigCalibration, checksum_of, rig_to_document
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.rig.document import rig_from_document
 
@@ -85,6 +85,49 @@ def test_document_round_trip_keeps_the_identity() -> None:
     assert rig_from_document(document).calibration_id != NOMINAL.calibration_id
 
 
+def with_lens(rig: RigCalibration, lens: Lens) -> RigCalibration:
+    return replace(
+        rig, cameras=tuple(replace(camera, lens=lens) for camera in rig.cameras), length_sd_percent=0.05
+    )
+
+
+WITH_LENS = with_lens(BUILT, Lens(focal_length_mm=25.0, f_number=2.0, focus_mm=300.0, blur_px=0.9))
+
+
+@given(
+    st.builds(
+        Lens,
+        focal_length_mm=st.floats(1, 1000),
+        f_number=st.floats(0.5, 64),
+        focus_mm=st.floats(10, 1e5),
+        blur_px=st.floats(0, 50),
+    )
+)
+def test_lenses_are_read_as_written(lens: Lens) -> None:
+    written = with_lens(BUILT, lens)
+    read = rig_from_document(json.loads(json.dumps(rig_to_document(written))))
+    assert [camera.lens for camera in read.cameras] == [lens] * 16
+    assert read.length_sd_percent == 0.05
+    assert read.calibration_id == written.calibration_id != BUILT.calibration_id
+
+
+def test_a_rig_without_lenses_has_the_document_of_before() -> None:
+    document = rig_to_document(BUILT)
+    assert "length_sd_percent" not in document
+    assert "lens" not in document["cameras"][0]
+    for member in (document, document["cameras"][0]):
+        member["length_sd_percent"] = member["lens"] = None
+    del document["checksum"]
+    assert rig_from_document(document).calibration_id == BUILT.calibration_id
+
+
+def test_part_of_a_rig_keeps_all_that_is_known_of_it() -> None:
+    part = WITH_LENS.subset(["c03", "c01"])
+    assert part.camera_ids == ("c01", "c03")
+    assert part.cameras[0].lens == WITH_LENS.cameras[0].lens
+    assert (part.name, part.length_sd_percent) == (WITH_LENS.name, 0.05)
+
+
 def test_as_built_is_seeded_and_deviates_as_told() -> None:
     assert as_built(NOMINAL, seed=1).calibration_id == BUILT.calibration_id
     assert as_built(NOMINAL, seed=2).calibration_id != BUILT.calibration_id
@@ -152,12 +195,18 @@ CAMERA = ("cameras", 2)
         (edited(*CAMERA, "distortion", value=[0, 0]), "cameras[2].distortion"),
         (edited(*CAMERA, "projection", 0, 3, value=77.0), "cameras[2].projection"),
         (edited(*CAMERA, "rms_px", value=-1), "cameras[2].rms_px"),
+        (edited("length_sd_percent", value="good"), "length_sd_percent"),
+        (edited(*CAMERA, "lens", value="F2"), "cameras[2].lens"),
+        (edited(*CAMERA, "lens", value={}), "cameras[2].lens.focal_length_mm"),
+        (edited(*CAMERA, "lens", "f_number", value=0), "cameras[2].lens.f_number"),
+        (edited(*CAMERA, "lens", "focus_mm", value=True), "cameras[2].lens.focus_mm"),
+        (edited(*CAMERA, "lens", "blur_px", value=None), "cameras[2].lens.blur_px"),
     ],
 )
 def test_an_impossible_rig_is_refused_with_the_field_named(
     edit: Callable[[dict[str, Any]], None], field: str
 ) -> None:
-    document = copy.deepcopy(rig_to_document(BUILT))
+    document = copy.deepcopy(rig_to_document(WITH_LENS))
     del document["checksum"]
     edit(document)
     with pytest.raises(RigError) as caught:

@@ -29,6 +29,7 @@ from pipeline.segmentation.optics import (
     observe_optics,
 )
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
+from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance, dimmed_sector, dust, flicker
@@ -127,6 +128,30 @@ def test_motion_widens_the_edge() -> None:
     assert moving.edge_width_px is not None
     assert still.edge_width_px is not None
     assert moving.edge_width_px > still.edge_width_px + 0.7
+
+
+def segmented(parameters: ExposureParameters) -> ViewOptics:
+    """The figures of the sphere, exposed so, by the silhouette that is found of it."""
+    simulated = replace(view(), parameters=parameters)
+    frame = exposed(rendered.placed(sphere(), CENTER_MM), number=1, simulated=simulated)
+    optics = observe_optics(frame, background(), BackgroundSegmenter()(frame, background()))
+    assert optics is not None
+    return optics
+
+
+def test_an_edge_too_wide_for_a_profile_has_the_width_of_the_silhouette() -> None:
+    optics = segmented(replace(STILL, blur_px=6.0))
+    assert optics.edge_width_px == pytest.approx(2.563 * 6.0, rel=0.1)
+    assert optics.edge_widths_uv_px == pytest.approx((2.563 * 6.0, 2.563 * 6.0), rel=0.1)
+
+
+def test_motion_widens_edges_along_the_fall_alone() -> None:
+    optics = segmented(replace(STILL, exposure_us=180.0))
+    assert optics.edge_widths_uv_px is not None
+    u_px, v_px = optics.edge_widths_uv_px
+    assert u_px < 3.2
+    assert v_px > 5
+    assert segmented(STILL).edge_widths_uv_px is None
 
 
 def test_dust_is_seen_as_it_grows() -> None:

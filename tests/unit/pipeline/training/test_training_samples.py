@@ -1,7 +1,6 @@
 """Training samples, composed without PyTorch: the network's input and the truth."""
 
 from functools import cache
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -12,32 +11,27 @@ from pipeline.training.image_layers import (
     VIEW_PX,
     BodyLayer,
     WallLayer,
-    render_bodies,
-    render_walls,
+    render_body,
+    render_wall,
 )
-from pipeline.training.samples import (
-    NO_BACKGROUND_SHARE,
-    Sample,
-    compose,
-)
+from pipeline.training.samples import NO_BACKGROUND_SHARE, Sample, Samples, compose
 
 N_SAMPLES = 150
 
 
 @cache
 def bodies() -> list[BodyLayer]:
-    return list(islice(render_bodies(5), 16))
+    return [layer for number in range(3) for layer in render_body(5, number)]
 
 
 @cache
 def walls() -> list[WallLayer]:
-    return list(islice(render_walls(5), 8))
+    return [layer for number in range(2) for layer in render_wall(5, number)]
 
 
 @cache
 def samples() -> list[Sample]:
-    rng = np.random.default_rng(6)
-    return [compose(bodies(), walls(), rng) for _ in range(N_SAMPLES)]
+    return list(Samples(bodies=bodies(), walls=walls(), seed=6, count=N_SAMPLES))
 
 
 def test_layers_fill_their_canvas_and_are_drawn_from_the_seed() -> None:
@@ -50,9 +44,9 @@ def test_layers_fill_their_canvas_and_are_drawn_from_the_seed() -> None:
         assert layer.light[layer.coverage == 0].max() <= 1
     greys = [float(np.median(layer.grey)) for layer in walls()]
     assert 150 < np.median(greys) < 240
-    again = next(render_bodies(5))
-    assert np.array_equal(again.light, bodies()[0].light)
-    assert not np.array_equal(next(render_bodies(6)).light, again.light)
+    last = render_body(5, 2)[-1]  # alone, as another process would render it
+    assert np.array_equal(last.light, bodies()[-1].light)
+    assert not np.array_equal(render_body(6, 2)[-1].light, last.light)
 
 
 def test_samples_are_in_the_ranges_that_the_network_is_promised() -> None:

@@ -87,7 +87,7 @@ def test_results_without_figures_teach_nothing() -> None:
         ("spots_share", 0.05, "clean window and wall"),
         ("saturated_share", 0.02, "saturated"),
         ("noise_grey", 8.0, "noisy"),
-        ("edge_width_px", 8.0, "look at focus"),
+        ("edge_width_px", 12.0, "look at focus"),
     ],
 )
 def test_maintenance_is_asked_for_at_half_of_a_limit_and_before_it(
@@ -105,6 +105,22 @@ def test_maintenance_is_asked_for_at_half_of_a_limit_and_before_it(
         finding = the_finding(watch)
         assert (finding.cameras, finding.severity) == ((C05,), severity)
         assert words in finding.detail
+
+
+@pytest.mark.parametrize(
+    ("across_uv", "words"),
+    [
+        ([13.0, 12.5], "outlines are 13.0 px wide: look at focus"),
+        ([2.6, 13.0], "13.0 px wide along one axis of the image, 2.6 along the other: stones move too far"),
+        ([13.0, 2.6], "look at the strobe and the exposure time"),
+        (None, "outlines are 12.5 px wide: look at focus"),
+    ],
+)
+def test_motion_is_told_from_a_lens_out_of_focus(across_uv: list[float] | None, words: str) -> None:
+    blurred = {"edge_width_px": 12.5 if across_uv is None else 5.0, "edge_widths_uv_px": across_uv}
+    finding = the_finding(after(*[exposure(c05=blurred)] * MIN_EXPOSURES))
+    assert (finding.cameras, finding.severity) == ((C05,), Severity.OUT_OF_SPECIFICATION)
+    assert words in finding.detail
 
 
 def test_an_alarm_at_its_limit_does_not_come_and_go() -> None:

@@ -133,6 +133,22 @@ def test_outlines_that_differ_without_a_shift_are_not_called_a_move():
     assert "turned about its line of sight, out of focus, or dirty" in detail
 
 
+def test_outlines_that_are_blurred_disagree_more_without_having_moved():
+    blurred = {camera: {"edge_width_px": 4 * 2.6} for camera in RIG.camera_ids}
+    stone = record(dict.fromkeys(RIG.camera_ids, 0.5)) | {"optics": blurred}
+    assert not fed(*[stone] * WINDOW).suspicions()
+    moved = record({"c05": 1.3}, (2.0, 0.5)) | {"optics": blurred}
+    assert the_suspicion(fed(*[moved] * MIN_STONES)).camera == C05
+
+
+def test_a_sharp_camera_is_compared_with_the_blurred_ones():
+    blurred = {camera: {"edge_width_px": 4 * 2.6} for camera in RIG.camera_ids} | {
+        "c05": {"edge_width_px": 2.6}
+    }
+    stone = record({"c05": 0.5}, (0.7, 0.2)) | {"optics": blurred}
+    assert not fed(*[stone] * WINDOW).suspicions()
+
+
 def test_a_view_that_is_left_out_three_times_in_a_row_is_no_accident():
     odd = record({"c05": 0.1}, dropped=("c05",))
     watch = fed(*[record()] * 5, odd, odd, record(), odd, odd)

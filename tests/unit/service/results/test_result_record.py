@@ -15,6 +15,7 @@ from pipeline.frames import CameraId, Trigger
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation import Silhouette, ViewStatus
+from pipeline.uncertainty import Cause, Uncertainty
 from pipeline.views.quality import Quality
 from service.results.fields import MEASURED_FIELDS
 from service.results.record import lost_record, result_record
@@ -39,6 +40,7 @@ def measured() -> ParticleResult:
         volume_estimate_mm3=6010.0,
         angularity=None,
         mass_g=None,
+        uncertainty=Uncertainty(surface_mm={Cause.FOCUS: 0.03}, volume_percent={Cause.FOCUS: 0.5}),
     )
     return ParticleResult(silhouettes={}, quality=Quality.GOOD, measurement=measurement)
 

@@ -1,0 +1,18 @@
+"""How far from the truth one measured stone may be, by cause, and the word for it."""
+
+from pipeline.uncertainty.causes import Cause
+from pipeline.uncertainty.evidence import Evidence, ViewEvidence, evidence_of
+from pipeline.uncertainty.model import Uncertainty, uncertainty
+from pipeline.uncertainty.word import QualityParameters, Verdict, verdict
+
+__all__ = [
+    "Cause",
+    "Evidence",
+    "QualityParameters",
+    "Uncertainty",
+    "Verdict",
+    "ViewEvidence",
+    "evidence_of",
+    "uncertainty",
+    "verdict",
+]

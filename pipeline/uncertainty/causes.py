@@ -1,0 +1,26 @@
+"""The causes of a stone's uncertainty."""
+
+from enum import StrEnum
+
+
+class Cause(StrEnum):
+    """What may have moved the measured surface; a word of the REST contract."""
+
+    PIXELS = "pixels"
+    """Pixels and lens at their sharpest: no edge is placed better than that."""
+    FOCUS = "focus"
+    """Edges wider than sharp ones, for another reason than motion or noise."""
+    MOTION = "motion"
+    """Edges that are wider along the fall than across it."""
+    NOISE = "noise"
+    """Noise of the pixels, and the smoothing against it."""
+    UNSEEN = "unseen"
+    """Stretches of outline that were not seen."""
+    VIEWS = "views"
+    """What the views leave between the largest and the likeliest body; or too few of them."""
+    DISAGREEMENT = "disagreement"
+    """Outlines that contradict each other by more than noise and calibration explain."""
+    CALIBRATION = "calibration"
+    """Residuals of the calibration, and the scale of its lengths."""
+    HIDDEN = "hidden"
+    """Dents and pores that no silhouette shows."""

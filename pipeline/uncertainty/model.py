@@ -1,0 +1,140 @@
+"""The uncertainty of one stone: independent causes, each with the distance by which it moves the surface, one sigma.
+
+The squares of these distances add up. Every coefficient is a statement about silhouettes, not a fit to images.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import hypot, sqrt
+
+import numpy as np
+
+from pipeline.segmentation.noise import MAX_SMOOTHING_PX, QUIET_GREY, SMOOTHING_PX_PER_GREY
+from pipeline.uncertainty.causes import Cause
+from pipeline.uncertainty.evidence import Evidence, ViewEvidence
+
+SHARP_SIGMA_PX = 1.0
+"""Blur of an edge by lens and pixels alone."""
+SHARE_OF_SIGMA = 0.15
+"""Share of its blur's sigma by which an edge is misplaced. The half-level of a blurred right-angled corner recedes from
+its sides by 0.27 sigma on average up to two sigmas away, an edge that is straight by none: outlines are about half of
+each."""
+NOISE_FACTOR = 1.33
+"""Of noise over step: the Cramér-Rao bound of the place of a Gaussian edge, sqrt(2 sqrt(pi) sigma / length) px, with a
+length of two sigmas along the edge."""
+TANGENCY_PER_PX = 1.18
+"""Median tangency residual of outlines that are independently off by 1 px: sqrt(2) px for each of a pair's two planes,
+of which the rms has this median."""
+GAP_SHARE = 0.1
+"""Share of the mean distance of hull and estimate by which the estimate is off: the correction of the volume adds
+0.14 of the gap to it on average, with the opposite sign for round bodies."""
+HULL_EXCESS = 4.0
+"""Excess of the hulls of stones relative to that of a sphere's, which is all that a hull is corrected by."""
+UNSEEN_RISE = 0.15
+"""Distance, as a share of the mean radius, by which a patch that no view outlines is off: a sphere rises by 0.13 over
+a chord of 60 degrees. The share of such patches is that of unseen outline squared: two views or more outline each."""
+HIDDEN_PERCENT = 2.5
+"""Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
+our bodies, up to 6 % of scanned stones."""
+COMMON_SHARE = 0.5
+"""Share of a surface's error that has the same sign all around, and so changes the volume."""
+ALL_COMMON = (Cause.UNSEEN, Cause.CALIBRATION, Cause.HIDDEN)
+"""Causes whose whole error has the same sign all around: what is unknown is not carved; a wrong scale; dents."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty:
+    """The uncertainty of one stone, one sigma: distance of its surface, and volume."""
+
+    surface_mm: Mapping[Cause, float]  # by each cause alone
+    volume_percent: Mapping[Cause, float]
+
+    @property
+    def surface_sd_mm(self) -> float:
+        """Standard deviation of the surface, all causes together."""
+        return hypot(*self.surface_mm.values())
+
+    @property
+    def volume_sd_percent(self) -> float:
+        """Standard deviation of the volume, all causes together."""
+        return hypot(*self.volume_percent.values())
+
+    @property
+    def by_cause(self) -> dict[Cause, float]:
+        """Share of each cause in the variance of the surface; together 1."""
+        total = sum(sd_mm**2 for sd_mm in self.surface_mm.values())
+        return {cause: sd_mm**2 / total for cause, sd_mm in self.surface_mm.items()}
+
+
+def uncertainty(evidence: Evidence) -> Uncertainty:
+    """Return the uncertainty that follows from what is known of a stone's views."""
+    volume_mm3, area_mm2 = evidence.volume_mm3, evidence.area_mm2
+    radius_mm = 3 * volume_mm3 / area_mm2  # of a sphere with this ratio
+    scale_mm = evidence.length_sd_percent / 100 * radius_mm
+    surface_mm = {
+        Cause.PIXELS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * SHARP_SIGMA_PX),
+        Cause.FOCUS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * _defocus_px(view)),
+        Cause.MOTION: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * view.motion_sigma_px),
+        Cause.NOISE: _rms_mm(
+            evidence, lambda view: hypot(SHARE_OF_SIGMA * _smoothing_px(view), _noise_px(view))
+        ),
+        Cause.UNSEEN: _unseen_mm(evidence, radius_mm),
+        Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
+        * max(evidence.hull_mm3 - volume_mm3, 0.0)
+        / area_mm2,
+        Cause.DISAGREEMENT: _disagreement_mm(evidence),
+        Cause.CALIBRATION: hypot(scale_mm, _rms_mm(evidence, lambda view: view.calibration_px)),
+        Cause.HIDDEN: HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2,
+    }
+    percent_per_mm = 100 * area_mm2 / volume_mm3
+    volume_percent = {
+        cause: percent_per_mm * sd_mm * (1.0 if cause in ALL_COMMON else COMMON_SHARE)
+        for cause, sd_mm in surface_mm.items()
+    }
+    return Uncertainty(surface_mm=surface_mm, volume_percent=volume_percent)
+
+
+def _rms_mm(evidence: Evidence, of_view_px: Callable[[ViewEvidence], float]) -> float:
+    """Return the rms over the views of a length in pixels, in mm at the stone."""
+    return float(np.sqrt(np.mean([(view.pixel_mm * of_view_px(view)) ** 2 for view in evidence.views])))
+
+
+def _smoothing_px(view: ViewEvidence) -> float:
+    """Return the sigma by which the view was smoothed."""
+    if view.noise_grey <= QUIET_GREY:
+        return 0.0
+    return min(SMOOTHING_PX_PER_GREY * view.noise_grey, MAX_SMOOTHING_PX)
+
+
+def _noise_px(view: ViewEvidence) -> float:
+    return NOISE_FACTOR * view.noise_grey / view.step_grey
+
+
+def _defocus_px(view: ViewEvidence) -> float:
+    """Return the sigma of an edge beyond that of a sharp one, of motion and of smoothing."""
+    others_px = hypot(SHARP_SIGMA_PX, view.motion_sigma_px, _smoothing_px(view))
+    return sqrt(max(view.edge_sigma_px**2 - others_px**2, 0.0))
+
+
+def _unseen_mm(evidence: Evidence, radius_mm: float) -> float:
+    """Return by how much patches that no view outlines are off, and openings that only undecided views look through.
+
+    An opening is filled where the views through it leave it unknown: a share of the volume as great as that of their
+    area is at stake, in each of them.
+    """
+    rise_mm = UNSEEN_RISE * radius_mm * float(np.mean([view.unseen_share**2 for view in evidence.views]))
+    filled = float(np.sqrt(np.mean([view.undecided_share**2 for view in evidence.views])))
+    return hypot(rise_mm, filled * evidence.volume_mm3 / evidence.area_mm2)
+
+
+def _disagreement_mm(evidence: Evidence) -> float:
+    """Return by how much the outlines are off, by the tangents that they share and the hulls that they leave.
+
+    What noise and calibration explain of it is theirs.
+    """
+    pixel_mm = float(np.mean([view.pixel_mm for view in evidence.views]))
+    expected_mm = hypot(_rms_mm(evidence, _noise_px), _rms_mm(evidence, lambda view: view.calibration_px))
+    known_px = [view.tangency_px for view in evidence.views if view.tangency_px is not None]
+    tangency_mm = pixel_mm * float(np.median(known_px)) / TANGENCY_PER_PX if known_px else 0.0
+    residual_mm = _rms_mm(evidence, lambda view: view.residual_px)
+    return sqrt(max(tangency_mm**2 + residual_mm**2 - expected_mm**2, 0.0))

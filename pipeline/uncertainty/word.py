@@ -1,0 +1,68 @@
+"""The word for a stone's uncertainty: good, reduced or degraded, and the causes that keep it from a better one."""
+
+from dataclasses import dataclass
+from math import hypot, inf
+
+from pipeline.uncertainty.causes import Cause
+from pipeline.uncertainty.model import Uncertainty
+from pipeline.views.quality import Quality
+
+BEST_FIRST = (Quality.GOOD, Quality.REDUCED, Quality.DEGRADED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualityParameters:
+    """Standard deviations up to which a result is good or reduced, without what no silhouette can show."""
+
+    good_mm: float = 0.05
+    good_volume_percent: float = 1.0
+    reduced_mm: float = 0.1
+    reduced_volume_percent: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not (
+            0 < self.good_mm <= self.reduced_mm
+            and 0 < self.good_volume_percent <= self.reduced_volume_percent
+        ):
+            raise ValueError("quality needs 0 < good <= reduced, for mm and for percent of volume")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """The quality of a result, and why it is not better: the greatest cause first, none for a good one."""
+
+    quality: Quality
+    causes: tuple[Cause, ...] = ()
+
+
+def verdict(found: Uncertainty, by_number: Quality, parameters: QualityParameters) -> Verdict:
+    """Return the worse of the quality by the number of views and that by uncertainty, and its causes.
+
+    Causes are named until without them the uncertainty would be that of a good result. Dents that no silhouette
+    shows are left out: no view could be better for them.
+    """
+    p = parameters
+    by_mm, by_volume = (
+        {cause: sd for cause, sd in sds.items() if cause is not Cause.HIDDEN}
+        for sds in (found.surface_mm, found.volume_percent)
+    )
+    limits = (
+        (Quality.GOOD, p.good_mm, p.good_volume_percent),
+        (Quality.REDUCED, p.reduced_mm, p.reduced_volume_percent),
+        (Quality.DEGRADED, inf, inf),
+    )
+    by_sigma = next(
+        quality
+        for quality, most_mm, most_percent in limits
+        if hypot(*by_mm.values()) <= most_mm and hypot(*by_volume.values()) <= most_percent
+    )
+    causes = [Cause.VIEWS] if by_number is not Quality.GOOD else []
+    left = sorted(by_mm, key=lambda cause: -by_mm[cause])
+    while left and (
+        hypot(*(by_mm[cause] for cause in left)) > p.good_mm
+        or hypot(*(by_volume[cause] for cause in left)) > p.good_volume_percent
+    ):
+        cause = left.pop(0)
+        if cause not in causes:
+            causes.append(cause)
+    return Verdict(quality=max(by_sigma, by_number, key=BEST_FIRST.index), causes=tuple(causes))
