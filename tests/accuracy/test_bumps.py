@@ -1,22 +1,35 @@
 """The table of bumps, in short: named in time, and nobody else."""
 
 import numpy as np
-from accuracy.bumps import bumps, false_alarms
+import pytest
+from accuracy.bumps import Observed, bumps, exact_outlines, false_alarms, in_images
 
-from pipeline.rig.design import as_built, nominal_rig
+from pipeline.synthesis.exposure import LensPreset
 
-NOISE_PX = 0.08
+EXACT = exact_outlines(noise_px=0.08)
 
 
 def test_every_bump_is_named_in_time_and_no_other_camera() -> None:
-    for found in bumps(seed=31, noise_px=NOISE_PX, n_bumps=2):
+    for found in bumps(31, EXACT, n_bumps=2):
         assert found.named_after is not None, found
         assert found.named_after <= (1 if found.turn_deg >= 0.5 else 20), found
         assert not found.others_named, found
 
 
 def test_healthy_stones_raise_no_alarm() -> None:
-    rig = as_built(nominal_rig(), 32)
-    alarms, highest_px = false_alarms(rig, np.random.default_rng(33), NOISE_PX)
+    alarms, scores_px = false_alarms(*EXACT(np.random.default_rng(33)))
     assert alarms == 0
-    assert highest_px < 0.3
+    assert scores_px.max() < 0.3
+
+
+@pytest.mark.full
+def test_an_open_lens_hides_no_bump_and_raises_no_alarm() -> None:
+    observed: Observed = in_images(LensPreset.F2, seed=34)
+    alarms, scores_px = false_alarms(*observed(np.random.default_rng(0)), n_stones=20)
+    assert alarms == 0
+    assert scores_px.max() < 0.3
+    for found in bumps(35, observed, turns_deg=(0.01, 0.1), n_bumps=4):
+        assert not found.others_named, found
+        if found.image_px > 0.5:
+            assert found.named_after is not None, found
+            assert found.named_after <= (1 if found.turn_deg >= 0.1 else 15), found
