@@ -56,7 +56,7 @@ class _Refusal:
 
 
 NOISE_PER_BLOCK = 2 / 3
-"""Error of a block of the wall that noise explains, relative to a pixel's: two standard deviations of a mean of nine."""
+"""Error of a block of wall that noise explains, relative to a pixel's: two standard deviations of a mean of nine."""
 WARM_UP_BLUR_PX = 3.0
 """Blur of the second image of the warm-up: its edge is placed another way."""
 
