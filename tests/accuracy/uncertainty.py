@@ -223,7 +223,7 @@ def judged(rows: Sequence[Row]) -> list[Judged]:
         surface = row.error_mm / row.surface_sd_mm
         volume = abs(row.volume_error_percent) / row.volume_sd_percent
         beyond_mm = row.error_mm - (best.error_mm or 0.0)
-        beyond_percent = abs(row.volume_error_percent - (best.volume_error_percent or 0.0))
+        beyond_percent = abs(row.volume_error_percent) - abs(best.volume_error_percent or 0.0)
         is_too_far = beyond_mm > MAX_BEYOND_MM or beyond_percent > MAX_BEYOND_PERCENT
         found.append(Judged(row=row, sigmas=max(surface, volume), is_too_far=is_too_far))
     return found

@@ -112,8 +112,10 @@ def test_the_network_needs_no_empty_rig(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=1, n_backgrounds=0)
     run(tmp_path / "recording", "--out", tmp_path / "out", "--workers", 1)
     (record,) = records(tmp_path / "out")
-    assert (record["outcome"], record["quality"]) == ("measured", "good")
+    assert record["outcome"] == "measured"
     assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.1)
+    # with a quarter of the pixels, screws and vents hide a seventh of the outlines from the network
+    assert record["quality_causes"] == ["unseen"]
     assert set(record["segmenters"].values()) == {"network"}
     assert record["segmentation_flags"] == dict.fromkeys(record["views"], "no background yet")
 
