@@ -31,8 +31,11 @@ MIN_STEP_GREY = np.float32(16)
 MARGIN = np.float32(0.3)
 """Coverages are clipped to this beyond 0 and 1: what is further off is texture."""
 PER_SIGMA = np.float32(sqrt(pi))
-HALF, HALF_WAY = np.float32(0.5), np.float32(0.2)
-"""The middle of an edge, and the deviation from it of coverages between which its slope there is taken."""
+LEAST_LEVEL = np.float32(0.1)
+"""Coverage below which no slope is the edge's."""
+PER_OUTER = np.float32(1.15 * sqrt(pi / 2))
+"""Sigmas for a pixel's worth of body outside of the steepest slope, relative to the level there: 15 % above a Gaussian's.
+Within it the body's own shading, such as a rim that shines, goes on rising."""
 STEEP_ENOUGH = np.float32(1.15 / sqrt(2 * pi))
 """Sigmas that an edge of slope 1 has at most, 15 % more than a Gaussian: two steps beside one another, such as those of
 a bright rim, are not one wide edge."""
@@ -175,18 +178,15 @@ def _width(profile: Singles, step_px: np.float32) -> tuple[np.float32, np.float3
     if abs(rise) < MIN_STEP_GREY:
         return np.float32(np.inf), np.float32(0)
     spread, outside, before = np.float32(0), np.float32(-0.5), np.float32(0)
-    steepest, level, half_way = np.float32(1e-3), np.float32(0), np.float32(0)
+    steepest, covered, outer = np.float32(1e-3), np.float32(0), np.float32(np.inf)
     for k in range(N_STEPS):
         coverage = min(max((profile[k] - beyond) / rise, -MARGIN), np.float32(1) + MARGIN)
         spread += coverage * (np.float32(1) - coverage)
         outside += np.float32(1) - coverage
-        slope, middle = coverage - before, (coverage + before) / 2
-        if slope > steepest:
-            steepest, level = slope, middle
-        if abs(middle - HALF) < HALF_WAY:
-            half_way = max(half_way, slope)
+        slope, level = coverage - before, (coverage + before) / 2
+        if slope > steepest and level > LEAST_LEVEL:
+            steepest, outer = slope, max(covered + (before + level) / 4, np.float32(0)) / level
+        covered += level
         before = coverage
-    # where the way on to the body's level is less steep it is the body's own rim
-    own = max(2 * level, np.float32(0)) if level < HALF and half_way < HALF * steepest else np.float32(1)
-    sigma = min(PER_SIGMA * max(spread, np.float32(0)), own * STEEP_ENOUGH / steepest)
+    sigma = min(PER_SIGMA * max(spread, np.float32(0)), STEEP_ENOUGH / steepest, PER_OUTER * outer)
     return step_px * sigma, step_px * (outside - np.float32(N_HALF))
