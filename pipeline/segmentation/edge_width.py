@@ -34,7 +34,7 @@ PER_SIGMA = np.float32(sqrt(pi))
 LEAST_LEVEL = np.float32(0.1)
 """Coverage below which no slope is the edge's."""
 PER_OUTER = np.float32(1.15 * sqrt(pi / 2))
-"""Sigmas for a pixel's worth of body outside of the steepest slope, relative to the level there: 15 % above a Gaussian's.
+"""Sigmas for a pixel's worth of body outside of the steepest slope, relative to the level there: a Gaussian's and 15 %.
 Within it the body's own shading, such as a rim that shines, goes on rising."""
 STEEP_ENOUGH = np.float32(1.15 / sqrt(2 * pi))
 """Sigmas that an edge of slope 1 has at most, 15 % more than a Gaussian: two steps beside one another, such as those of

@@ -132,7 +132,7 @@ def test_the_width_of_an_edge_is_measured_wherever_it_is_looked_for(
     )
     seen = np.ones(len(points_uv), np.uint8)
     local_px = local_sigmas_px(region, points_uv, seen)
-    assert np.median(local_px) == pytest.approx(np.hypot(sigma_px, 0.45), rel=0.1, abs=0.1)
+    assert np.median(local_px) == pytest.approx(np.hypot(sigma_px, 0.45), rel=0.1, abs=0.12)
     most_px, nearly_all_px = outline_sigmas_px(region, points_uv, seen)
     assert np.median(local_px) - 0.1 < most_px <= nearly_all_px < 1.6 * np.median(local_px)
 
