@@ -190,7 +190,14 @@ def measure_bundle(
             hull_mesh, estimate = _body(views, parameters, on_stage)
             angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
             measurement = _measure(
-                hull_mesh, estimate, views, optics, consistency, angularity, parameters.measuring
+                hull_mesh,
+                estimate,
+                views,
+                optics,
+                consistency,
+                angularity,
+                rig.length_sd_percent,
+                parameters.measuring,
             )
         except (MeshError, ValueError, ArithmeticError) as err:
             raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
@@ -251,6 +258,7 @@ def _measure(
     optics: Mapping[CameraId, ViewOptics],
     consistency: Consistency,
     angularity: float | None,
+    length_sd_percent: float | None,
     parameters: MeasuringParameters,
 ) -> ParticleMeasurement:
     """Measure the body, and how far it may be from the truth.
@@ -280,6 +288,7 @@ def _measure(
         area_mm2=shape.surface_area_mm2,
         hull_mm3=hull.volume_mm3,
         is_estimated=body == "estimate",
+        length_sd_percent=length_sd_percent,
     )
     density = parameters.density_g_cm3
     return ParticleMeasurement(

@@ -49,7 +49,7 @@ MAX_ROUNDS = 4
 NOISE_ROWS, MAX_TURNS = 16, 64
 """Every 16th row is looked at; with more changes between body and background in a row, on average, there is no body but
 a broken sensor: to follow 100 000 contours takes seconds."""
-MAX_SHARP_SIGMA_PX = 1.6
+MAX_SHARP_SIGMA_PX = 1.25
 """Sigma up to which most of an edge counts as sharp: steps of 2 px still see all of it."""
 MAX_DOUBTFUL_SHARE = 0.005
 """Share of doubtful points of an outline taken for sharp from which on its widest parts decide."""

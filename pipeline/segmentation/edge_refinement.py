@@ -33,7 +33,9 @@ normal (2,), what is left of the body just outside, the background's level there
 MIN_SLOPE = np.float32(0.04)
 """Least slope of an edge over `SLOPE_STEPS`, as a share of the background; grain and noise have less."""
 OUTSIDE_PX = np.float32(3.0)
-"""Distance outside of an edge from which on neither lens nor motion show the body."""
+"""Distance outside of a sharp edge from which on neither lens nor motion show the body."""
+OUTSIDE_SCALES = np.float32(2.3)
+"""The same of a wide edge, in units of its width: less than 1 % of the body shows there."""
 RESIDUAL_SHARE = np.float32(0.3)
 """Share of a body's least contrast: where the image differs more from the expected there, it is still body."""
 MAX_NOISE_GREY = np.float32(8.0)
@@ -107,7 +109,7 @@ def find_doubtful(
         scratch[i, RESIDUAL] = 0
         if not seen[i]:
             continue
-        outside_px = OUTSIDE_PX * scales[i]
+        outside_px = max(OUTSIDE_PX, OUTSIDE_SCALES * scales[i])
         u = int(points_uv[i, 0] - outside_px * scratch[i, NORMAL] + 0.5)
         v = int(points_uv[i, 1] - outside_px * scratch[i, NORMAL + 1] + 0.5)
         background = region.gain * np.float32(region.expected[v, u])

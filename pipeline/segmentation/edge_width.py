@@ -31,6 +31,11 @@ MIN_STEP_GREY = np.float32(16)
 MARGIN = np.float32(0.3)
 """Coverages are clipped to this beyond 0 and 1: what is further off is texture."""
 PER_SIGMA = np.float32(sqrt(pi))
+LEAST_LEVEL = np.float32(0.1)
+"""Coverage below which no slope is the edge's."""
+PER_OUTER = np.float32(1.15 * sqrt(pi / 2))
+"""Sigmas for a pixel's worth of body outside of the steepest slope, relative to the level there: a Gaussian's and 15 %.
+Within it the body's own shading, such as a rim that shines, goes on rising."""
 STEEP_ENOUGH = np.float32(1.15 / sqrt(2 * pi))
 """Sigmas that an edge of slope 1 has at most, 15 % more than a Gaussian: two steps beside one another, such as those of
 a bright rim, are not one wide edge."""
@@ -172,11 +177,16 @@ def _width(profile: Singles, step_px: np.float32) -> tuple[np.float32, np.float3
     rise = within - beyond
     if abs(rise) < MIN_STEP_GREY:
         return np.float32(np.inf), np.float32(0)
-    spread, outside, steepest, before = np.float32(0), np.float32(-0.5), np.float32(0), np.float32(0)
+    spread, outside, before = np.float32(0), np.float32(-0.5), np.float32(0)
+    steepest, covered, outer = np.float32(1e-3), np.float32(0), np.float32(np.inf)
     for k in range(N_STEPS):
         coverage = min(max((profile[k] - beyond) / rise, -MARGIN), np.float32(1) + MARGIN)
         spread += coverage * (np.float32(1) - coverage)
         outside += np.float32(1) - coverage
-        steepest, before = max(steepest, coverage - before), coverage
-    sigma = min(PER_SIGMA * max(spread, np.float32(0)), STEEP_ENOUGH / max(steepest, np.float32(1e-3)))
+        slope, level = coverage - before, (coverage + before) / 2
+        if slope > steepest and level > LEAST_LEVEL:
+            steepest, outer = slope, max(covered + (before + level) / 4, np.float32(0)) / level
+        covered += level
+        before = coverage
+    sigma = min(PER_SIGMA * max(spread, np.float32(0)), STEEP_ENOUGH / steepest, PER_OUTER * outer)
     return step_px * sigma, step_px * (outside - np.float32(N_HALF))

@@ -18,6 +18,7 @@ from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.background import BackgroundModel, CameraBackground
+from pipeline.segmentation.noise import QUIET_GREY, noise_grey
 from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
@@ -54,6 +55,8 @@ class _Refusal:
     network_trouble: str | None = None
 
 
+NOISE_PER_BLOCK = 2 / 3
+"""Error of a block of wall that noise explains, relative to a pixel's: two standard deviations of a mean of nine."""
 WARM_UP_BLUR_PX = 3.0
 """Blur of the second image of the warm-up: its edge is placed another way."""
 
@@ -127,7 +130,7 @@ class ChoosingSegmenter:
             return None
         known, p = background[frame.camera], self.parameters
         if found.is_usable:
-            return _outline_doubt(found, compared, known, p)
+            return _outline_doubt(found, compared, known, noise_grey(frame.image), p)
         view = _block_view(compared, known)
         doubt = _light_doubt(view, p)
         if doubt is None and found.status is ViewStatus.EMPTY:
@@ -214,9 +217,16 @@ def _reduced(view: GreyImage) -> GreyImage:
 
 
 def _outline_doubt(
-    found: Silhouette, compared: ComparedView, known: CameraBackground, parameters: ChoiceParameters
+    found: Silhouette,
+    compared: ComparedView,
+    known: CameraBackground,
+    noise: float,
+    parameters: ChoiceParameters,
 ) -> str | None:
-    """Return a doubt if the wall beside the body is not what it was, or the body hardly differs from it."""
+    """Return a doubt if the wall beside the body is not what it was, or the body hardly differs from it.
+
+    Pixels of such noise, as its standard deviation, differ by chance.
+    """
     images = BandImages(
         seen=compared.seen,
         expected=compared.levels,
@@ -225,7 +235,8 @@ def _outline_doubt(
         min_wall_grey=np.uint8(ceil(PLAIN * known.typical)),
     )
     p = parameters
-    differing, faint = band_shares(found.labels, found.offset_uv, images, p.max_light_error, p.clear_contrast)
+    max_error = p.max_light_error + NOISE_PER_BLOCK * max(noise - QUIET_GREY, 0.0) / known.typical
+    differing, faint = band_shares(found.labels, found.offset_uv, images, max_error, p.clear_contrast)
     if differing > p.max_dim_share:
         return f"light differs over {differing:.0%} around the body"
     return f"{faint:.0%} of the edge without contrast" if faint > p.max_faint_share else None

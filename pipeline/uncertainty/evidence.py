@@ -64,6 +64,7 @@ def evidence_of(
     area_mm2: float,
     hull_mm3: float,
     is_estimated: bool,
+    length_sd_percent: float | None = None,
 ) -> Evidence:
     """Collect what is known of the views that carved a stone, and of the volumes that they leave."""
     motion_px = _motion_sigma_px(views.silhouettes)
@@ -93,7 +94,7 @@ def evidence_of(
         area_mm2=area_mm2,
         hull_mm3=hull_mm3,
         is_estimated=is_estimated,
-        length_sd_percent=LENGTH_SD_PERCENT,
+        length_sd_percent=LENGTH_SD_PERCENT if length_sd_percent is None else length_sd_percent,
     )
 
 

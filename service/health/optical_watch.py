@@ -41,9 +41,7 @@ class OpticalParameters:
     spots_share: float = 0.05  # of the view, darker than its surroundings
     saturated_share: float = 0.02  # of all pixels
     noise_grey: float = 8.0  # the design's is 2
-    edge_width_px: float = (
-        12.0  # of a stone's outline, 10 to 90 %, along its wider axis; 2.5 at F8, 3 to 4 at F2
-    )
+    edge_width_px: float = 12.0  # of a stone's outline, 10 to 90 %, on its wider axis; 2.5 at F8, 3-4 at F2
 
     def __post_init__(self) -> None:
         for limit in fields(self):

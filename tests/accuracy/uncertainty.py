@@ -223,7 +223,7 @@ def judged(rows: Sequence[Row]) -> list[Judged]:
         surface = row.error_mm / row.surface_sd_mm
         volume = abs(row.volume_error_percent) / row.volume_sd_percent
         beyond_mm = row.error_mm - (best.error_mm or 0.0)
-        beyond_percent = abs(row.volume_error_percent - (best.volume_error_percent or 0.0))
+        beyond_percent = abs(row.volume_error_percent) - abs(best.volume_error_percent or 0.0)
         is_too_far = beyond_mm > MAX_BEYOND_MM or beyond_percent > MAX_BEYOND_PERCENT
         found.append(Judged(row=row, sigmas=max(surface, volume), is_too_far=is_too_far))
     return found
@@ -266,6 +266,30 @@ def table(rows: Sequence[Row]) -> Table:
             str(sum(each.is_too_far and each.row.quality == Quality.GOOD for each in stones)),
             " ".join(f"{cause} {n}" for cause, n in why.most_common(3)),
         )
+    return found
+
+
+def forms_table(rows: Sequence[Row]) -> Table:
+    """Return mean distances, mean volume errors and quality words of the standards, and of all stones together."""
+    found = Table(
+        "condition", "segmenter", *(f"{form}: mm, volume %, words" for form in (*STANDARDS, "stones"))
+    )
+    for condition, segmenter in dict.fromkeys((row.condition, row.segmenter) for row in rows):
+        cells = []
+        for form in (*STANDARDS, "stones"):
+            own = [
+                row
+                for row in rows
+                if (row.condition, row.segmenter) == (condition, segmenter)
+                and form == (row.form if row.form in STANDARDS else "stones")
+            ]
+            measured = [row for row in own if row.error_mm is not None]
+            words = Counter(row.quality or "rejected" for row in own)
+            error_mm = np.mean([row.error_mm for row in measured]) if measured else np.nan
+            percent = np.mean([row.volume_error_percent for row in measured]) if measured else np.nan
+            said = " ".join(f"{word} {n}" for word, n in words.items())
+            cells.append(f"{error_mm:.3f}, {percent:+.2f}, {said}")
+        found.add_row(condition, segmenter, *cells)
     return found
 
 
@@ -314,6 +338,7 @@ def main() -> int:
             if arguments.out is not None:  # after each rig, as all of them take long
                 arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     console = Console(width=None if sys.stdout.isatty() else 220)
+    console.print(forms_table(rows))
     console.print(table(rows))
     broken = broken_promises(rows)
     console.print("\n".join(broken) or "All promises hold.")

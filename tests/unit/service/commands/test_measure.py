@@ -69,7 +69,7 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
         assert mesh.is_watertight
         assert mesh.volume == pytest.approx(record["volume_estimate_mm3"], rel=1e-4)
         assert record["hull"]["volume_mm3"] == record["volume_raw_mm3"] > record["volume_estimate_mm3"]
-        assert (record["body"], record["volume_model"]) == ("estimate", "synthetic-1")
+        assert (record["body"], record["volume_model"]) == ("estimate", "synthetic-2")
         assert (one / record["mesh"]).read_bytes() == (two / record["mesh"]).read_bytes()
         silhouettes = one / "silhouettes" / record["bundle"]
         assert {path.stem for path in silhouettes.iterdir()} == set(record["views"])
@@ -112,8 +112,10 @@ def test_the_network_needs_no_empty_rig(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=1, n_backgrounds=0)
     run(tmp_path / "recording", "--out", tmp_path / "out", "--workers", 1)
     (record,) = records(tmp_path / "out")
-    assert (record["outcome"], record["quality"]) == ("measured", "good")
+    assert record["outcome"] == "measured"
     assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.1)
+    # with a quarter of the pixels, screws and vents hide a seventh of the outlines from the network
+    assert record["quality_causes"] == ["unseen"]
     assert set(record["segmenters"].values()) == {"network"}
     assert record["segmentation_flags"] == dict.fromkeys(record["views"], "no background yet")
 
