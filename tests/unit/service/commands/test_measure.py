@@ -115,7 +115,7 @@ def test_the_network_needs_no_empty_rig(tmp_path: Path) -> None:
     assert record["outcome"] == "measured"
     assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.1)
     # with a quarter of the pixels, screws and vents hide a seventh of the outlines from the network
-    assert record["quality_causes"] == ["unseen"]
+    assert "unseen" in record["quality_causes"]
     assert set(record["segmenters"].values()) == {"network"}
     assert record["segmentation_flags"] == dict.fromkeys(record["views"], "no background yet")
 
