@@ -11,9 +11,9 @@ The hull's vertices are moved along the rays from a common centre. On each ray t
 and it is continuous from ray to ray: it bends space without folding it, so that a closed mesh without
 self-intersections stays one. What lies within the inner body, dents for instance, is left as it is.
 
-Where an edge was not seen no tangent is known: the estimate goes on between what was seen on either side, where
-the hull swells. With discs of up to half the body's width unknown in any number of views it stayed about as near
-to the truth as with all edges seen, and nearer than the hull; nothing was cut off by more than 0.3 mm.
+Where an edge was not seen, tangents are those of all that may be body: the estimate may be too large there, and cuts
+nothing off. Of silhouettes that do not say what may be body, those tangents are left out, and the estimate goes on
+between what was seen on either side.
 """
 
 from dataclasses import dataclass, field

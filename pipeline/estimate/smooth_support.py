@@ -20,14 +20,14 @@ from pipeline.estimate.tangents import Tangents
 from pipeline.geometry.icosphere import icosphere
 
 DEGREE = 10
-"""Of the harmonics: their waves of 36 degrees span the holes between the great circles of sixteen views."""
+"""Degree of the finest harmonics: waves of 36 degrees span the holes between the great circles of sixteen views."""
 DEGREES = np.repeat(np.arange(DEGREE + 1), 2 * np.arange(DEGREE + 1) + 1)
 """Degree l of each of the harmonics."""
 PENALTY = 1e-6
 """Weight of the squared Laplacian beside the mean squared residual: only where too few views leave a hole it counts."""
 BULGE_GAIN = 3.0
-"""By how much the bulge between contacts lessens the inner body's error on smooth bodies: on spheres, ellipsoids and
-superellipsoids 2.5 to 4 times."""
+"""Factor by which the bulge between contacts lessens the inner body's error on smooth bodies: 2.5 to 4 on spheres,
+ellipsoids and superellipsoids."""
 MIN_WEIGHT = 0.05
 """Weight of the smooth support function below which it is left aside."""
 STEP_RAD = 1e-4

@@ -114,8 +114,9 @@ def delineate(
         is_blurred = widest_px > MAX_SHARP_SIGMA_PX and n_doubtful > MAX_DOUBTFUL_SHARE * len(
             contours.points_uv
         )
-    across_px = sigmas_across_px(region, *contours.outer) if is_blurred else None
+    across_px = None
     if is_blurred:  # the edge reaches into the core: its level is not the body's
+        across_px = sigmas_across_px(region, *contours.outer)
         region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
         labels, levels, _ = threshold(region, min_contrast)
         contours = _trace(region, labels, levels, hole_px)

@@ -39,8 +39,6 @@ Within it the body's own shading, such as a rim that shines, goes on rising."""
 STEEP_ENOUGH = np.float32(1.15 / sqrt(2 * pi))
 """Sigmas that an edge of slope 1 has at most, 15 % more than a Gaussian: two steps beside one another, such as those of
 a bright rim, are not one wide edge."""
-
-
 MAX_PLACES = 48
 """Places of a contour at which the width of its edge is looked at before all else."""
 MOST, NEARLY_ALL = 0.8, 0.95

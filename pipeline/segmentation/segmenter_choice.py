@@ -18,7 +18,7 @@ from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.background import BackgroundModel, CameraBackground
-from pipeline.segmentation.noise import QUIET_GREY, noise_grey
+from pipeline.segmentation.noise import QUIET_GREY
 from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
@@ -130,7 +130,7 @@ class ChoosingSegmenter:
             return None
         known, p = background[frame.camera], self.parameters
         if found.is_usable:
-            return _outline_doubt(found, compared, known, noise_grey(frame.image), p)
+            return _outline_doubt(found, compared, known, p)
         view = _block_view(compared, known)
         doubt = _light_doubt(view, p)
         if doubt is None and found.status is ViewStatus.EMPTY:
@@ -217,16 +217,9 @@ def _reduced(view: GreyImage) -> GreyImage:
 
 
 def _outline_doubt(
-    found: Silhouette,
-    compared: ComparedView,
-    known: CameraBackground,
-    noise: float,
-    parameters: ChoiceParameters,
+    found: Silhouette, compared: ComparedView, known: CameraBackground, parameters: ChoiceParameters
 ) -> str | None:
-    """Return a doubt if the wall beside the body is not what it was, or the body hardly differs from it.
-
-    Pixels of such noise, as its standard deviation, differ by chance.
-    """
+    """Return a doubt if the wall beside the body is not what it was, or the body hardly differs from it."""
     images = BandImages(
         seen=compared.seen,
         expected=compared.levels,
@@ -235,7 +228,7 @@ def _outline_doubt(
         min_wall_grey=np.uint8(ceil(PLAIN * known.typical)),
     )
     p = parameters
-    max_error = p.max_light_error + NOISE_PER_BLOCK * max(noise - QUIET_GREY, 0.0) / known.typical
+    max_error = p.max_light_error + NOISE_PER_BLOCK * max(compared.noise - QUIET_GREY, 0.0) / known.typical
     differing, faint = band_shares(found.labels, found.offset_uv, images, max_error, p.clear_contrast)
     if differing > p.max_dim_share:
         return f"light differs over {differing:.0%} around the body"

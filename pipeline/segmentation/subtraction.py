@@ -52,6 +52,7 @@ class ComparedView:
     seen: GreyImage  # one pixel of each block
     levels: GreyImage  # grey level without a body, `gain` not applied
     gain: float  # strength of the flash, relative to the background's
+    noise: float  # standard deviation of a pixel, grey levels
     light: FloatImage | None  # further factor on the light at each place, `None` where it is even
     marks: GreyImage  # DIFFERS, DARK, or neither
     differing: Slices  # rows and columns of what differs
@@ -74,13 +75,14 @@ class BackgroundSegmenter:
             return no_body(frame, ViewStatus.NO_BACKGROUND), None
         seen = sampled(frame.image)
         thresholds = self.thresholds(seen, known)
-        compared = compare_view(seen, known, thresholds)
+        compared = compare_view(seen, known, thresholds, noise_grey(frame.image))
         status, box = self.locate(compared)
         if box is None:
             return no_body(frame, status), compared
         region = _full_size(box, frame.image.shape)
-        noise = noise_grey(frame.image)
-        image, empty_levels = smoothed(frame.image[region], noise), smoothed(known.levels[region], noise)
+        image, empty_levels = (
+            smoothed(levels[region], compared.noise) for levels in (frame.image, known.levels)
+        )
         expected = (
             empty_levels
             if compared.light is None
@@ -136,8 +138,13 @@ class BackgroundSegmenter:
         )
 
 
-def compare_view(seen: GreyImage, known: CameraBackground, thresholds: Thresholds) -> ComparedView:
-    """Compare blocks (H/4, W/4) with the empty rig, in uneven light where the flash alone does not explain it."""
+def compare_view(
+    seen: GreyImage, known: CameraBackground, thresholds: Thresholds, noise: float
+) -> ComparedView:
+    """Compare blocks (H/4, W/4) with the empty rig, in uneven light where the flash alone does not explain it.
+
+    `noise` is the standard deviation of the image's pixels, in grey levels.
+    """
     wall, levels, light = known.plain_wall, known.coarse_levels, None
     marks, ratio = np.empty_like(levels), np.empty_like(wall.levels)
     arrays = known.coarse_darkest, wall.levels, wall.is_plain, thresholds, marks, ratio
@@ -151,6 +158,7 @@ def compare_view(seen: GreyImage, known: CameraBackground, thresholds: Threshold
         seen=seen,
         levels=levels,
         gain=float(thresholds.gain),
+        noise=noise,
         light=light,
         marks=marks,
         differing=(slice(top, bottom), slice(left, right)),

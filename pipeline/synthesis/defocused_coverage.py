@@ -17,7 +17,7 @@ from pipeline.synthesis.thin_lens import ThinLens
 LINES_PER_PIXEL = 4
 """Scan lines of each point of the aperture in a row of pixels."""
 OFFSET_STEP = np.sqrt(2)
-"""Of the scan lines, in lines, from point to point; not the golden section, which the points' angles follow."""
+"""Shift of the scan lines, in lines, from point to point; not the golden section, which the points' angles follow."""
 
 
 def defocused_coverage(

@@ -20,14 +20,14 @@ SHARE_OF_SIGMA = 0.15
 its sides by 0.27 sigma on average up to two sigmas away, an edge that is straight by none: outlines are about half of
 each."""
 NOISE_FACTOR = 1.33
-"""Of noise over step: the Cramér-Rao bound of the place of a Gaussian edge, sqrt(2 sqrt(pi) sigma / length) px, with a
-length of two sigmas along the edge."""
+"""Error of an edge's place, in px, for each unit of noise over step: the Cramér-Rao bound of a Gaussian edge,
+sqrt(2 sqrt(pi) sigma / length), with a length of two sigmas along the edge."""
 TANGENCY_PER_PX = 1.18
 """Median tangency residual of outlines that are independently off by 1 px: sqrt(2) px for each of a pair's two planes,
 of which the rms has this median."""
 GAP_SHARE = 0.1
 """Share of the mean distance of hull and estimate by which the estimate is off: the correction of the volume adds
-0.14 of the gap to it on average, with the opposite sign for round bodies."""
+0.11 of the gap to it on average, with the opposite sign for round bodies."""
 HULL_EXCESS = 4.0
 """Excess of the hulls of stones relative to that of a sphere's, which is all that a hull is corrected by."""
 UNSEEN_RISE = 0.15

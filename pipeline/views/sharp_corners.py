@@ -21,7 +21,7 @@ NEAR_SIGMAS = 2.0
 EDGE_POINTS = 12
 """Points of each edge, about a pixel apart, through which its line is laid."""
 ROUNDING = 1.25
-"""By how much more a corner is rounded than by the blur alone: the edge is smoothed along itself against noise."""
+"""Factor by which a corner is rounded more than by the blur: the edge is smoothed along itself against noise."""
 MIN_TURN_RAD, MAX_TURN_RAD = np.deg2rad(10), np.deg2rad(100)
 """Range of turns: less is no corner, and the blur of sharper ones is not known as well."""
 

@@ -10,7 +10,7 @@ from pipeline.arrays import FloatImage
 from pipeline.rig.cameras import CameraCalibration
 
 LOG2_RAYS = 9
-"""Of the rays of a pixel: their mean is within about 1 % of the coverage."""
+"""Binary logarithm of the number of rays of a pixel, whose mean is within about 1 % of the coverage."""
 
 
 def coverage_by_rays(

@@ -149,7 +149,7 @@ def test_a_rig_that_was_dirty_when_first_seen_is_clean_once_it_is_cleaned() -> N
 
 def compared_view(image: NDArray[np.uint8], known: CameraBackground) -> ComparedView:
     blocks = sampled(image)
-    return compare_view(blocks, known, BackgroundSegmenter().thresholds(blocks, known))
+    return compare_view(blocks, known, BackgroundSegmenter().thresholds(blocks, known), noise=0.0)
 
 
 def light_of(grey: NDArray[np.float32], seed: int = 7) -> NDArray[np.float32]:
