@@ -1,7 +1,8 @@
 """The inner body: a smallest body that explains all silhouettes, convex, and touching every tangent ray.
 
 The visual hull is the largest body behind the silhouettes; the body itself lies between the two. Where segments are
-short, a point of the surface is known, and the convex hull of these points is within the body's own. Batch by batch
+short, a point of the surface is known, and the convex hull of these points is within the body's own. Each of them is
+the mean of those nearby, which measure the same place: the outermost would add up their errors. Batch by batch
 of longer segments it is extended, where it does not touch them yet, to the point nearest to it. For a body with
 corners and flat faces the result is its convex hull; for a smooth one it has chords, so that it is too small.
 """
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.spatial
 
-from pipeline.arrays import Floats, Indices32, PointsMM, Singles, Values
+from pipeline.arrays import Flags, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.tangents import Tangents
 from pipeline.geometry.bounds import bounds
@@ -29,8 +30,13 @@ from pipeline.geometry.quickhull import restart_by_qhull
 
 BATCH_ENDS = (0.1, 0.3, 0.55, 0.8)
 """Ends of the batches, as shares of the segments by length: the first batch counts as points, the last ends with 1."""
-TOUCH_MM = 0.01
-"""Distance at which a segment counts as touched: a fifth of a pixel."""
+KNOWN_MM = 0.3
+"""Length of a segment below which its middle counts as where the ray touches."""
+NEAR_MM = 0.1
+"""Standard deviation of the weights of contacts by distance, two pixels: within it they measure one place of the body.
+"""
+TOUCH_MM = 0.025
+"""Distance at which a segment counts as touched: half a pixel."""
 N_CUTS = 4
 """Cutting planes after the first two, by which the least height above the body is searched."""
 TOLERANCE = 1e-8
@@ -51,8 +57,13 @@ class InnerBody:
 
 def inner_body(tangents: Tangents) -> InnerBody | None:
     """Return the convex body that touches all segments; `None` when they do not span one."""
-    lines = np.column_stack([tangents.points_mm, tangents.directions, tangents.low_mm, tangents.high_mm])
-    points_mm = lines[:, :3] + lines[:, 6:].mean(axis=1, keepdims=True) * lines[:, 3:6]
+    contacts_mm = tangents.points_mm + (tangents.low_mm + tangents.high_mm)[:, None] / 2 * tangents.directions
+    to_mean_mm = np.zeros(contacts_mm.shape)
+    _average(contacts_mm, tangents.lengths_mm < KNOWN_MM, to_mean_mm)
+    points_mm = contacts_mm + to_mean_mm
+    lines = np.column_stack(
+        [tangents.points_mm + to_mean_mm, tangents.directions, tangents.low_mm, tangents.high_mm]
+    )
     order = np.argsort(tangents.lengths_mm).astype(np.int32)
     first, *batches = np.split(order, (np.array(BATCH_ENDS) * len(order)).astype(int))
     if len(first) == 0:
@@ -73,6 +84,27 @@ def inner_body(tangents: Tangents) -> InnerBody | None:
     solvers = np.empty((len(facets.corners), 3, 3))
     volume_mm3 = _solve(points_mm, facets.corners, solvers)
     return InnerBody(points_mm=points_mm, facets=facets, solvers=solvers, volume_mm3=volume_mm3)
+
+
+@compiled
+def _average(contacts_mm: PointsMM, is_known: Flags, to_mean_mm: PointsMM) -> None:
+    """Find the ways from known contacts (N, 3) to the weighted mean of those nearby.
+
+    A convex body takes the outermost of many points: with an error of its own in each, it is too large where many are.
+    """
+    for i in range(len(contacts_mm)):
+        if not is_known[i]:
+            continue
+        total = x = y = z = 0.0
+        for j in range(len(contacts_mm)):
+            dx = contacts_mm[j, 0] - contacts_mm[i, 0]
+            dy = contacts_mm[j, 1] - contacts_mm[i, 1]
+            dz = contacts_mm[j, 2] - contacts_mm[i, 2]
+            square_mm2 = dx * dx + dy * dy + dz * dz
+            if is_known[j] and square_mm2 < (3 * NEAR_MM) ** 2:
+                weight = np.exp(-square_mm2 / (2 * NEAR_MM**2))
+                total, x, y, z = total + weight, x + weight * dx, y + weight * dy, z + weight * dz
+        to_mean_mm[i, 0], to_mean_mm[i, 1], to_mean_mm[i, 2] = x / total, y / total, z / total
 
 
 def _approach(lines: Floats, rays: Indices32, growth: Growth, points_mm: PointsMM) -> Indices32:

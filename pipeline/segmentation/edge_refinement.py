@@ -27,9 +27,10 @@ SLOPE_STEPS = 4
 N_STEPS = N_SLOPES + SLOPE_STEPS
 LANES = 8
 """Slopes are kept in rows of this length, which the processor adds at once."""
-SMOOTHED, NORMAL, RESIDUAL, BACKGROUND, PEAK_SLOPE, N_COLUMNS = LANES, 16, 18, 19, 20, 21
+SMOOTHED, NORMAL, RESIDUAL, BACKGROUND, PEAK_SLOPE, IS_OFF, N_COLUMNS = LANES, 16, 18, 19, 20, 21, 22
 """Columns of the scratch array, after the slopes across the edge at a point: these smoothed along the edge, the inward
-normal (2,), what is left of the body just outside, the background's level there, and the greatest slope."""
+normal (2,), what is left of the body just outside, the background's level there, the greatest slope, and whether it
+seems not to be the body's edge."""
 MIN_SLOPE = np.float32(0.04)
 """Least slope of an edge over `SLOPE_STEPS`, as a share of the background; grain and noise have less."""
 OUTSIDE_PX = np.float32(3.0)
@@ -102,7 +103,8 @@ def find_doubtful(
 ) -> int:
     """Return how many of the seen points (N, 2), moved by `move_to_steepest`, turn out not to lie on the body's edge.
 
-    Pixels of `labels` (h, w) outside of the body and beside such a point become unknown.
+    Pixels of `labels` (h, w) outside of the body and beside such a point become unknown. Noise alone puts a point off
+    now and then, hardly ever two side by side.
     """
     n_points = len(points_uv)
     for i in range(n_points):
@@ -116,8 +118,8 @@ def find_doubtful(
         scratch[i, BACKGROUND] = background
         if labels[v, u] == OUTSIDE:
             scratch[i, RESIDUAL] = background - np.float32(region.image[v, u])
-    n_doubtful = 0
     for i in range(n_points):
+        scratch[i, IS_OFF] = 0
         if not seen[i]:
             continue
         residual = np.float32(0)
@@ -125,7 +127,12 @@ def find_doubtful(
             residual += BINOMIAL[j] * scratch[_neighbour(i, j, scales[i], n_points), RESIDUAL]
         background = scratch[i, BACKGROUND]
         max_residual = max(RESIDUAL_SHARE * min_contrast * background, MAX_NOISE_GREY)
-        if scratch[i, PEAK_SLOPE] < MIN_SLOPE * background or abs(residual) > max_residual:
+        is_off = scratch[i, PEAK_SLOPE] < MIN_SLOPE * background or abs(residual) > max_residual
+        scratch[i, IS_OFF] = np.float32(is_off)
+    n_doubtful = 0
+    for i in range(n_points):
+        after, before = cyclic_index(i, FORWARD, n_points), cyclic_index(i, BACKWARD, n_points)
+        if scratch[i, IS_OFF] and (scratch[before, IS_OFF] or scratch[after, IS_OFF]):
             n_doubtful += 1
             radius_px = int(UNKNOWN_RADIUS_PX * scales[i])
             _mark_unknown(labels, int(points_uv[i, 0] + 0.5), int(points_uv[i, 1] + 0.5), radius_px)

@@ -113,3 +113,17 @@ def test_the_inner_body_of_a_ball_reaches_its_surface() -> None:
     assert np.abs(radii_mm - 7.5).max() < 0.02
     assert np.abs(before_mm - 7.5).max() > 0.03
     assert np.abs(tangents.offsets_mm - 7.5).max() < 0.01
+
+
+def test_the_noise_of_many_contacts_makes_no_body_larger() -> None:
+    exact = cube()
+    noise_mm = 0.02 * np.random.default_rng(4).normal(size=exact.points_mm.shape)
+    noisy = replace(exact, points_mm=exact.points_mm + noise_mm)
+    widths_mm = []
+    for tangents in (exact, noisy):
+        inner = inner_body(tangents)
+        assert inner is not None
+        widths_mm.append(np.ptp(inner.points_mm[np.unique(inner.facets.corners)], axis=0))
+    assert np.abs(widths_mm[1] - widths_mm[0]).max() < 0.03
+    outermost_mm = np.ptp(noisy.points_mm + noisy.low_mm[:, None] * noisy.directions, axis=0)
+    assert (outermost_mm - widths_mm[0]).min() > 0.06

@@ -99,7 +99,7 @@ def test_motion_moves_no_edge(length_px: float) -> None:
     found = delineated(disc_image(100, sweep(length_px)), 100)
     depths_px = map_coordinates(disc_px(100), outline_of(found).T[::-1], order=1)
     assert abs(depths_px.mean()) < 0.05
-    assert np.quantile(np.abs(depths_px), 0.98) < 0.5
+    assert np.quantile(np.abs(depths_px), 0.98) < 0.8
     assert np.abs(depths_px).max() < 1.2, "an even sweep is as steep anywhere"
 
 
