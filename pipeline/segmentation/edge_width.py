@@ -119,6 +119,7 @@ def measure_widths(
         length = np.sqrt(along_u * along_u + along_v * along_v)
         if seen[i] and length > TANGENT_POINTS:
             along_u, along_v = along_u / length, along_v / length
+            least_px = np.float32(0)  # a profile that ends too early finds less of the edge, never more
             for reach in range(len(REACHES_PX)):
                 reach_px = REACHES_PX[reach]
                 if not _fill_profile(
@@ -126,9 +127,12 @@ def measure_widths(
                 ):
                     break
                 sigma_px, offset_px = _width(profile, np.float32(reach_px / N_HALF))
+                sigma_px = max(sigma_px, least_px)
                 if REACH_SIGMAS * sigma_px + abs(offset_px) <= reach_px:
                     sigmas_px[n] = sigma_px
                     break
+                if np.isfinite(sigma_px):
+                    least_px = sigma_px
         n += 1
     return n
 

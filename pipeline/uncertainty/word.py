@@ -14,7 +14,7 @@ BEST_FIRST = (Quality.GOOD, Quality.REDUCED, Quality.DEGRADED)
 class QualityParameters:
     """Standard deviations up to which a result is good or reduced, without what no silhouette can show."""
 
-    good_mm: float = 0.05
+    good_mm: float = 0.04
     good_volume_percent: float = 1.0
     reduced_mm: float = 0.1
     reduced_volume_percent: float = 2.0

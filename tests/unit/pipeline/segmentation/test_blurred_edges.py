@@ -205,3 +205,14 @@ def test_contours_are_closed_up_and_redrawn() -> None:
     same_uv, _, same_ends = closed_up(points_uv, seen, new_ends)
     assert same_uv is points_uv
     assert same_ends is new_ends
+
+
+def test_a_dark_rim_makes_no_edge_narrower() -> None:
+    """Beyond the rim the body is brighter, so that a long profile counts more than all of it as covered there."""
+    depth_px = disc_px(100)
+    rim = np.where(depth_px > 8, 30.0, 0.0)
+    image = cv2.GaussianBlur(WALL + np.where(depth_px > 0, BODY - WALL + rim, 0.0), (0, 0), 3.0)
+    image += 0.5 * np.random.default_rng(5).normal(size=image.shape)
+    found = delineated(np.clip(np.rint(image), 0, 255).astype(np.uint8), 100)
+    assert found.edge_sigma_px == pytest.approx(3.0, rel=0.2)
+    assert UNKNOWN not in found.labels

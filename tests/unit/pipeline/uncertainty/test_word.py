@@ -48,7 +48,7 @@ def test_too_few_views_are_a_cause_of_their_own(by_number: Quality) -> None:
 
 
 def test_causes_are_named_until_the_rest_would_be_good() -> None:
-    word = verdict(having(pixels=0.007, focus=0.06, noise=0.04, unseen=0.055, hidden=0.5), Quality.GOOD, P)
+    word = verdict(having(pixels=0.007, focus=0.06, noise=0.035, unseen=0.055, hidden=0.5), Quality.GOOD, P)
     assert word.causes == (Cause.FOCUS, Cause.UNSEEN)
 
 
