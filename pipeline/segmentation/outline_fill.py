@@ -59,7 +59,7 @@ def _fill_parts(
 def redraw(points_uv: PointsUV, ends: Indices, labels: GreyImage) -> GreyImage:
     """Label pixels (h, w) anew by whether their centres lie within an odd number of closed contours; return which do.
 
-    The contours' points (N, 2) begin and end at `ends` (C + 1,). Unknown pixels stay unknown.
+    The contours' points (N, 2) begin and end at `ends` (C + 1,). What is unknown within stays so.
     """
     height, width = labels.shape
     body = np.empty_like(labels)
@@ -85,6 +85,6 @@ def redraw(points_uv: PointsUV, ends: Indices, labels: GreyImage) -> GreyImage:
         for column in range(width):
             is_within ^= turns[row, column]
             body[row, column] = INSIDE if is_within else OUTSIDE
-            if labels[row, column] != UNKNOWN:
+            if labels[row, column] != UNKNOWN or not is_within:
                 labels[row, column] = body[row, column]
     return body

@@ -16,6 +16,8 @@ class Cause(StrEnum):
     """Noise of the pixels, and the smoothing against it."""
     UNSEEN = "unseen"
     """Stretches of outline that were not seen."""
+    CONTRAST = "contrast"
+    """Bodies so nearly as bright as the wall that patches of them look like it."""
     VIEWS = "views"
     """What the views leave between the largest and the likeliest body; or too few of them."""
     DISAGREEMENT = "disagreement"

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from math import hypot, sqrt
 
 import numpy as np
+from scipy.special import ndtr
 
+from pipeline.segmentation.delineation import MIN_CONTRAST
 from pipeline.segmentation.noise import MAX_SMOOTHING_PX, QUIET_GREY, SMOOTHING_PX_PER_GREY
 from pipeline.uncertainty.causes import Cause
-from pipeline.uncertainty.evidence import Evidence, ViewEvidence
+from pipeline.uncertainty.evidence import WALL_GREY, Evidence, ViewEvidence
 
 SHARP_SIGMA_PX = 1.0
 """Blur of an edge by lens and pixels alone."""
@@ -33,13 +35,16 @@ HULL_EXCESS = 4.0
 UNSEEN_RISE = 0.15
 """Distance, as a share of the mean radius, by which a patch that no view outlines is off: a sphere rises by 0.13 over
 a chord of 60 degrees. The share of such patches is that of unseen outline squared: two views or more outline each."""
+TEXTURE_SHARE = 0.15
+"""Standard deviation of a stone's texture, as a share of the wall's level."""
 HIDDEN_PERCENT = 2.5
 """Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
 our bodies, up to 6 % of scanned stones."""
 COMMON_SHARE = 0.5
 """Share of a surface's error that has the same sign all around, and so changes the volume."""
-ALL_COMMON = (Cause.UNSEEN, Cause.CALIBRATION, Cause.HIDDEN)
-"""Causes whose whole error has the same sign all around: what is unknown is not carved; a wrong scale; dents."""
+ALL_COMMON = (Cause.UNSEEN, Cause.CONTRAST, Cause.CALIBRATION, Cause.HIDDEN)
+"""Causes whose whole error has the same sign all around: what is unknown is not carved, what looks like the wall is; a
+wrong scale; dents."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +84,9 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
             evidence, lambda view: hypot(SHARE_OF_SIGMA * _smoothing_px(view), _noise_px(view))
         ),
         Cause.UNSEEN: _unseen_mm(evidence, radius_mm),
+        Cause.CONTRAST: UNSEEN_RISE
+        * radius_mm
+        * float(np.mean([_share_like_wall(view.step_grey) for view in evidence.views])),
         Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
         * max(evidence.hull_mm3 - volume_mm3, 0.0)
         / area_mm2,
@@ -125,6 +133,11 @@ def _unseen_mm(evidence: Evidence, radius_mm: float) -> float:
     rise_mm = UNSEEN_RISE * radius_mm * float(np.mean([view.unseen_share**2 for view in evidence.views]))
     filled = float(np.sqrt(np.mean([view.undecided_share**2 for view in evidence.views])))
     return hypot(rise_mm, filled * evidence.volume_mm3 / evidence.area_mm2)
+
+
+def _share_like_wall(step_grey: float) -> float:
+    """Return the share of a body's surface on which its texture leaves less contrast to the wall than an edge needs."""
+    return float(ndtr((MIN_CONTRAST - step_grey / WALL_GREY) / TEXTURE_SHARE))
 
 
 def _disagreement_mm(evidence: Evidence) -> float:

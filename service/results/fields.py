@@ -118,7 +118,9 @@ class Result(BaseModel):
         description="How far from the truth the result may be, by `[quality]` and by the number of views",
     )
     quality_causes: list[
-        Literal["pixels", "focus", "motion", "noise", "unseen", "views", "disagreement", "calibration"]
+        Literal[
+            "pixels", "focus", "motion", "noise", "unseen", "contrast", "views", "disagreement", "calibration"
+        ]
     ] = Field(default=[], description="Why the quality is not `good`, the greatest cause first")
     views: list[str] = Field(default=[], description="Cameras whose views were measured")
     dropped_views: dict[str, str] = Field(

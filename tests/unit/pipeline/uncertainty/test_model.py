@@ -77,6 +77,7 @@ def test_variances_of_all_causes_add_up(evidence: Evidence) -> None:
     [
         (Cause.FOCUS, [{"edge_sigma_px": px} for px in (1.0, 1.5, 3.0, 8.0)]),
         (Cause.MOTION, [{"edge_sigma_px": 9.0, "motion_sigma_px": px} for px in (0.0, 1.0, 3.0, 8.0)]),
+        (Cause.CONTRAST, [{"step_grey": grey} for grey in (140.0, 100.0, 60.0)]),
         (Cause.NOISE, [{"noise_grey": grey} for grey in (1.0, 3.0, 7.0, 20.0)]),
         (Cause.NOISE, [{"step_grey": grey} for grey in (200.0, 100.0, 50.0)]),
         (Cause.UNSEEN, [{"unseen_share": share} for share in (0.0, 0.01, 0.1, 0.5, 1.0)]),
