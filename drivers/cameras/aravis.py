@@ -17,7 +17,8 @@ from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import FrameReader, Memory, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
-from drivers.cameras.stream_socket import widen_receive_buffer
+from drivers.cameras.stream_filter import max_packet_number, stream_program
+from drivers.cameras.stream_socket import prepare_socket
 from drivers.errors import CameraUnavailableError, LossCause
 from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
@@ -77,7 +78,7 @@ class AravisCamera:
                     self._device = find_camera(self._settings, self._device)
                     self._connect(self._device.address)
                     self._configure()
-                    self._prepare_stream()
+                    self._prepare_stream(self._device.address)
             except CameraUnavailableError:
                 self.close()
                 raise
@@ -186,7 +187,7 @@ class AravisCamera:
             if own := features.own_name(name):
                 self._polled[name] = own
 
-    def _prepare_stream(self) -> None:
+    def _prepare_stream(self, address: str) -> None:
         settings, aravis = self._settings, load_aravis(self.id)
         adjustment = aravis.GvPacketSizeAdjustment
         self._camera.gv_set_packet_size_adjustment(
@@ -214,10 +215,11 @@ class AravisCamera:
         self._stream.set_property("socket-buffer-size", 0)
         host = self._camera.get_device().get_interface_address().get_address().to_string()
         local = (host, self._stream.get_port())
+        program = stream_program(address, max_packet_number(payload_bytes, packet_bytes))
         try:
-            self._receive_buffer_bytes = widen_receive_buffer(local, settings.receive_buffer_bytes)
+            self._receive_buffer_bytes = prepare_socket(local, settings.receive_buffer_bytes, program)
         except (LookupError, OSError) as err:
-            raise CameraUnavailableError(self.id, f"cannot widen its receive buffer: {err}") from err
+            raise CameraUnavailableError(self.id, f"cannot prepare its stream's socket: {err}") from err
         self._warnings = tuple(self._opening_warnings())
         make_buffer = partial(new_buffer, aravis, payload_bytes, self._memory)
         for _ in range(settings.n_buffers):

@@ -1,4 +1,4 @@
-"""Enlarge the receive buffer of a stream's socket, which Aravis hides, before the camera sends.
+"""The socket of a stream, which Aravis hides: its receive buffer is enlarged, and guarded, before the camera sends.
 
 Aravis applies its own `socket-buffer-size` only after the first packet, which loses one to three of the first
 frames; the default buffer loses two frames in three (measured).
@@ -7,22 +7,30 @@ frames; the default buffer loses two frames in three (measured).
 import os
 import socket
 import stat
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+
+from drivers.cameras.stream_filter import Instruction, attach_filter
 
 _SO_RCVBUFFORCE = 33
 """Socket option like SO_RCVBUF, but beyond net.core.rmem_max; needs CAP_NET_ADMIN."""
 
 
-def widen_receive_buffer(local: tuple[str, int], wanted_bytes: int) -> int:
-    """Enlarge the buffer of this process's UDP socket at a local address and port; returns the bytes granted.
+def prepare_socket(local: tuple[str, int], wanted_bytes: int, program: Sequence[Instruction]) -> int:
+    """Give this process's UDP socket at a local address and port a packet filter and a larger buffer.
+
+    Returns the bytes granted for the buffer.
 
     Raises
     ------
     LookupError
         There is no such socket.
+    OSError
+        The kernel refuses the filter.
     """
     with _own_socket(local) as stream:
+        attach_filter(stream, program)
         try:
             stream.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, wanted_bytes)
         except PermissionError:

@@ -249,15 +249,17 @@ class SimulatedCamera:
             self._clock.jump(by_ns)
             self._note(f"clock jumped by {by_ns} ns")
 
-    def send_malformed(self, kind: Literal["short", "foreign", "abort"] = "foreign") -> None:
+    def send_malformed(self, kind: Literal["short", "foreign", "huge", "abort"] = "foreign") -> None:
         """Send a datagram that is no valid packet to the receiver of the stream, uncounted.
 
-        `short`: half a header; `foreign`: a header of unknown content; `abort`: the extended trailer that makes
-        Aravis 0.8.26 allocate 38 GB and abort its process.
+        `short`: half a header; `foreign`: a header of unknown content; `huge`: the greatest packet number of 24 bits,
+        for which Aravis 0.8.26 allocates 200 MB and stands still; `abort`: the extended trailer that makes it allocate
+        38 GB and abort its process.
         """
         datagrams = {
             "short": b"\0\0\0",
             "foreign": struct.pack(">HHI", 0, 0x7777, 0x7F000005) + b"\xa5" * 32,
+            "huge": struct.pack(">HHI", 0, 0x7777, 0x03FFFFFF) + bytes(16),
             "abort": struct.pack(">HHIQI", 0, 0, 0x82000000, 0x7777, 0x90000000) + bytes(16),
         }
         self._stream.send_raw(datagrams[kind])

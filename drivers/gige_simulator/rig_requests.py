@@ -27,7 +27,7 @@ from drivers.gige_simulator.gate import SimulatedGate
 from pipeline.frames import CameraId
 
 CAMERAS, GATE = "cameras", "gate"
-Malformed = Literal["short", "foreign", "abort"]
+Malformed = Literal["short", "foreign", "huge", "abort"]
 
 Reply = Mapping[str, Any]
 
@@ -198,7 +198,7 @@ class RigRequests:
             camera.jump_clock(round(ms * 1e6))
 
     def send_malformed(self, of: str, kind: Malformed = "foreign") -> None:
-        """Send a datagram that is no packet: `short`, `foreign`, or `abort`, which aborts Aravis 0.8.26."""
+        """Send a datagram that is no packet; unfiltered, `huge` and `abort` harm Aravis 0.8.26."""
         if kind not in get_args(Malformed):
             raise ValueError(f"kind: must be one of {', '.join(get_args(Malformed))}, not {kind!r}")
         for _, camera in self._of(of):

@@ -102,7 +102,7 @@ def test_a_late_frame(camera: Session) -> None:
     assert frame.first_s - since_s > 0.12
 
 
-@pytest.mark.parametrize(("kind", "n_bytes"), [("short", 3), ("foreign", 40), ("abort", 36)])
+@pytest.mark.parametrize(("kind", "n_bytes"), [("short", 3), ("foreign", 40), ("huge", 24), ("abort", 36)])
 def test_malformed_datagrams(camera: Session, kind: str, n_bytes: int) -> None:
     camera.start()
     camera.camera.send_malformed(kind)

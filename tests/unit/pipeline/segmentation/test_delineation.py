@@ -257,6 +257,7 @@ def test_only_more_than_one_point_in_a_row_makes_the_edge_doubtful(width_px: int
     v, u = np.mgrid[:SIZE_PX, :SIZE_PX]
     true_px = 60.0 - np.hypot(u - SIZE_PX / 2, v - SIZE_PX / 2)
     image = photographed(true_px, np.random.default_rng(3), 0.0)
-    image[SIZE_PX // 2 - 63, SIZE_PX // 2 : SIZE_PX // 2 + width_px] -= 28  # beside the edge, darker than the wall
+    beside = slice(SIZE_PX // 2, SIZE_PX // 2 + width_px)
+    image[SIZE_PX // 2 - 63, beside] -= 28  # darker than the wall
     found = delineate(image, wall(), halved(*masks_of(true_px)))
     assert (UNKNOWN in found.labels) == is_doubted
