@@ -5,13 +5,17 @@ together, compared with an earlier frame, prove which trigger a frame was expose
 period, and a counter skips what the camera missed. Alone, the counter reveals what was lost and where.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 CLOCK_DRIFT = 2e-4
 """Relative drift allowed between two unsynchronised crystals: four times what their makers specify."""
 LATEST_FRAME_NS = 10_000_000_000
 """Largest delay of a frame; a larger disagreement means that the camera's clock was set anew."""
+MANY_FRAMES = 8
+"""Frames in a row that show that a clock was set, when the counter does not."""
 LARGEST_ID_STEP = 0x7FFF
 """Largest step of the frame counter that counts as loss; a larger one is a restart of the counter."""
 
@@ -31,26 +35,40 @@ class ExposureCheck:
 
     tolerance_ns: int
     _reference: Exposure | None = None
-    _candidate: Exposure | None = None
+    _refused: list[Exposure] = field(default_factory=list)
+    """The latest frames refused in a row that agree with one another."""
 
     def belongs(self, exposure: Exposure) -> bool:
         """Return whether the frame can have been exposed for its trigger; if so it is the next reference.
 
         Without a reference to compare with, only a frame of the very first trigger is accepted: any other may
         be a predecessor's that came late. It becomes the reference as soon as a second frame agrees with it.
-        After the clock was set anew it takes two agreeing frames as well.
         """
         if exposure.device_ns == 0:  # a camera without a clock
             return True
-        misfit_ns = None if self._reference is None else self._misfit_ns(self._reference, exposure)
-        fits = exposure.ordinal == 0 if misfit_ns is None else misfit_ns == 0
-        if not fits and self._candidate is not None:
-            fits = self._misfit_ns(self._candidate, exposure) == 0
-        if fits:
-            self._reference, self._candidate = exposure, None
-        elif misfit_ns is None or misfit_ns > LATEST_FRAME_NS:
-            self._candidate = exposure
-        return fits
+        reference = self._reference
+        fits = exposure.ordinal == 0 if reference is None else self._misfit_ns(reference, exposure) == 0
+        agrees = bool(self._refused) and self._misfit_ns(self._refused[-1], exposure) == 0
+        if fits or (agrees and self._was_set_anew([*self._refused, exposure])):
+            self._reference, self._refused = exposure, []
+            return True
+        self._refused = [*self._refused[1 - MANY_FRAMES :], exposure] if agrees else [exposure]
+        return False
+
+    def _was_set_anew(self, exposures: Sequence[Exposure]) -> bool:
+        """Return whether refused frames that agree with one another show that the camera's clock was set.
+
+        Otherwise they are late by a trigger or more. No frame is late by as much as `LATEST_FRAME_NS`; of late ones the
+        counter is behind; and many stones at irregular times cannot all be followed by their predecessors' frames.
+        """
+        reference, last = self._reference, exposures[-1]
+        if reference is None or self._misfit_ns(reference, last) > LATEST_FRAME_NS:
+            return True
+        if not all(_is_counted(*pair) for pair in pairwise(exposures)):
+            return False
+        spacings_ns = [later.trigger_ns - earlier.trigger_ns for earlier, later in pairwise(exposures)]
+        is_irregular = max(spacings_ns) - min(spacings_ns) > 2 * self.tolerance_ns
+        return _is_counted(reference, last) or (len(exposures) >= MANY_FRAMES and is_irregular)
 
     def proves(self, exposure: Exposure) -> bool:
         """Return whether clock and counter, compared with the reference, both match the frame to its trigger."""

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -79,3 +80,48 @@ def test_it_takes_both_clock_and_counter_to_prove_an_exposure(
     if is_proven:
         assert check.belongs(later)
         assert check.proves(reference)  # an earlier one that is even later
+
+
+@given(
+    gaps_ms=st.lists(st.integers(250, 4000), min_size=2, max_size=6),
+    step_ms=st.integers(-9000, 9000).filter(lambda step_ms: abs(step_ms) > 110),
+)
+def test_after_its_clock_was_set_a_camera_is_back_with_the_second_frame(
+    gaps_ms: list[int], step_ms: int
+) -> None:
+    check = ExposureCheck(100_000_000)
+    times_ms = np.cumsum([0, *gaps_ms])
+    believed = [
+        check.belongs(
+            Exposure((10_000 + at_ms + (step_ms if n > 0 else 0)) * 10**6, n + 1, at_ms * 10**6, ordinal=n)
+        )
+        for n, at_ms in enumerate(times_ms.tolist())
+    ]
+    assert believed == [True, False] + [True] * (len(gaps_ms) - 1)
+
+
+def late_by_one(times_ms: list[int]) -> list[bool]:
+    """Whether frames are believed that come when the trigger after theirs is due, all but the first."""
+    check = ExposureCheck(100_000_000)
+    exposures = [
+        Exposure(10**10 + times_ms[max(n - 1, 0)] * 10**6, max(n, 1), at_ms * 10**6, ordinal=n)
+        for n, at_ms in enumerate(times_ms)
+    ]
+    return [check.belongs(exposure) for exposure in exposures]
+
+
+def test_frames_that_are_one_trigger_late_are_never_believed() -> None:
+    gaps_ms = np.random.default_rng(1).integers(250, 900, 40)
+    assert late_by_one(np.cumsum([0, *gaps_ms]).tolist()) == [True] + [False] * 40
+    assert late_by_one(np.arange(0, 250 * 40, 250).tolist()) == [True] + [False] * 39
+
+
+def test_after_a_missed_trigger_and_a_set_clock_a_camera_is_back_within_ten_stones() -> None:
+    check = ExposureCheck(100_000_000)
+    assert check.belongs(Exposure(10**10, 1, 0, ordinal=0))
+    times_ms = np.cumsum(np.random.default_rng(2).integers(250, 900, 12)).tolist()
+    believed = [
+        check.belongs(Exposure(10**10 + (at_ms + 3000) * 10**6, n + 2, at_ms * 10**6, ordinal=n + 2))
+        for n, at_ms in enumerate(times_ms)  # its counter is one behind
+    ]
+    assert believed == [False] * 7 + [True] * 5
