@@ -25,7 +25,14 @@ from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.prepared import PreparedViews, prepare_views
-from pipeline.views.quality import Quality, ViewsParameters, quality_of, require_enough_views, unusable_views
+from pipeline.views.quality import (
+    Quality,
+    ViewsParameters,
+    quality_of,
+    require_enough_views,
+    shows_several,
+    unusable_views,
+)
 
 MIN_ANGULARITY_POINTS = 64
 """Fewest points of an outline whose angularity counts."""
@@ -186,6 +193,8 @@ def measure_bundle(
         views = views.without(consistency.suspects)
         outlined = views.with_outline()  # a view of which only unknown is left tells nothing
         by_number = quality_of(rig.subset(outlined.camera_ids), rig, parameters.views)
+        if by_number is Quality.GOOD and shows_several(silhouettes):
+            by_number = Quality.REDUCED
         try:
             hull_mesh, estimate = _body(views, parameters, on_stage)
             angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])

@@ -32,10 +32,10 @@ BATCH_ENDS = (0.1, 0.3, 0.55, 0.8)
 """Ends of the batches, as shares of the segments by length: the first batch counts as points, the last ends with 1."""
 KNOWN_MM = 0.3
 """Length of a segment below which its middle counts as where the ray touches."""
-NEAR_MM = 0.1
-"""Standard deviation of the weights of contacts by distance, two pixels: within it they measure one place of the body.
+NEAR_MM = 0.07
+"""Standard deviation of the weights of contacts by distance, a pixel and a half: within it they measure one place.
 """
-TOUCH_MM = 0.025
+TOUCH_MM = 0.023
 """Distance at which a segment counts as touched: half a pixel."""
 N_CUTS = 4
 """Cutting planes after the first two, by which the least height above the body is searched."""

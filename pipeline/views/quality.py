@@ -96,6 +96,11 @@ def require_enough_views(
     quality_of(rig.subset(left), rig, parameters)
 
 
+def shows_several(silhouettes: SilhouetteSet) -> bool:
+    """Return whether any view shows more than one body: what only that view would have told is unknown."""
+    return any(silhouette.status is ViewStatus.MULTIPLE for silhouette in silhouettes.values())
+
+
 def quality_of(used: RigCalibration, rig: RigCalibration, parameters: ViewsParameters) -> Quality:
     """Return the quality by the number of views used; below `reduced` every layer of cameras needs two.
 

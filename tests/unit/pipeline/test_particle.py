@@ -11,11 +11,12 @@ from pipeline.errors import RejectReason
 from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.particle import MeasuringParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Silhouette
-from pipeline.segmentation.silhouette import KnownDistances
+from pipeline.segmentation.silhouette import KnownDistances, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import cube, sphere
 from pipeline.synthesis.bundles import stream, without_views
 from pipeline.synthesis.stones import stone
+from pipeline.uncertainty import Cause
 from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.quality import Quality, ViewsParameters
 
@@ -127,6 +128,17 @@ def test_two_bodies_are_rejected_as_multiple(distance_mm: float) -> None:
     first = rendered.placed(stone("round", 10, stream(1, 7)), (distance_mm / 2, 0, 2))
     second = rendered.placed(stone("angular", 8, stream(1, 8)), (-distance_mm / 2, 0, -2))
     assert rejected_for(measured(rendered.bundle_of(first, second, number=8))) is RejectReason.MULTIPLE
+
+
+def test_a_view_with_several_bodies_keeps_a_stone_from_being_good() -> None:
+    first, second = (rendered.placed(sphere(8.0), (side * 6.0, 0, 2)) for side in (1, -1))
+    several = rendered.bundle_of(first, second, number=11).frames
+    bundle = rendered.sphere_bundle()
+    seen = measured(rendered.bundle_of(first, second, number=11), parameters=PARAMETERS).silhouettes
+    camera = next(camera for camera in seen if seen[camera].status is ViewStatus.MULTIPLE)
+    result = measured(replace(bundle, frames={**bundle.frames, camera: several[camera]}))
+    assert dict(result.dropped) == {camera: DroppedView(DropCause.UNUSABLE, "multiple")}
+    assert (result.quality, result.quality_causes) == (Quality.REDUCED, (Cause.VIEWS,))
 
 
 @pytest.mark.parametrize("offset_mm", [(0.0, 0.0, -24.0), (24.0, 0.0, 0.0)])
