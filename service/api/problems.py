@@ -25,6 +25,7 @@ TITLES = {
     "cursor-ahead": "The cursor is ahead of the history",
     "cursor-expired": "The cursor is older than the oldest result kept",
     "forbidden": "Not allowed",
+    "foreign-origin": "A page of another site asks for this",
     "internal-error": "Internal error of the service",
     "content-too-large": "The request is too large",
     "invalid-request": "The request is not valid",
@@ -35,13 +36,17 @@ TITLES = {
     "recording-exists": "A recording of this name exists",
     "recording-running": "Another recording is running",
     "store-unavailable": "The store cannot be read or written",
+    "too-many-attempts": "Too many wrong keys",
+    "too-many-connections": "Too many requests at a time",
     "transition-conflict": "The acquisition cannot change to this state now",
     "unauthorized": "A valid key is needed",
     "unknown-calibration": "No such calibration",
     "unknown-camera": "No such camera",
+    "unknown-host": "This service does not have the name that was asked for",
     "unknown-particle": "No such particle",
     "unknown-recording": "No such recording",
     "unknown-verification": "No such verification",
+    "unsupported-media-type": "Not JSON",
 }
 """`title` by the last part of `type`; problems that are not here are named by the phrase of their status."""
 
@@ -83,17 +88,22 @@ class Problem(HTTPException):
         self.members = members  # of the problem object, beside those of the standard
 
 
+def problem_document(problem: Problem, instance: str) -> dict[str, Any]:
+    """Return the members of the problem details."""
+    return {
+        "type": f"urn:stonefall:problem:{problem.slug}",
+        "title": TITLES.get(problem.slug, HTTPStatus(problem.status_code).phrase),
+        "status": problem.status_code,
+        "detail": problem.detail,
+        "instance": instance,
+        **problem.members,
+    }
+
+
 def problem_response(request: Request, problem: Problem) -> JSONResponse:
     """Return the problem as `application/problem+json`."""
     return JSONResponse(
-        {
-            "type": f"urn:stonefall:problem:{problem.slug}",
-            "title": TITLES.get(problem.slug, HTTPStatus(problem.status_code).phrase),
-            "status": problem.status_code,
-            "detail": problem.detail,
-            "instance": request.scope["path"],
-            **problem.members,
-        },
+        problem_document(problem, request.scope["path"]),
         status_code=problem.status_code,
         headers=problem.headers,
         media_type="application/problem+json",

@@ -8,12 +8,19 @@ from contextlib import contextmanager
 import uvicorn
 from fastapi import FastAPI
 
+from service.api.connections import Connection, drop_hindering, max_connections
 from service.api.settings import ApiSettings
 from service.errors import ServiceError
 
+MAX_ACCEPTED_AT_ONCE = 64
+"""Connections accepted in one round of the loop: these come on top of the limit, and hold the loop meanwhile."""
+MAX_WAITING = 1024
+"""Connections that wait in the kernel to be accepted; a burst of clients is slowed down, not turned away."""
+TICKS_A_SECOND = 10
+
 
 class RestServer(uvicorn.Server):
-    """uvicorn without signal handlers of its own, and with an event that is set once it serves."""
+    """uvicorn without signal handlers of its own, with an event that is set once it serves, and with time-outs."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -25,7 +32,14 @@ class RestServer(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(MAX_WAITING)  # asyncio's `backlog` is both, accepted at once and waiting
         self.is_serving.set()
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % TICKS_A_SECOND == 0:
+            drop_hindering(self.server_state.connections, asyncio.get_running_loop().time())
+        return await super().on_tick(counter)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -53,7 +67,9 @@ def server_config(app: FastAPI, settings: ApiSettings) -> uvicorn.Config:
         log_config=None,
         access_log=False,
         server_header=False,
+        http=Connection,
         ws="none",
+        backlog=max(1, min(MAX_ACCEPTED_AT_ONCE, max_connections() // 4)),
         timeout_keep_alive=30,
         timeout_graceful_shutdown=5,
     )

@@ -31,12 +31,12 @@ class ServiceManager:
         if self.address is None:
             return
         path = "\0" + self.address[1:] if self.address.startswith("@") else self.address
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.setblocking(False)
-            try:
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+                sender.setblocking(False)
                 sender.sendto("\n".join(assignments).encode(), path)
-            except OSError as err:
-                log.warning("the service manager was not notified: %s notification=%s", err, assignments)
+        except OSError as err:  # no descriptor is free, no manager listens
+            log.warning("the service manager was not notified: %s notification=%s", err, assignments)
 
 
 def service_manager(environ: Mapping[str, str], pid: int) -> ServiceManager:

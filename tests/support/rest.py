@@ -139,3 +139,14 @@ def client_of(app: FastAPI, address: str = "127.0.0.1", host: str = "127.0.0.1:8
     """Return a client at `address` that asks for `host`; unexpected exceptions become responses."""
     transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=(address, 50000))
     return httpx.AsyncClient(transport=transport, base_url=f"http://{host}/api/v1")
+
+
+def assert_problem(answer: httpx.Response, status: int, slug: str) -> None:
+    """Fail unless the answer is this problem, in the form that all have."""
+    problem = answer.json()
+    assert answer.headers["Content-Type"] == "application/problem+json"
+    assert (answer.status_code, problem["status"]) == (status, status)
+    assert problem["type"] == f"urn:stonefall:problem:{slug}"
+    assert problem["instance"] == answer.request.url.path
+    assert problem["title"]
+    assert problem["detail"]

@@ -1,6 +1,7 @@
 import asyncio
 import logging
 import os
+import resource
 import shutil
 import socket
 import subprocess
@@ -29,6 +30,19 @@ def test_a_manager_that_does_not_listen_is_no_failure(tmp_path: Path, caplog: py
     assert not caplog.records
     ServiceManager(address=str(tmp_path / "gone")).notify("READY=1")
     assert "READY=1" in caplog.text
+
+
+def test_without_a_free_descriptor_notifying_fails_and_the_daemon_does_not(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    manager = ServiceManager(address=str(tmp_path / "notify"))
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limits[1]))
+    try:
+        manager.notify("WATCHDOG=1")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert "was not notified: [Errno 24] Too many open files" in caplog.text
 
 
 async def test_the_watchdog_is_fed_by_progress_alone(tmp_path: Path):

@@ -1,0 +1,130 @@
+"""The connections of the REST server: each one must get on, and there are never too many.
+
+uvicorn limits neither the time that a client takes to send its request, nor the time that it takes to read the answer,
+nor the number of connections; and a process without free descriptors can open no camera and no file.
+"""
+
+import json
+import resource
+from asyncio import Transport
+from collections.abc import Iterable
+from functools import cache
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from service.api.problems import Problem, problem_document
+from service.api.version import BASE
+
+REQUEST_S = 10.0
+"""Longest time for a whole request, body included, from its first byte; of the first one from connecting."""
+READING_S = 30.0
+"""Longest time in which a client may leave unread what it was sent."""
+MAX_UNREAD_BYTES = 64_000_000
+"""Answers that all clients together may leave unread: pages of the feed have megabytes."""
+MAX_CONNECTIONS = 256
+"""With the daemon's own descriptors they stay below 1024, as the `select` of serial lines needs."""
+MAX_REFUSED = 16
+"""Connections beyond these that are told so, and have not closed yet."""
+
+
+@cache
+def max_connections() -> int:
+    """Return the number of connections at a time: at most a quarter of the descriptors that the process may have."""
+    n_descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return max(1, min(MAX_CONNECTIONS, n_descriptors // 4))
+
+
+class Connection(H11Protocol):
+    """uvicorn's connection, with an end for clients that do not get on and for those that are too many."""
+
+    def connection_made(self, transport: Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Begin; when there are too many, the one that has waited longest without a request has to go."""
+        super().connection_made(transport)
+        self._began_s = self._read_all_s = self.loop.time()
+        self._is_refused = False
+        others = [each for each in self.connections if isinstance(each, Connection) and each is not self]
+        served = [each for each in others if not each._is_refused]
+        if len(served) < max_connections():
+            return
+        idle = [each for each in served if not each.is_being_answered]
+        if idle:
+            _oldest(idle).drop()
+            return
+        refused = [each for each in others if each._is_refused]
+        if len(refused) >= MAX_REFUSED:
+            _oldest(refused).drop()
+        self._refuse()
+
+    def data_received(self, data: bytes) -> None:
+        if self._is_refused:
+            return
+        if self.timeout_keep_alive_task is not None:  # this is the first of another request
+            self._began_s = self.loop.time()
+        super().data_received(data)
+
+    def on_response_complete(self) -> None:
+        self._began_s = self.loop.time()
+        super().on_response_complete()
+
+    def resume_writing(self) -> None:
+        self._read_all_s = self.loop.time()
+        super().resume_writing()
+
+    @property
+    def is_being_answered(self) -> bool:
+        """Return whether the request is complete and its answer is not: a long poll may be so for long."""
+        return self.cycle is not None and not (self.cycle.more_body or self.cycle.response_complete)
+
+    @property
+    def n_unread(self) -> int:
+        """Return how many bytes of the answer wait for the client, beyond those in the kernel's buffers."""
+        return self.transport.get_write_buffer_size()
+
+    def is_overdue(self, now_s: float) -> bool:
+        """Return whether the client has not sent its request, or not read its answer, in time; to be asked often."""
+        if self.n_unread == 0:
+            self._read_all_s = now_s
+        is_idle = self.timeout_keep_alive_task is not None  # uvicorn ends it
+        is_sending = not (self.is_being_answered or is_idle)
+        return now_s - self._read_all_s > READING_S or (is_sending and now_s - self._began_s > REQUEST_S)
+
+    def drop(self) -> None:
+        """Close at once, without a word."""
+        self.connections.discard(self)  # as uvicorn does, but only in the next round of the loop
+        self.transport.abort()
+
+    def _refuse(self) -> None:
+        # not closed: with its request unread that would take the answer from the client, which closes, or is overdue
+        self._is_refused = True
+        self.transport.write(_refusal())
+        self.transport.write_eof()
+
+
+def _oldest(connections: Iterable[Connection]) -> Connection:
+    return min(connections, key=lambda each: each._began_s)
+
+
+def drop_hindering(connections: Iterable[object], now_s: float) -> None:
+    """Drop the connections that are overdue, and the slowest readers as long as too much is unread."""
+    alive = [each for each in connections if isinstance(each, Connection)]
+    n_unread = 0
+    for connection in sorted(alive, key=lambda each: each._read_all_s, reverse=True):
+        n_unread += connection.n_unread
+        if connection.is_overdue(now_s) or n_unread > MAX_UNREAD_BYTES:
+            n_unread -= connection.n_unread
+            connection.drop()
+
+
+@cache
+def _refusal() -> bytes:
+    """Return the answer to a connection that is one too many, whose request is not read."""
+    problem = Problem(503, "too-many-connections", f"{max_connections()} requests are being answered already")
+    body = json.dumps(problem_document(problem, BASE)).encode()
+    head = (
+        "HTTP/1.1 503 Service Unavailable",
+        "Content-Type: application/problem+json",
+        f"Content-Length: {len(body)}",
+        "Retry-After: 5",
+        "Connection: close",
+    )
+    return "\r\n".join([*head, "", ""]).encode() + body

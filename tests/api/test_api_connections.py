@@ -1,0 +1,242 @@
+"""A real server on loopback: clients that do not get on are dropped, none takes the others' place, long polls live."""
+
+import asyncio
+import json
+import logging
+import resource
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import dataclass
+
+import httpx
+import pytest
+from fastapi import FastAPI
+from fastapi.responses import Response
+from support.rest import FakeControl, add, measured
+
+from service.api import connections
+from service.api.app import create_app
+from service.api.connections import READING_S, REQUEST_S, Connection, drop_hindering, max_connections
+from service.api.server import RestServer, listen, server_config
+from service.api.settings import ApiSettings
+from service.store import Store
+
+PATIENCE_S = 30.0
+HALF = b"GET /api/v1/res"
+LIVE = b"GET /api/v1/health/live HTTP/1.1\r\nHost: localhost\r\n\r\n"
+POLL = b"GET /api/v1/results?wait_s=30 HTTP/1.1\r\nHost: localhost\r\n\r\n"
+PUT = b"PUT /api/v1/acquisition HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+LARGE = b"GET /large HTTP/1.1\r\nHost: localhost\r\n\r\n"
+N_LARGE = 20_000_000
+"""Far more than the kernel takes for a client that does not read."""
+
+
+@dataclass(frozen=True)
+class Client:
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+
+    def send(self, data: bytes) -> None:
+        self.writer.write(data)
+
+    async def rest(self) -> bytes:
+        """Return what comes until the server closes, and close as well."""
+        received = bytearray()
+        with suppress(ConnectionError):
+            async with asyncio.timeout(PATIENCE_S):
+                while chunk := await self.reader.read(65536):
+                    received += chunk
+        self.writer.close()
+        return bytes(received)
+
+
+@dataclass(frozen=True)
+class Served:
+    server: RestServer
+    port: int
+    clients: AsyncExitStack
+
+    @property
+    def connections(self) -> set[Connection]:
+        return self.server.server_state.connections
+
+    async def connect(self, data: bytes = b"") -> Client:
+        client = Client(*await asyncio.open_connection("127.0.0.1", self.port))
+        self.clients.callback(client.writer.close)
+        client.send(data)
+        return client
+
+    async def until(self, is_so: Callable[[], bool]) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not is_so():  # noqa: ASYNC110 - the server has no event for it
+                await asyncio.sleep(0.005)
+
+    def pass_time(self, seconds: float) -> None:
+        """Look after the connections as if so much time had passed."""
+        drop_hindering(self.connections, asyncio.get_running_loop().time() + seconds)
+
+
+@asynccontextmanager
+async def served_by(app: FastAPI) -> AsyncIterator[Served]:
+    server = RestServer(server_config(app, ApiSettings()))
+    with listen("127.0.0.1", 0) as listener:
+        async with AsyncExitStack() as clients:
+            serving = asyncio.create_task(server.serve([listener]))
+            await server.is_serving.wait()
+            yield Served(server, listener.getsockname()[1], clients)
+        server.should_exit = True
+        await serving
+
+
+@pytest.fixture
+def app(store: Store, control: FakeControl) -> FastAPI:
+    app = create_app(store, control, ApiSettings())
+
+    @app.get("/large")
+    async def large() -> Response:
+        return Response(bytes(N_LARGE))
+
+    return app
+
+
+@pytest.fixture
+async def served(app: FastAPI) -> AsyncIterator[Served]:
+    async with served_by(app) as served:
+        yield served
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        HALF,
+        LIVE[:-2] + b"X-More: ",
+        PUT + b'Content-Length: 20\r\n\r\n{"state"',
+        PUT + b'Transfer-Encoding: chunked\r\n\r\n8\r\n{"state"\r\n',
+        LIVE + HALF,  # its first request is answered
+        PUT + b"Content-Length: 2000000\r\n\r\n{",  # refused, and goes on sending
+    ],
+)
+async def test_a_request_that_does_not_come_ends_the_connection(
+    served: Served, data: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    client = await served.connect(data)
+    await served.until(lambda: len(served.connections) == 1)
+    if data.startswith(LIVE) or b"2000000" in data:
+        await client.reader.readuntil(b"}")
+        client.send(b"x")  # an idle connection has time, one with a begun request has not
+        (connection,) = served.connections
+        await served.until(lambda: connection.timeout_keep_alive_task is None)
+    served.pass_time(0.9 * REQUEST_S)
+    assert len(served.connections) == 1
+    served.pass_time(1.1 * REQUEST_S)
+    assert not served.connections
+    assert b'"state"' not in await client.rest()
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+
+
+async def test_the_server_looks_after_them_itself(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "REQUEST_S", 0.0)
+    client = await served.connect(HALF)
+    assert await client.rest() == b""
+
+
+async def test_a_reader_that_does_not_read_ends_its_connection(served: Served) -> None:
+    slow, reading = await served.connect(LARGE), await served.connect(LARGE)
+    assert (await reading.reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 200")
+    assert len(await reading.reader.readexactly(N_LARGE)) == N_LARGE
+    await served.until(lambda: sum(each.n_unread > 0 for each in served.connections) == 1)
+    served.pass_time(0.9 * READING_S)
+    assert len(served.connections) == 2
+    served.pass_time(1.1 * READING_S)
+    assert len(served.connections) == 1
+    assert 0 < len(await slow.rest()) < N_LARGE
+
+
+async def test_what_is_unread_is_bounded_and_the_slowest_goes_first(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "MAX_UNREAD_BYTES", 1.5 * N_LARGE)
+    clients = []
+    for n in (1, 2):
+        clients.append(await served.connect(LARGE))
+        await served.until(lambda n=n: sum(each.n_unread > 0 for each in served.connections) >= n)
+    served.pass_time(0)
+    assert len(served.connections) == 1
+    assert len(await clients[0].rest()) < N_LARGE
+    await clients[1].reader.readuntil(b"\r\n\r\n")
+    assert len(await clients[1].reader.readexactly(N_LARGE)) == N_LARGE
+
+
+async def test_a_long_poll_lives_as_long_as_it_asks_for(
+    served: Served, store: Store, session: int, waiting: asyncio.Event
+) -> None:
+    poll = await served.connect(POLL)
+    await waiting.wait()
+    for _ in range(3):
+        served.pass_time(1000 * REQUEST_S)
+    await add(store, session, 1, measured())
+    async with asyncio.timeout(PATIENCE_S):
+        assert (await poll.reader.readline()).startswith(b"HTTP/1.1 200")
+        await poll.reader.readuntil(b'"is_simulated":true}]}')
+    poll.send(LIVE)  # the same connection serves the next request
+    assert (await poll.reader.readline()).startswith(b"HTTP/1.1 200")
+
+
+async def test_the_oldest_without_a_request_makes_room(
+    served: Served, monkeypatch: pytest.MonkeyPatch, waiting: asyncio.Event, store: Store
+) -> None:
+    monkeypatch.setattr(connections, "max_connections", lambda: 4)
+    poll = await served.connect(POLL)
+    await waiting.wait()
+    halves = [await served.connect(HALF) for _ in range(20)]
+    client = await served.connect(LIVE)
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
+    assert len(served.connections) <= 4
+    for half in halves[:10]:
+        assert await half.rest() == b""
+    store.release_waiters()
+    assert (await poll.reader.readline()).startswith(b"HTTP/1.1 200")
+
+
+async def test_when_all_are_being_answered_the_newest_is_refused(
+    served: Served, monkeypatch: pytest.MonkeyPatch, store: Store
+) -> None:
+    monkeypatch.setattr(connections, "max_connections", lambda: 4)
+    polls = [await served.connect(POLL) for _ in range(4)]
+    await served.until(lambda: sum(each.is_being_answered for each in served.connections) == 4)
+    for _ in range(2 * connections.MAX_REFUSED):
+        refused = await served.connect(LIVE)
+        head, _, body = (await refused.rest()).partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 503 Service Unavailable\r\n")
+        assert b"\r\nRetry-After: 5" in head
+        assert json.loads(body)["type"] == "urn:stonefall:problem:too-many-connections"
+        assert len(served.connections) <= 4 + connections.MAX_REFUSED
+    store.release_waiters()
+    for poll in polls:
+        assert (await poll.reader.readline()).startswith(b"HTTP/1.1 200")
+        poll.writer.close()
+    await served.until(lambda: len(served.connections) < 4)
+    client = await served.connect(LIVE)
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.parametrize(("n_descriptors", "n"), [(1024, 256), (4096, 256), (400, 100), (2, 1)])
+def test_connections_leave_descriptors_for_everything_else(
+    monkeypatch: pytest.MonkeyPatch, n_descriptors: int, n: int
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (n_descriptors, n_descriptors))
+    assert max_connections.__wrapped__() == n
+
+
+async def test_a_real_server_stops_at_once_under_a_long_poll(
+    served: Served, store: Store, waiting: asyncio.Event
+) -> None:
+    async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{served.port}/api/v1") as client:
+        live = await client.get("/health/live")
+        assert "server" not in live.headers
+        poll = asyncio.create_task(client.get("/results", params={"wait_s": 30}))
+        await waiting.wait()
+        store.release_waiters()
+        served.server.should_exit = True
+        assert (await asyncio.wait_for(poll, 5)).status_code == 200
