@@ -10,6 +10,7 @@ from service.api.body_limit import BodyLimit
 from service.api.context import ApiContext
 from service.api.control import Control
 from service.api.docs import docs_page
+from service.api.foreign_pages import ForeignPages
 from service.api.problems import ProblemDocument, install_handlers
 from service.api.routes import (
     accounting,
@@ -37,6 +38,7 @@ def create_app(store: Store, control: Control, settings: ApiSettings) -> FastAPI
     """Build the application that serves `store` and steers `control`."""
     app = build_routes()
     app.state.context = ApiContext(store=store, control=control, settings=settings)
+    app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
     return app
 
