@@ -5,13 +5,15 @@ While no key is configured, every host may read and only this machine may write.
 
 import hashlib
 import hmac
+import math
+import time
 from collections.abc import Awaitable, Callable
-from ipaddress import IPv6Address, ip_address
 from typing import Annotated
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
+from service.api.addresses import host_of, is_loopback
 from service.api.context import Context
 from service.api.problems import Problem
 from service.api.settings import ApiKey, Scope
@@ -41,13 +43,25 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
                 headers={"WWW-Authenticate": "Bearer"},
             )
         key = _key_of(credentials.credentials, keys)
+        host, now_s, guesses = _host_of(request), time.monotonic(), context.guesses
+        if (pause_s := guesses.pause_s(host, None if key is None else key.name, now_s)) > 0:
+            wait_s = math.ceil(pause_s)
+            raise Problem(
+                429,
+                "too-many-attempts",
+                f"too many wrong keys came from {host}: try again in {wait_s} s",
+                headers={"Retry-After": str(wait_s)},
+                retry_after_s=wait_s,
+            )
         if key is None:
+            guesses.note_wrong(host, now_s)
             raise Problem(
                 401,
                 "unauthorized",
                 "the key is not one of the configured keys",
                 headers={"WWW-Authenticate": 'Bearer error="invalid_token"'},
             )
+        guesses.note_right(host, key.name)
         if scope not in key.scopes:
             raise Problem(
                 403,
@@ -69,19 +83,11 @@ def _key_of(token: str, keys: tuple[ApiKey, ...]) -> ApiKey | None:
 def _is_from_this_machine(request: Request) -> bool:
     """Return whether both the peer and the host name it asked for are loopback.
 
-    The second stops web pages whose own host name resolves to 127.0.0.1 (DNS rebinding).
+    A proxy on this machine is a peer on loopback, too, but passes on the name that its clients asked for.
     """
-    if request.client is None:
-        return False
-    host = request.url.hostname or ""
-    return _is_loopback(request.client.host) and (host == "localhost" or _is_loopback(host))
+    return is_loopback(_host_of(request)) and is_loopback(host_of(request.headers.get("host", "")))
 
 
-def _is_loopback(host: str) -> bool:
-    try:
-        address = ip_address(host)
-    except ValueError:
-        return False
-    if isinstance(address, IPv6Address) and address.ipv4_mapped:
-        return address.ipv4_mapped.is_loopback
-    return address.is_loopback
+def _host_of(request: Request) -> str:
+    """Return the address of the client, empty when the server does not know it."""
+    return "" if request.client is None else request.client.host

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from service.api.control import Control
+from service.api.key_guesses import KeyGuesses
 from service.api.settings import ApiSettings
 from service.store import Store
 
@@ -20,6 +21,7 @@ class ApiContext:
     settings: ApiSettings
     rendering: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
     """Meshes and images are converted one at a time: clients must not take the processor from measuring."""
+    guesses: KeyGuesses = field(default_factory=KeyGuesses)
 
 
 def context_of(request: Request) -> ApiContext:
