@@ -74,7 +74,7 @@ def _measured(path: Path) -> dict[str, tuple[float, float]]:
         try:
             record = json.loads(line)
             bundle, is_measured = str(record["bundle"]), record["outcome"] == Outcome.MEASURED
-        except (ValueError, LookupError, TypeError) as err:
+        except (ValueError, LookupError, TypeError, RecursionError) as err:
             raise VolumeModelError(f"{where}: is not a result of stonefall measure") from err
         if is_measured:
             volumes_mm3[bundle] = (

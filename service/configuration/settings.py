@@ -120,7 +120,7 @@ def load_settings(path: Path) -> Settings:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as err:
         raise SettingsError(f"{path}: {err.strerror}") from err
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+    except (ValueError, RecursionError) as err:  # no text, no TOML, a number or nesting beyond all bounds
         raise SettingsError(f"{path}: {err}") from err
     try:
         return Settings.model_validate(document, context={"folder": path.resolve().parent})
@@ -159,6 +159,8 @@ def shortcomings(settings: Settings) -> Iterator[str]:
         yield f"segmentation.model: {plan.trouble}"
     if plan.provider_trouble is not None:
         yield f"segmentation.providers: {plan.provider_trouble}"
+    if settings.api.warning is not None:
+        yield f"api.host: {settings.api.warning}"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -50,7 +50,7 @@ def read_volume_model(path: Path) -> VolumeModel:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as err:
         raise VolumeModelError(f"{path}: {err.strerror}") from err
-    except ValueError as err:
+    except (ValueError, RecursionError) as err:
         raise VolumeModelError(f"{path}: is not JSON: {err}") from err
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise VolumeModelError(

@@ -88,6 +88,8 @@ async def _serving(
     serving = tasks.create_task(server.serve([listener]))
     await server.is_serving.wait()
     log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
+    if daemon.settings.api.warning is not None:
+        log.warning("%s", daemon.settings.api.warning)
     yield
     daemon.store.release_waiters()
     server.should_exit = True

@@ -216,7 +216,7 @@ def _description(place: Path | Traversable) -> dict[str, Any]:
         document = json.loads(beside.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, RecursionError) as err:
         raise ModelError(f"{beside}: cannot be read as JSON: {err}") from err
     if not isinstance(document, dict):
         raise ModelError(f"{beside}: must be a JSON object, not {type(document).__name__}")

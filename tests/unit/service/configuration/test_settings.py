@@ -8,9 +8,10 @@ import pytest
 from support.recordings import small_rig
 from typer.testing import CliRunner
 
+from drivers.errors import RecordingError
 from drivers.factory import build_devices
 from drivers.files.recording import RecordingWriter
-from drivers.files.rig_file import write_rig
+from drivers.files.rig_file import read_rig, write_rig
 from drivers.gates.serial_gate import SerialGateSettings
 from pipeline.frames import Frame, FrameBundle, Trigger
 from pipeline.measuring.volume_correction import VolumeModel
@@ -18,9 +19,9 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
 from service.cli import build_app
 from service.configuration.rig_settings import AravisRigSettings
-from service.configuration.settings import Settings, load_settings, problems
-from service.configuration.volume_models import write_volume_model
-from service.errors import SettingsError
+from service.configuration.settings import Settings, load_settings, problems, shortcomings
+from service.configuration.volume_models import read_volume_model, write_volume_model
+from service.errors import SettingsError, VolumeModelError
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
 
@@ -109,6 +110,12 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (LIVE + '[rig.gate.gpio]\nchip = "/dev/gpiochip0"\nline = 4\n', ["rig.gate: exactly one of"]),
         (LIVE.replace('port = "gate"', 'port = ""'), ["rig.gate.serial: port must be named"]),
         (LIVE + "[empty_rig]\nat_start = -1", ["empty_rig: at_start must be in"]),
+        (MINIMAL + '[api]\nhost = ""', ["api: host must be an address or a host name, not ''"]),
+        (MINIMAL + '[api]\nhost = "256.1.1.1"', ["api: host must be", "not '256.1.1.1'"]),
+        (MINIMAL + '[api]\nallowed_hosts = ["a:80"]', ["api: allowed_hosts: must be", "not 'a:80'"]),
+        (MINIMAL + f"[api]\nkeys = {5000 * '['}{5000 * ']'}", ["maximum recursion depth exceeded"]),
+        (MINIMAL + f"x = {5000 * '{a = '}1{5000 * '}'}", ["maximum recursion depth exceeded"]),
+        (MINIMAL + f"x = {5000 * '9'}", ["Exceeds the limit"]),
         (MINIMAL + "[api]\nkeys = [{name = 'mes', sha256 = 'secret'}]", ["api.keys.0: key 'mes'"]),
         ("[rig\n", ["line 1"]),
     ],
@@ -128,6 +135,31 @@ def test_a_missing_or_binary_file_is_refused(tmp_path: Path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(SettingsError, match=r"binary\.toml"):
         load_settings(tmp_path / "binary.toml")
+
+
+@pytest.mark.parametrize(
+    ("api", "is_open"),
+    [
+        ("", False),
+        ('host = "::1"', False),
+        ('host = "0.0.0.0"', True),
+        ('host = "::"', True),
+        ('host = "plant"', True),
+        (f'host = "0.0.0.0"\nkeys = [{{name = "mes", sha256 = "{64 * "0"}"}}]', False),
+    ],
+)
+def test_a_service_open_to_the_network_is_a_shortcoming(tmp_path: Path, api: str, is_open: bool):
+    found = [each for each in shortcomings(settings_of(tmp_path, f"{MINIMAL}[api]\n{api}")) if "api" in each]
+    assert [each.partition(":")[0] for each in found] == ["api.host"] * is_open
+
+
+@pytest.mark.parametrize("nested", [5000 * "[" + 5000 * "]", 5000 * '{"a":' + "1" + 5000 * "}", 5000 * "9"])
+def test_json_beyond_all_bounds_is_refused_with_the_file(tmp_path: Path, nested: str):
+    path = tmp_path / "nested.json"
+    path.write_text(nested)
+    for read, error in ((read_rig, RecordingError), (read_volume_model, VolumeModelError)):
+        with pytest.raises(error, match=r"nested\.json"):
+            read(path)
 
 
 def write_tiny_recording(path: Path) -> None:
