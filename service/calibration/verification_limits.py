@@ -7,13 +7,16 @@ vertical against the horizontal diameter, which differ when a ball moves too far
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
+MAX_SIZE_RATIO = 1.1
+"""Of measured and stated diameter; what differs more is something else, however badly the rig is calibrated."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifiedBall:
     """One ball of a verification."""
 
     bundle: str
-    equivalent_diameter_mm: float | None  # None: rejected, see `detail`
+    equivalent_diameter_mm: float | None  # None: rejected or refused, see `detail`
     vertical_minus_horizontal_mm: float | None
     detail: str | None = None
 
@@ -67,6 +70,16 @@ class VerificationParameters:
                 f" {self.vertical_minus_horizontal_mm:g} is the limit: shorten the exposure, or calibrate anew"
             )
         return found
+
+
+def size_refusal(measured_mm: float, diameter_mm: float) -> str | None:
+    """Return why something of this size is not the ball of the stated diameter, None when it may be."""
+    if 1 / MAX_SIZE_RATIO <= measured_mm / diameter_mm <= MAX_SIZE_RATIO:
+        return None
+    return (
+        f"measures {measured_mm:.2f} mm, not {diameter_mm:g} mm: it is another ball or a stone, or another diameter was"
+        " entered"
+    )
 
 
 def summarize(balls: tuple[VerifiedBall, ...], diameter_mm: float) -> Summary:

@@ -23,7 +23,13 @@ from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.files import CALIBRATION_NAME, read_document
 from service.calibration.plan import BALL_DIAMETERS_MM
-from service.calibration.verification_limits import Summary, VerificationParameters, VerifiedBall, summarize
+from service.calibration.verification_limits import (
+    Summary,
+    VerificationParameters,
+    VerifiedBall,
+    size_refusal,
+    summarize,
+)
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +64,7 @@ class Verification:
 
     @property
     def measured(self) -> tuple[VerifiedBall, ...]:
-        """Return the balls that were not rejected."""
+        """Return the balls that count: neither rejected nor refused."""
         return tuple(ball for ball in self.balls if ball.equivalent_diameter_mm is not None)
 
     @property
@@ -198,19 +204,24 @@ class Verifications:
         """Cancel the open verification when no ball has fallen for `IDLE_S`."""
         current = self.current
         if current is not None and time.monotonic() - self._last_ball_s > IDLE_S:
-            await self.cancel(current.id, f"no ball fell for {IDLE_S / 60:.0f} minutes")
+            await self.cancel(
+                current.id, f"no ball of {current.diameter_mm:g} mm fell for {IDLE_S / 60:.0f} minutes"
+            )
 
     async def _add(self, name: str, drop: ObservedDrop, record: Mapping[str, Any]) -> None:
         verification = self._known[name]
         measured_with_it = record["calibration_id"] == verification.calibration_id
         if verification.state is not VerificationState.COLLECTING or not measured_with_it:
             return
-        diameter_mm = record["equivalent_diameter_mm"]
+        diameter_mm, detail = record["equivalent_diameter_mm"], record["detail"]
+        if diameter_mm is not None and (refusal := size_refusal(diameter_mm, verification.diameter_mm)):
+            log.warning("verification: %s verification=%s bundle=%s", refusal, name, drop.bundle)
+            diameter_mm, detail = None, refusal
         seen = VerifiedBall(
             bundle=drop.bundle,
             equivalent_diameter_mm=diameter_mm,
             vertical_minus_horizontal_mm=None if diameter_mm is None else drop.vertical_minus_horizontal_mm,
-            detail=record["detail"],
+            detail=detail,
         )
         verification = replace(verification, balls=(*verification.balls, seen), changed_at=utc_now())
         if diameter_mm is not None:

@@ -90,12 +90,18 @@ async def test_conflicts_say_what_is_possible(client: httpx.AsyncClient, control
         ("/calibrations", {"ball_diameters_mm": [10.0, 11.0]}),
         ("/calibrations", {"ball_diameters_mm": [10.0, 15.0, 20.0]}),
         ("/calibrations", {"ball_diameters_mm": [-1.0]}),
+        ("/calibrations", {"ball_diameters_mm": [True]}),
         ("/calibrations", {"ball_diameters_mm": [10.0], "method": "stones"}),
         ("/calibrations", {"ball_diameters_mm": [10.0], "method": "nominal"}),
         ("/calibrations", {"ball_diameters_mm": [10.0], "more": 1}),
         ("/calibrations/0001/activate", {"by": ""}),
         ("/verifications", {"count": 1}),
+        ("/verifications", {"count": True}),
+        ("/verifications", {"count": "5"}),
         ("/verifications", {"diameter_mm": 0}),
+        ("/verifications", {"diameter_mm": 45.1}),
+        ("/verifications", {"diameter_mm": 49}),
+        ("/verifications", {"diameter_mm": True}),
     ],
 )
 async def test_wrong_requests(client: httpx.AsyncClient, path: str, body: object) -> None:

@@ -9,7 +9,8 @@ from service.calibration.plan import BALL_DIAMETERS_MM, Method
 from service.calibration.states import CalibrationState
 from service.results.fields import TIME
 
-DiameterMm = Annotated[float, Field(ge=BALL_DIAMETERS_MM[0], le=BALL_DIAMETERS_MM[1])]
+# strict: `true` is no number; a whole number is one of millimetres all the same
+DiameterMm = Annotated[float, Field(ge=BALL_DIAMETERS_MM[0], le=BALL_DIAMETERS_MM[1], strict=True)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 

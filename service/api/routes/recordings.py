@@ -51,15 +51,16 @@ class RecordingRequest(BaseModel):
 
     name: str = Field(pattern=NAME, description="Name of its folder; must be new")
     count: int | None = Field(
-        default=None, ge=1, le=1_000_000, description="Number of stones to record from now on"
+        default=None, ge=1, le=1_000_000, strict=True, description="Number of stones to record from now on"
     )
     duration_s: float | None = Field(
-        default=None, gt=0, le=86_400, description="Seconds to record from now on"
+        default=None, gt=0, le=86_400, strict=True, description="Seconds to record from now on"
     )
     pre_trigger: int = Field(
         default=0,
         ge=0,
         le=1000,
+        strict=True,
         description="Number of stones before now to record as well, as far as their frames are kept",
     )
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import existing, problem_responses
+from service.api.routes.calibration_schemas import DiameterMm
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.calibration.verifications import Verification, VerificationPlan, VerificationState
@@ -24,8 +25,8 @@ class VerificationRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    diameter_mm: float = Field(default=15.0, ge=1, le=50, description="Diameter of the ball, mm")
-    count: int = Field(default=5, ge=2, le=100, description="Number of drops to measure")
+    diameter_mm: DiameterMm = Field(default=15.0, description="Diameter of the ball, mm")
+    count: int = Field(default=5, ge=2, le=100, strict=True, description="Number of drops to measure")
     note: Annotated[str, Field(max_length=2000)] | None = None
     by: Annotated[str, Field(min_length=1, max_length=200)] | None = None
 
@@ -35,12 +36,12 @@ class VerifiedBallDocument(BaseModel):
 
     bundle: str
     equivalent_diameter_mm: float | None = Field(
-        description="Diameter of the sphere of equal volume, mm; null when rejected"
+        description="Diameter of the sphere of equal volume, mm; null when rejected, or far from the stated one"
     )
     vertical_minus_horizontal_mm: float | None = Field(
         description="Vertical minus horizontal diameter, mm; null: unknown"
     )
-    detail: str | None = Field(description="Why it was rejected; null when it was measured")
+    detail: str | None = Field(description="Why it does not count; null when it does")
 
 
 class VerificationSummary(BaseModel):
@@ -61,7 +62,9 @@ class VerificationDocument(BaseModel):
     id: str
     state: VerificationState
     diameter_mm: float = Field(description="Diameter of the ball as requested, mm")
-    count: int = Field(description="Number of drops to measure; rejected ones do not count")
+    count: int = Field(
+        description="Number of drops to measure; rejected ones and those of another size do not count"
+    )
     calibration_id: str = Field(description="`calibration_id` of the calibration that is verified")
     created_at: str = Field(json_schema_extra=TIME)
     changed_at: str = Field(description="The latest ball, or the end", json_schema_extra=TIME)

@@ -59,6 +59,26 @@ async def test_a_good_rig_passes_and_rejected_balls_do_not_count(tmp_path: Path)
     assert desk.trouble("rig", datetime.now(UTC)) is None
 
 
+async def test_a_ball_of_another_size_is_refused_and_does_not_count(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    desk = opened(tmp_path)
+    await desk.start(PLAN, "rig")
+    await let_fall(desk, [23.0, 15.0, 15.0, 13.0, 23.0])
+    assert desk.current is not None
+    assert desk.current.summary is not None
+    assert desk.current.summary.error_mm == 0.0
+    refused = [ball.detail for ball in desk.current.balls if ball.equivalent_diameter_mm is None]
+    assert [str(detail)[:27] for detail in refused] == [
+        "measures 23.00 mm, not 15 m",
+        "measures 13.00 mm, not 15 m",
+        "measures 23.00 mm, not 15 m",
+    ]
+    assert "measures 13.00 mm, not 15 mm: it is another ball" in caplog.text
+    await let_fall(desk, [15.0])
+    assert desk.all()[0].state is VerificationState.PASSED
+
+
 @pytest.mark.parametrize(
     ("diameters_mm", "uneven_mm", "problem"),
     [
@@ -107,7 +127,7 @@ async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(verifications, "IDLE_S", 0.0)
     await desk.cancel_idle()
     assert [(each.id, each.state, each.problems[0][:12]) for each in opened(tmp_path).all()] == [
-        (third.id, VerificationState.CANCELLED, "no ball fell"),
+        (third.id, VerificationState.CANCELLED, "no ball of 1"),
         (second.id, VerificationState.CANCELLED, "cancelled on"),
         (first.id, VerificationState.CANCELLED, "the daemon w"),
     ]
