@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
 from drivers.files.durable import replacing
+from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
 from drivers.files.silhouette_file import read_silhouettes
 from pipeline.frames import CameraId
@@ -33,7 +34,7 @@ class MeshFormat(StrEnum):
 
 
 class NotKeptError(Exception):
-    """The file was never written, or was removed since."""
+    """The file was never written, was removed since, or is damaged."""
 
 
 def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
@@ -101,6 +102,10 @@ def _stored(path: Path) -> Path:
 
 
 def _mesh(path: Path) -> "trimesh.Trimesh":
-    import trimesh  # here: with its dependencies it takes a tenth of the daemon's start
-
-    return trimesh.load_mesh(path, process=False)
+    try:
+        mesh = parse_mesh(path)
+    except RecordingError as err:
+        raise NotKeptError(f"{path.name} {err.problem}") from err
+    if mesh.faces.size == 0 or not np.isfinite(mesh.vertices).all():
+        raise NotKeptError(f"{path.name} is damaged")
+    return mesh

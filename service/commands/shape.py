@@ -1,7 +1,6 @@
 """`stonefall shape`: measure mesh files with the functions of the pipeline."""
 
 import json
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -14,6 +13,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from drivers.errors import RecordingError
+from drivers.files.mesh_parsing import MESH_DAMAGE, parse_mesh
 from pipeline.errors import MeshError
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from service.errors import UsageError
@@ -21,17 +22,6 @@ from service.results.fields import MEASURED_FIELDS
 
 SUFFIXES = (".stl", ".ply", ".obj")
 MESHES_PER_TABLE = 3
-
-PARSER_ERRORS = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    ImportError,  # trimesh asks for an encoding detector where a text file holds binary data
-    struct.error,
-    trimesh.exchange.stl.HeaderError,
-)
-"""Exceptions of trimesh's parsers on damaged files."""
 
 ROWS = [name for name in MEASURED_FIELDS if name in {field.name for field in fields(ShapeMeasurement)}]
 """Fields of a result that follow from a mesh alone, in the order of the result."""
@@ -52,9 +42,8 @@ def command(
         try:
             mesh = read_mesh(path)
             measured.append({"file": str(path)} | asdict(measure_shape(mesh.vertices, mesh.faces)))
-        except (MeshError, UsageError, OSError) as err:
-            reason = err.strerror or err if isinstance(err, OSError) else err
-            errors.print(f"stonefall: {path}: {reason}")
+        except (MeshError, UsageError) as err:
+            errors.print(f"stonefall: {path}: {err}")
     if as_json:
         typer.echo(json.dumps(measured, indent=2, allow_nan=False))
     else:
@@ -73,17 +62,17 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     UsageError
         The file is not a readable mesh.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"must be one of {', '.join(SUFFIXES)}")
     try:
-        with path.open("rb") as file:
-            mesh = trimesh.load_mesh(file, file_type=suffix[1:], process=False)
+        mesh = parse_mesh(path)
         if np.isfinite(mesh.vertices).all():
             # STL repeats vertices for each face, OBJ where texture or normals break
             mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    except PARSER_ERRORS as err:
-        raise UsageError(f"is damaged, or not {suffix[1:].upper()}") from err
+    except RecordingError as err:
+        raise UsageError(err.problem) from err
+    except MESH_DAMAGE as err:
+        raise UsageError("is damaged: its vertices cannot be compared") from err
     return mesh
 
 

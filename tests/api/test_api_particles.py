@@ -174,6 +174,28 @@ async def test_what_was_not_kept_says_why(
     assert str(store.particles_dir) not in damaged.text
 
 
+@pytest.mark.parametrize("damage", ["garbage", "cut", "no faces", "not finite", "wrong corners"])
+async def test_a_damaged_mesh_is_not_kept(
+    client: httpx.AsyncClient, store: Store, particle_id: str, damage: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = store.particles_dir / particle_id / "mesh.ply"
+    whole = path.read_bytes()
+    head, corner = whole.index(b"end_header\n") + 11, np.array([77], "<i4").tobytes()
+    content = {
+        "garbage": b"garbage",
+        "cut": whole[:-5],
+        "no faces": whole[: head + 8 * 12].replace(b"element face 12", b"element face 0"),
+        "not finite": whole[:head] + np.array([np.nan], "<f4").tobytes() + whole[head + 4 :],
+        "wrong corners": whole[:-4] + corner,
+    }[damage]
+    path.write_bytes(content)
+    for name in ("mesh.stl", "mesh.glb", "preview.png"):
+        answer = await client.get(f"/particles/{particle_id}/{name}")
+        assert (answer.status_code, answer.json()["type"]) == (404, "urn:stonefall:problem:not-kept")
+        assert "mesh.ply is damaged" in answer.json()["detail"]
+    assert "Traceback" not in caplog.text
+
+
 @pytest.mark.parametrize(
     ("path", "status"),
     [

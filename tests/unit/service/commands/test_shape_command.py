@@ -69,6 +69,9 @@ def test_ascii_stl(tmp_path: Path) -> None:
 
 PLY = trimesh.exchange.ply.export_ply(BOX)
 STL = trimesh.exchange.stl.export_stl(BOX)
+ASCII_PLY = trimesh.exchange.ply.export_ply(BOX, encoding="ascii")
+ASCII_STL = trimesh.exchange.stl.export_stl_ascii(BOX).encode()
+OBJ = trimesh.exchange.obj.export_obj(BOX).encode()
 NOISE = np.random.default_rng(0).bytes(500)
 
 
@@ -88,12 +91,14 @@ NOISE = np.random.default_rng(0).bytes(500)
         ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "damaged"),
         ("words.obj", b"v a b c\nf 1 2 3\n", "damaged"),
         ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "not finite"),
+        ("far.obj", OBJ.replace(b"v -2.5", b"v -2.5\n", 1), "damaged"),
+        ("list.ply", ASCII_PLY.replace(b"property list", b"property lost"), "damaged"),
         ("model.glb", b"glTF", "must be one of .stl, .ply, .obj"),
         ("missing.stl", None, "No such file"),
     ],
 )
 def test_bad_file_is_one_line_and_the_others_are_measured(
-    tmp_path: Path, name: str, content: bytes | None, problem: str
+    tmp_path: Path, name: str, content: bytes | None, problem: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     good, bad = tmp_path / "good.stl", tmp_path / name
     BOX.export(good)
@@ -106,7 +111,16 @@ def test_bad_file_is_one_line_and_the_others_are_measured(
     (line,) = result.stderr.splitlines()
     assert line.startswith(f"stonefall: {bad}: ")
     assert problem in line
+    assert not caplog.records  # trimesh has tracebacks of its own
     assert [measured["file"] for measured in json.loads(result.stdout)] == [str(good)]
+
+
+def test_normals_that_cannot_be_read_do_not_matter(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "normal.stl"
+    path.write_bytes(ASCII_STL.replace(b"normal", b"normal x", 1))
+    (measured,) = json.loads(shape(path, "--json").stdout)
+    assert measured["volume_mm3"] == pytest.approx(4000)
+    assert not caplog.records  # trimesh would show a traceback
 
 
 def test_usage() -> None:
