@@ -120,8 +120,10 @@ def load_settings(path: Path) -> Settings:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as err:
         raise SettingsError(f"{path}: {err.strerror}") from err
-    except (ValueError, RecursionError) as err:  # no text, no TOML, a number or nesting beyond all bounds
+    except ValueError as err:  # neither text nor TOML, or a number beyond all bounds
         raise SettingsError(f"{path}: {err}") from err
+    except RecursionError as err:
+        raise SettingsError(f"{path}: is nested too deeply") from err
     try:
         return Settings.model_validate(document, context={"folder": path.resolve().parent})
     except ValidationError as err:
