@@ -24,6 +24,8 @@ COMMANDS = {
     "measure": "service.commands.measure",
     "models": "service.commands.models",
     "record": "service.commands.record",
+    "backup": "service.commands.backup",
+    "restore": "service.commands.restore",
     "shape": "service.commands.shape",
     "fit-volume": "service.commands.fit_volume",
     "simulate": "service.commands.simulate",

@@ -4,7 +4,7 @@
 
     ServiceError
     ├── SettingsError       a configuration file; names the file and every wrong field
-    ├── StoreError          the result store cannot be opened or written; fatal for the daemon
+    ├── StoreError          the result store cannot be opened, or a write is wrong; a disk that refuses only holds it
     ├── VolumeModelError    coefficients of the volume correction; names the file and the field
     └── UsageError          a command's arguments contradict each other or the files they name
 

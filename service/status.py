@@ -39,7 +39,7 @@ class AcquisitionState(StrEnum):
     ARMED = "armed"
     """Every trigger becomes a bundle."""
     HELD = "held"
-    """Arming was requested, but devices are lost; the daemon keeps trying to bring them back."""
+    """Arming was requested, but devices are lost or nothing can be stored; it is armed again by itself."""
     DISARMING = "disarming"
     STOPPING = "stopping"
     """The daemon is stopping and accepts no more requests."""
@@ -166,7 +166,7 @@ class Health:
     """Why it is not ready, or not `good`."""
     checks: Mapping[str, HealthCheck]
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `segmentation`, `calibration`, `clock`, `store`, `disk`, `archive`, `recording`, `rig`, `optics`."""
+    `segmentation`, `calibration`, `clock`, `store`, `disk`, `backup`, `archive`, `recording`, `rig`, `optics`."""
 
 
 class CameraOptics(Report):

@@ -2,7 +2,8 @@
 
 Arming starts the cameras, then the gate; while armed, events are pumped from the inbox through the assembler; disarming
 stops the gate first. Every trigger is durable before its bundle is handed over. A device that is lost is brought back
-meanwhile; without the gate or with too few cameras the acquisition is held, and stones are still counted.
+meanwhile; without the gate or with too few cameras, or while nothing can be stored, the acquisition is held, and stones
+are still counted.
 """
 
 import asyncio
@@ -42,7 +43,7 @@ INBOX_TRIGGERS = 8
 
 
 class TriggerLog(Protocol):
-    """Durable record of the triggers; the store is one."""
+    """Durable record of the triggers; the store is one. It never keeps the loop waiting for a disk."""
 
     async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None: ...
 
@@ -51,7 +52,8 @@ class Acquisition:
     """Runs the rig: `run` is its task, `request` arms and disarms it, `stop` ends it in order.
 
     Bundles are passed to `on_bundle` in the order of their triggers; `on_progress` is called at every turn of
-    the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones.
+    the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones. While `store_trouble`
+    returns why results cannot be stored, the acquisition is held.
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class Acquisition:
         is_ball: Callable[[], bool] = lambda: False,
         on_bundle: Callable[[FrameBundle], None],
         on_progress: Callable[[], None],
+        store_trouble: Callable[[], str | None] = lambda: None,
     ) -> None:
         self._devices = devices
         self._session = session
@@ -76,6 +79,7 @@ class Acquisition:
         self._is_ball = is_ball
         self._on_bundle = on_bundle
         self._on_progress = on_progress
+        self._store_trouble = store_trouble
         self._arm_requested = asyncio.Event()
         self._disarm_requested = asyncio.Event()
         self._is_abandoned = False
@@ -202,7 +206,7 @@ class Acquisition:
     def _hold_or_release(self) -> None:
         """Set the state to held or armed, depending on whether the next stone can be measured."""
         trouble = self.gate.last_error if self.gate.state is DeviceState.LOST else None
-        trouble = trouble or self.cameras.trouble(self._min_cameras)
+        trouble = trouble or self.cameras.trouble(self._min_cameras) or self._store_trouble()
         if trouble and not self.trouble:  # one alarm a cause: its consequences are not logged
             log.error("acquisition held: %s", trouble)
         elif self.trouble and not trouble:

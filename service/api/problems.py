@@ -15,6 +15,7 @@ from starlette.routing import compile_path
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
 from service.status import ConflictError
+from service.store.trouble import Cause
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +36,7 @@ TITLES = {
     "not-ready": "Not ready to measure stones",
     "recording-exists": "A recording of this name exists",
     "recording-running": "Another recording is running",
+    "store-damaged": "The store is damaged",
     "store-unavailable": "The store cannot be read or written",
     "too-many-attempts": "Too many wrong keys",
     "too-many-connections": "Too many requests at a time",
@@ -117,6 +119,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(ConflictError, _handle_transition)
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
     app.add_exception_handler(StoreError, _handle_store)
+    app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
     app.add_exception_handler(Exception, _handle_bug)
 
 
@@ -186,6 +189,9 @@ async def _handle_calibration(request: Request, error: Exception) -> JSONRespons
 async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     # the message names paths of this machine: it is for the journal, not for the client
     log.error("%s %s failed: %s", request.method, request.scope["path"], error)
+    trouble = request.app.state.context.store.trouble
+    if trouble is not None and trouble.cause is Cause.DAMAGED:  # asking again does not help
+        return problem_response(request, Problem(500, "store-damaged", str(trouble)))
     return problem_response(
         request,
         Problem(503, "store-unavailable", "try again in 5 s", headers={"Retry-After": "5"}, retry_after_s=5),

@@ -1,5 +1,6 @@
 """Meshes and images of a stored particle in the formats that clients ask for. Everything blocks: call it in threads."""
 
+from contextlib import suppress
 from enum import StrEnum
 from io import BytesIO
 from pathlib import Path
@@ -58,7 +59,7 @@ def preview_png(folder: Path) -> bytes:
     mesh = _mesh(_stored(folder / "mesh.ply"))
     image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
     png = encode_png(image_rgb[..., ::-1])
-    with replacing(kept) as unfinished:
+    with suppress(OSError), replacing(kept) as unfinished:  # a full disk costs the next request the same time
         unfinished.write_bytes(png)
     return png
 

@@ -220,15 +220,23 @@ class Calibrations:
         record = self._records[name]
         if record.state is not CalibrationState.SOLVING:  # cancelled before its turn came
             return
-        calibration_id, detail = await solve_calibration(
-            self._files, record, self.rig_file, self.rig.name, self._solver
-        )
+        try:
+            calibration_id, detail = await solve_calibration(
+                self._files, record, self.rig_file, self.rig.name, self._solver
+            )
+        except OSError as err:
+            calibration_id, detail = None, f"the solution cannot be written: {err.strerror}"
         state = CalibrationState.COLLECTING if calibration_id is None else CalibrationState.SOLVED
         async with self._writing:
             record = self._records[name]
             if record.state is not CalibrationState.SOLVING:  # cancelled meanwhile
                 return
-            await self._change_state(record, state, calibration_id=calibration_id, detail=detail)
+            try:
+                await self._change_state(record, state, calibration_id=calibration_id, detail=detail)
+            except OSError as err:  # as after a restart, where an unfinished solution collects again
+                detail = f"the solution cannot be written: {err.strerror}"
+                state = CalibrationState.COLLECTING
+                self._records[name] = replace(record, state=state, calibration_id=None, detail=detail)
             self._last_activity_s = time.monotonic()
         log.info("calibration %s calibration=%s %s", state, name, detail or "")
 

@@ -4,7 +4,6 @@ Devices, acquisition and recorder are those of the daemon; nothing is measured.
 """
 
 import asyncio
-import fcntl
 import json
 import signal
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
 from service.status import AcquisitionState, AcquisitionTarget, DeviceState
+from service.store.lock import is_locked
 
 POLL_S = 0.1
 """Interval at which progress is shown and the end is looked for."""
@@ -157,11 +157,6 @@ def _trouble_in_full(acquisition: Acquisition) -> str | None:
 
 def _hint_at_daemon(state_dir: Path) -> str:
     """Return what to do when the daemon of this configuration is running, which controls the rig; else empty."""
-    try:
-        with (state_dir / "store.lock").open() as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return "; the daemon of this configuration is running and controls the rig: record with POST /api/v1/recordings"
-    except OSError:
+    if not is_locked(state_dir):
         return ""
-    return ""
+    return "; the daemon of this configuration is running and controls the rig: record with POST /api/v1/recordings"

@@ -60,15 +60,21 @@ class SpoolSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreSettings:
-    """Folder of the store, and which images it keeps."""
+    """Folder of the store, which images it keeps, and how often its database is copied."""
 
     dir: ConfiguredPath
     keep_raw: int = KEEP_RAW  # number of the newest stones whose frames are kept
     save_silhouettes: bool = True
+    backup_every_h: float = 1.0  # hours between two copies of the database in dir/backups; 0: none
+    keep_backups: int = 4
 
     def __post_init__(self) -> None:
         if self.keep_raw < 0:
             raise ValueError(f"keep_raw must not be negative, not {self.keep_raw}")
+        if not 0 <= self.backup_every_h <= 8760:
+            raise ValueError(f"backup_every_h must be in 0..8760, not {self.backup_every_h:g}")
+        if not 1 <= self.keep_backups <= 1000:
+            raise ValueError(f"keep_backups must be in 1..1000, not {self.keep_backups}")
 
 
 class Settings(BaseModel):

@@ -18,6 +18,7 @@ from service.calibration.startup import CalibrationsAtStart, load_calibrations
 from service.calibration.verifications import open_verifications
 from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
+from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.running_daemon import Daemon, Watches
@@ -90,6 +91,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         is_ball=lambda: devices.belt is None and calibrations.wants_balls,
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
+        store_trouble=lambda: _store_trouble(store),
     )
     pool = _build_pool(settings, source, segmentation)
     processing = Processing(
@@ -121,11 +123,17 @@ async def build(settings: Settings, store: Store) -> Daemon:
         spool=spool,
         recordings=recordings,
         archive=archive,
+        backing_up=BackingUp(store, every_h=settings.store.backup_every_h, keep=settings.store.keep_backups),
         acquisition=acquisition,
         processing=processing,
         heartbeats=heartbeats,
         watches=watches,
     )
+
+
+def _store_trouble(store: Store) -> str | None:
+    """Return why nothing can be stored, in words, None if results can be."""
+    return None if store.trouble is None else f"store: {store.trouble}"
 
 
 def _build_queue(
@@ -143,6 +151,7 @@ def _build_queue(
         max_bundles=settings.spool.max_bundles,
         camera_ids=source.camera_ids,
         archive=archive if settings.store.keep_raw > 0 else None,
+        store_trouble=lambda: _store_trouble(store),
     )
     return spool, archive
 

@@ -28,6 +28,8 @@ DRAIN_S = 30.0
 """Longest wait for the results of bundles already seen, after which they are lost, reason `shutdown`."""
 DISARM_S = 15.0
 """Longest wait for the rig to disarm, the last stone's frames included, before its devices are abandoned."""
+HELD_S = 2.0
+"""Last wait for a store that is held; triggers without an outcome then are lost, reason `crash`, at the next start."""
 ARCHIVE_S = 5.0
 """Longest wait for frames that are still to be archived, which no result needs."""
 
@@ -59,6 +61,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 _serving(daemon, tasks, server, listener),
                 _watching(daemon, tasks, manager, requests),
                 _archiving(daemon, tasks, requests),
+                _backing_up(daemon, tasks),
                 _processing(daemon, tasks, requests),
                 _calibrating(daemon, tasks),
                 _acquiring(daemon, tasks, manager, requests),
@@ -120,6 +123,14 @@ async def _archiving(daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopReq
 
 
 @asynccontextmanager
+async def _backing_up(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    """Back the store up every hour; a backup that is being made at the end is given up."""
+    backing_up = tasks.create_task(daemon.backing_up.run())
+    yield
+    backing_up.cancel()
+
+
+@asynccontextmanager
 async def _processing(
     daemon: Daemon, tasks: asyncio.TaskGroup, requests: StopRequests
 ) -> AsyncIterator[None]:
@@ -130,7 +141,11 @@ async def _processing(
     daemon.spool.finish()
     await requests.wait_for(processing, DRAIN_S)
     daemon.processing.abandon()
-    await processing
+    while not processing.done():
+        await asyncio.wait([processing], timeout=HELD_S)
+        if (trouble := daemon.store.trouble) is not None:
+            log.error("outcomes are given up bundles=%d: %s", daemon.spool.n_waiting, trouble)
+            processing.cancel()
     daemon.pool.close()
 
 

@@ -10,6 +10,7 @@ from pipeline.frames import CameraId
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
+from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
 from service.health.assessment import Facts, assess
@@ -23,7 +24,7 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
-from service.store import Store
+from service.store import Store, StoreTrouble
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +53,7 @@ class Daemon:
     spool: Spool
     recordings: Recordings
     archive: RawArchive
+    backing_up: BackingUp
     acquisition: Acquisition
     processing: Processing
     heartbeats: Heartbeats
@@ -86,6 +88,7 @@ class Daemon:
                 common_cause=self.acquisition.cameras.common_cause,
                 views=self.settings.views,
                 waiting=self.spool.n_queued,
+                without_outcome=self.spool.n_waiting,
                 max_waiting=self.spool.max_bundles,
                 overflows=self.spool.overflows,
                 workers=len(self.pool.pids),
@@ -99,7 +102,10 @@ class Daemon:
                 segmentation_warning=self.watches.segmentation.warning,
                 calibration=self.calibrations.facts(),
                 last_seq=self.store.last_seq,
-                free_bytes=shutil.disk_usage(self.settings.store.dir).free,
+                store_trouble=_text(self.store.trouble),
+                store_incidents=self.store.incidents,
+                backup_trouble=self.backing_up.trouble,
+                free_bytes=_free_bytes(self.settings.store.dir),
                 recording_trouble=self.recordings.trouble,
                 left_out=self.archive.left_out,
                 archive_trouble=self.archive.trouble,
@@ -116,10 +122,21 @@ class Daemon:
         """Record that idle parts are not late, and return those that are; to be called often."""
         if not self.acquisition.is_active:
             self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
-        if self.spool.n_queued == 0:
+        if self.spool.n_queued == 0 or self.store.trouble is not None:  # which is named by its own check
             self.heartbeats.beat(Part.PROCESSING, time.monotonic())
         return self.late()
 
     def status(self) -> str:
         """Return one line for `systemctl status`."""
         return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {self.store.last_seq}"
+
+
+def _text(trouble: StoreTrouble | None) -> str | None:
+    return None if trouble is None else str(trouble)
+
+
+def _free_bytes(folder: Path) -> int | None:
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None

@@ -41,6 +41,7 @@ class Facts:
     views: ViewsParameters  # how many cameras make which quality
 
     waiting: int  # bundles in the spool
+    without_outcome: int = 0  # these, and losses that are not stored yet
     max_waiting: int
     overflows: int  # stones and balls lost because the spool was full
     workers: int  # processes that run
@@ -58,7 +59,10 @@ class Facts:
     optical_findings: Sequence[OpticalFinding] = ()  # windows, lenses and light to clean or repair
 
     last_seq: int  # the newest durable result
-    free_bytes: int  # on the store's file system
+    store_trouble: str | None = None  # why nothing can be written now, with the remedy
+    store_incidents: Sequence[str] = ()  # what was moved aside at a start, see `service.store.history`
+    backup_trouble: str | None = None  # why the last backup failed
+    free_bytes: int | None  # on the store's file system, None if that does not answer
     recording_trouble: str | None = None  # why a recording ended early
     left_out: int = 0  # results whose frames were not archived
     archive_trouble: str | None = None  # why frames were not archived lately
@@ -234,17 +238,32 @@ def _calibration(facts: Facts) -> HealthCheck:
 
 
 def _store(facts: Facts) -> HealthCheck:
-    # always passes: a store that cannot be written ends the daemon
-    return HealthCheck(status=CheckStatus.PASS, observed_value=facts.last_seq, observed_unit="results")
+    is_held = facts.store_trouble is not None
+    held = [f"{facts.store_trouble}; {facts.without_outcome} stones wait for it"] if is_held else []
+    aside = [f"store.dir/{incident}" for incident in facts.store_incidents]
+    if aside:
+        aside.append("look at it, restore a backup if results are missing, then move it out of store.dir")
+    return HealthCheck(
+        status=_status(warn=bool(aside), fail=is_held),
+        observed_value=facts.last_seq,
+        observed_unit="results",
+        detail="; ".join(held + aside) or None,
+    )
 
 
 def _disk(facts: Facts) -> HealthCheck:
+    if facts.free_bytes is None:
+        return HealthCheck(status=CheckStatus.FAIL, detail="the file system of store.dir does not answer")
     return HealthCheck(
         status=_status(warn=facts.free_bytes < LOW_DISK_BYTES, fail=facts.free_bytes < LOW_DISK_BYTES // 10),
         observed_value=facts.free_bytes,
         observed_unit="bytes",
         detail=f"{facts.free_bytes / 1e9:.1f} GB free for results",
     )
+
+
+def _backup(facts: Facts) -> HealthCheck:
+    return HealthCheck(status=_status(warn=facts.backup_trouble is not None), detail=facts.backup_trouble)
 
 
 def _recording(facts: Facts) -> HealthCheck:
@@ -310,6 +329,7 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "calibration": _calibration,
     "store": _store,
     "disk": _disk,
+    "backup": _backup,
     "recording": _recording,
     "archive": _archive,
     "rig": _rig,

@@ -38,6 +38,10 @@ log = logging.getLogger(__name__)
 SHUTDOWN = Loss(reason=LossReason.SHUTDOWN, detail="the daemon was stopped before this bundle was measured")
 
 
+MAX_TURNS = 1000
+"""Most bundles that wait for their commit, more than slots; behind them, losses wait in the spool."""
+
+
 class BundleSource(Protocol):
     """The output side of the spool."""
 
@@ -181,7 +185,7 @@ class Processing:
             folder = self._context.folder / "00000000"
             restored = await asyncio.to_thread(self._kept_background.restore, folder)
             self._backgrounds = BackgroundVersions(restored)
-        turns: asyncio.Queue[_Turn | None] = asyncio.Queue()
+        turns: asyncio.Queue[_Turn | None] = asyncio.Queue(MAX_TURNS)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
@@ -193,12 +197,12 @@ class Processing:
                 job = tasks.create_task(self._process(bundle, inputs))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
-                turns.put_nowait(_Turn(bundle, inputs, retired, job))
+                await turns.put(_Turn(bundle, inputs, retired, job))
                 if self._is_abandoned:
                     job.cancel()
                 if bundle.is_background:
                     await self._backgrounds.learn(job)
-            turns.put_nowait(None)
+            await turns.put(None)
 
     def abandon(self) -> None:
         """Stop measuring: bundles without a result are lost, reason `shutdown`, and `run` returns soon."""

@@ -9,9 +9,9 @@ A lost bundle keeps its place in the order, without a file.
 
 import asyncio
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -22,6 +22,9 @@ from service.processing.bundle_files import BundleFiles
 from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)
+
+MAX_LOSSES = 50_000
+"""Most losses that wait for a store that is held, 0.5 kB each: three hours of stones. Later ones are only counted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,10 +66,16 @@ class Spool:
         max_bundles: int,
         camera_ids: Sequence[CameraId],
         archive: Archive | None = None,
+        store_trouble: Callable[[], str | None] = lambda: None,
     ) -> None:
+        """`store_trouble` returns why bundles do not get their outcome now, None if they do."""
         self._files = files
         self._camera_ids = tuple(camera_ids)
         self._archive = archive
+        self._store_trouble = store_trouble
+        self._n_losses = 0  # that wait for their outcome
+        self._last_counted: SpooledBundle | None = None
+        self._n_counted = 0  # losses beyond `MAX_LOSSES`
         self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
         self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
         self.max_bundles = max_bundles
@@ -75,20 +84,25 @@ class Spool:
         self.overflows = 0
         """Stones and balls lost because the spool was full."""
 
+    @property
+    def n_waiting(self) -> int:
+        """Bundles and losses that have no outcome yet."""
+        return self.n_queued + self._n_losses + self._n_counted
+
     def offer(self, bundle: FrameBundle) -> None:
         """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""
         if not bundle.frames:
             self._lose(bundle, _loss_without_frames(bundle))
         elif self.n_queued >= self.max_bundles:
             self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
-            detail = f"{self.n_queued} bundles were waiting"
-            self._lose(bundle, Loss(reason=LossReason.QUEUE_FULL, detail=detail))
+            self._lose(bundle, self._loss_when_full())
         else:
             self.n_queued += 1
             self._offered.put_nowait(bundle)
 
     def finish(self) -> None:
         """Declare the end of all offers: `take` returns None after the last bundle."""
+        self._offer_counted()
         self._offered.put_nowait(None)
 
     async def write(self) -> None:
@@ -108,14 +122,36 @@ class Spool:
     async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
         """Free the place of a bundle that has its outcome; `seq` is the number of its result if it was processed."""
         if isinstance(bundle.content, Loss):
+            self._n_losses -= 1
+            if self._n_losses == 0:
+                self._offer_counted()
             self._files.on_free()
             return
         self.n_queued -= 1
         if seq is None or self._archive is None or not self._archive.take(bundle.content, seq):
             await self._files.give_back(bundle.content)
 
+    def _loss_when_full(self) -> Loss:
+        if (trouble := self._store_trouble()) is not None:
+            return Loss(reason=LossReason.STORE_HELD, detail=trouble)
+        return Loss(reason=LossReason.QUEUE_FULL, detail=f"{self.n_queued} bundles were waiting")
+
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
-        self._offered.put_nowait(SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss))
+        lost = SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
+        if self._n_losses < MAX_LOSSES:
+            self._n_losses += 1
+            self._offered.put_nowait(lost)
+        elif not lost.is_background:
+            self._last_counted = lost
+            self._n_counted += 1
+
+    def _offer_counted(self) -> None:
+        """Offer the losses that were only counted: each as the last one, under a name of its own."""
+        for number in range(self._n_counted):
+            assert self._last_counted is not None  # noqa: S101 - counted above
+            self._n_losses += 1
+            self._offered.put_nowait(replace(self._last_counted, name=f"{self._last_counted.name}-{number}"))
+        self._n_counted = 0
 
     async def _spooled(self, bundle: FrameBundle, thread: ThreadPoolExecutor) -> SpooledBundle:
         path = self._files.take()
@@ -127,6 +163,7 @@ class Spool:
             await asyncio.to_thread(path.unlink, missing_ok=True)
             log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)
             self.n_queued -= 1
+            self._n_losses += 1
             loss = Loss(reason=LossReason.QUEUE_FULL, detail=f"spool: {err.strerror}")
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)

@@ -42,6 +42,8 @@ class LossReason(StrEnum):
 
     QUEUE_FULL = "queue_full"
     """As many bundles were waiting as the spool takes, or its file system was full."""
+    STORE_HELD = "store_held"
+    """Nothing could be written to the store for so long that no more bundles could wait."""
     NO_FRAMES = "no_frames"
     """No camera delivered a frame; `detail` has the reasons why each is missing."""
     WORKER_CRASH = "worker_crash"

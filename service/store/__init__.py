@@ -2,6 +2,7 @@
 
 from service.store.reads import ParticleFilter, Record, ResultPage
 from service.store.store import KEEP_RAW, Store, open_store
+from service.store.trouble import StoreTrouble
 
 __all__ = [
     "KEEP_RAW",
@@ -9,5 +10,6 @@ __all__ = [
     "Record",
     "ResultPage",
     "Store",
+    "StoreTrouble",
     "open_store",
 ]

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from drivers.files.durable import sync, unfinished
+from service.errors import StoreError
 
 RAW = "bundle.tiff"
 
@@ -20,14 +21,9 @@ def particle_id(instance_id: str, seq: int) -> str:
     return f"{instance_id[:8]}-{seq:08d}"
 
 
-def raw_frames(particles_dir: Path, instance_id: str, seq: int) -> Path:
-    """Return the file of a result's raw frames, which exists if they are kept."""
-    return particles_dir / particle_id(instance_id, seq) / RAW
-
-
-def drop_raw(particles_dir: Path, instance_id: str, seq: int) -> None:
-    """Remove the raw frames of a result, and the unfinished file of a daemon that was killed while it wrote them."""
-    finished = raw_frames(particles_dir, instance_id, seq)
+def drop_raw(folder: Path) -> None:
+    """Remove the raw frames of a particle, and the unfinished file of a daemon that was killed while it wrote them."""
+    finished = folder / RAW
     for path in (finished, unfinished(finished)):
         path.unlink(missing_ok=True)
 
@@ -42,6 +38,8 @@ def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
         return
     folder.mkdir()
     for name, source in files.items():
+        if not source.exists():  # no fault of the disk that is written to: repeating it does not help
+            raise StoreError(f"{source}: is gone")
         _link_or_copy(source, folder / name)
     # in parallel: one flush of the device serves all of them
     written = [*(folder / name for name in files), folder, folder.parent]
@@ -52,7 +50,7 @@ def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
 def drop_sources(files: Mapping[str, Path]) -> None:
     """Remove the sources of files that `keep_files` has made durable."""
     for source in files.values():
-        source.unlink()
+        source.unlink(missing_ok=True)
 
 
 def _link_or_copy(source: Path, target: Path) -> None:

@@ -7,31 +7,41 @@ one applied. A database with a newer schema is refused.
 import sqlite3
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.resources import files
 from pathlib import Path
 
 from service.errors import StoreError
 
+BUSY_S = 0.5
+"""Longest wait for another connection that has the database locked, before that is reported."""
 
-def connect_writer(path: Path) -> sqlite3.Connection:
-    """Open the one connection that writes, on today's schema; raise `StoreError` if that fails."""
-    try:
-        connection = sqlite3.connect(path, isolation_level=None)
-    except sqlite3.Error as err:
-        raise StoreError(f"{path}: {err}") from err
+
+def prepare(path: Path) -> None:
+    """Create the database, or bring an older one to today's schema; raise `StoreError` if it is of a newer one."""
+    with closing(sqlite3.connect(path, isolation_level=None, timeout=BUSY_S)) as connection:
+        connection.execute("PRAGMA journal_mode = WAL")
+        _migrate(connection)
+        connection.execute("INSERT OR IGNORE INTO store (one, instance_id) VALUES (1, ?)", (new_instance(),))
+
+
+def new_instance() -> str:
+    """Return the identity of a new history of results."""
+    return str(uuid.uuid4())
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Open an existing database for writing."""
+    uri = f"{path.absolute().as_uri()}?mode=rw"
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_S)
     try:
         # a commit returns when it is on the disk: 0.18 ms measured, negligible at four stones a second
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA foreign_keys = ON")
-        _migrate(connection)
-        connection.execute(
-            "INSERT OR IGNORE INTO store (one, instance_id) VALUES (1, ?)", (str(uuid.uuid4()),)
-        )
-    except (sqlite3.Error, StoreError) as err:
+    except BaseException:
         connection.close()
-        raise StoreError(f"{path}: {err}") from err
+        raise
     return connection
 
 

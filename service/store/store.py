@@ -1,14 +1,16 @@
 """The result store: one thread writes, others read, and tasks that wait for results are woken by each commit.
 
-`open_store` and `close` block; everything else is for the event loop. A write is durable when it returns.
+`open_store` and `close` block; everything else is for the event loop. A result is durable when `finish` returns. While
+the disk refuses to write, the store is held: `finish` waits, triggers are recorded with their outcomes later.
 """
 
 import asyncio
-import fcntl
+import logging
+import os
 import sqlite3
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from io import FileIO
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -17,10 +19,15 @@ from drivers.files.durable import sync
 from pipeline.frames import Trigger
 from service.errors import StoreError
 from service.results.fields import LossReason
-from service.store import reads, writes
+from service.store import backups, history, reads, writes
 from service.store.accounting import Accounting
-from service.store.particle_files import drop_raw, raw_frames
-from service.store.schema import connect_reader, connect_writer
+from service.store.lock import lock_store
+from service.store.particle_files import RAW, drop_raw, particle_id
+from service.store.schema import connect_reader
+from service.store.trouble import Cause, StoreTrouble, trouble_of
+from service.store.writer import StoreWriter
+
+log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -28,61 +35,45 @@ T = TypeVar("T")
 
 KEEP_RAW = 200
 """Newest results whose raw frames are kept; they take about 9 MB each."""
-NOTE_EVERY = 100
-"""Results between two notes in the database of how far raw frames were removed."""
+POLL_S = 0.05
+"""Time between two looks at whether the disk refuses to write."""
 READERS = 2
 """Queries at a time: those of a hundred clients do not slow down the measuring."""
 
 
 def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
-    """Open `state_dir/results.sqlite`, creating what is missing.
+    """Open `state_dir/results.sqlite`, creating what is missing; a damaged one is moved aside (`store.history`).
 
     The raw frames, `bundle.tiff`, of the newest `keep_raw` results are kept.
 
     Raises
     ------
     StoreError
-        Another process has the store open, the file is no database, or its schema is newer than this program.
+        Another process has the store open, its schema is newer than this program, or the disk refuses to write.
     """
     try:
-        (state_dir / "particles").mkdir(parents=True, exist_ok=True)
+        (state_dir / history.PARTICLES).mkdir(parents=True, exist_ok=True)
         sync(state_dir)
-        lock = FileIO(state_dir / "store.lock", "w")
+        lock = lock_store(state_dir)
     except OSError as err:
         raise StoreError(f"{state_dir}: {err}") from err
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as err:
-        lock.close()
-        raise StoreError(
-            f"{state_dir}: another process has the store open: stop it, or choose another store.dir"
-        ) from err
-    writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="store-writer")
-    try:
-        connection = writer.submit(connect_writer, state_dir / "results.sqlite").result()
-    except StoreError:
-        writer.shutdown()
-        lock.close()
-        raise
-    return Store(state_dir, lock, writer, connection, keep_raw)
+        history.open_history(state_dir)
+        return Store(state_dir, lock, StoreWriter(state_dir / history.DATABASE), keep_raw)
+    except (sqlite3.Error, OSError, StoreError) as err:
+        os.close(lock)
+        raise StoreError(f"{state_dir / history.DATABASE}: {err}") from err
 
 
 class Store:
     """Triggers, their outcomes and the files of the particles; created by `open_store`."""
 
-    def __init__(
-        self,
-        state_dir: Path,
-        lock: FileIO,
-        writer: ThreadPoolExecutor,
-        connection: sqlite3.Connection,
-        keep_raw: int,
-    ) -> None:
-        self.particles_dir = state_dir / "particles"
-        self._path = state_dir / "results.sqlite"
+    def __init__(self, state_dir: Path, lock: int, writer: StoreWriter, keep_raw: int) -> None:
+        self.particles_dir = state_dir / history.PARTICLES
+        self._state_dir = state_dir
+        self._path = state_dir / history.DATABASE
         self._lock = lock  # held until the process ends or `close`
         self._writer = writer
-        self._connection = connection  # used by the writer thread alone
         self._session: int | None = None
         self._committed = asyncio.Event()  # replaced at each commit
         self._released = False
@@ -103,11 +94,20 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Finish all writes, then close the database."""
+        """Finish all writes that the disk takes, then close the database."""
         self._readers.shutdown(cancel_futures=True)
-        self._writer.submit(self._connection.close)
-        self._writer.shutdown()
-        self._lock.close()
+        self._writer.close()
+        os.close(self._lock)
+
+    @property
+    def trouble(self) -> StoreTrouble | None:
+        """Why the store is held: nothing can be written, or the database is damaged; None when it is not."""
+        return self._writer.trouble
+
+    @property
+    def incidents(self) -> list[str]:
+        """What was moved aside at a start, because the database was damaged or had lost results."""
+        return history.incidents(self._state_dir)
 
     @property
     def instance_id(self) -> str:
@@ -134,11 +134,15 @@ class Store:
 
     async def note_calibration(self, session: int, calibration_id: str) -> None:
         """Record that the session uses another calibration from now on."""
-        await self._write(writes.note_calibration, session, calibration_id)
+        await self._write_soon(writes.note_calibration, session, calibration_id)
 
     async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
-        """Record triggers durably, by the names of their bundles, which are unique within the session."""
-        await self._write(writes.record_triggers, session, triggers)
+        """Record triggers durably, by the names of their bundles, which are unique within the session.
+
+        While the store is held they are not: `finish` records each with its outcome, so nothing waits in between.
+        """
+        if self.trouble is None:
+            await self._write_soon(writes.record_triggers, session, triggers)
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
@@ -146,18 +150,40 @@ class Store:
         """End a trigger with `record` and return the result's `seq`.
 
         `files` (by name, such as `mesh.ply`) are moved to `particles/<id>/` first. A second outcome for the same
-        trigger changes nothing, and the `seq` of the first is returned.
+        trigger changes nothing, and the `seq` of the first is returned. Waits as long as the store is held.
         """
         return await self._write(writes.finish, self.particles_dir, session, bundle, record, files or {})
 
     def raw_path(self, seq: int) -> Path:
-        """Return where to write the raw frames of a result; call `drop_old_raw` afterwards."""
-        return raw_frames(self.particles_dir, self._instance_id, seq)
+        """Return where to write the raw frames of a new result; call `drop_old_raw` afterwards."""
+        return self.particles_dir / particle_id(self._instance_id, seq) / RAW
 
     async def drop_old_raw(self, seq: int) -> None:
         """Remove the raw frames of a result unless it is among the newest `keep_raw`."""
         if seq <= self._last_seq - self._keep_raw:
-            await asyncio.to_thread(drop_raw, self.particles_dir, self._instance_id, seq)
+            with suppress(OSError):  # a disk that is read-only now
+                await asyncio.to_thread(drop_raw, self.raw_path(seq).parent)
+
+    async def back_up(self, keep: int) -> Path:
+        """Copy the database, check the copy and keep the newest `keep` of them; return the new one.
+
+        Raises
+        ------
+        StoreError
+            There is no room, or the database is damaged, for which the store is held from now on.
+        """
+        target = backups.backup_path(self._state_dir)
+        try:
+            await asyncio.to_thread(backups.back_up, self._state_dir, target, lambda: not self._released)
+        except backups.DamagedStoreError as err:
+            self._writer.hold(StoreTrouble(Cause.DAMAGED, str(err)))
+            raise
+        await asyncio.to_thread(backups.prune, self._state_dir, keep)
+        return target
+
+    def last_backup(self) -> Path | None:
+        """Return the newest copy of the database that was made by `back_up`, None if there is none."""
+        return max(backups.backups_in(self._state_dir), default=None)
 
     async def lose_open(self, reason: LossReason, detail: str) -> int:
         """End as `lost` every trigger that an earlier session left open; return how many these were."""
@@ -198,27 +224,46 @@ class Store:
     async def _write(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> T:
-        def job() -> T:
-            try:
-                result = work(self._connection, *args, **kwargs)
-                (self._last_seq,) = self._connection.execute("SELECT last_seq FROM store").fetchone()
-                self._drop_old_raw()
-            except (sqlite3.Error, OSError) as err:
-                raise StoreError(f"{self._path}: {err}") from err
+        return await asyncio.shield(self._submit(lambda connection: work(connection, *args, **kwargs)))
+
+    async def _write_soon(
+        self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> None:
+        """Write, but do not wait for a disk that refuses or does not answer: all later writes come after this one."""
+        written = self._submit(lambda connection: work(connection, *args, **kwargs))
+        while not written.done() and self.trouble is None:
+            await asyncio.wait([written], timeout=POLL_S)
+        if written.done():
+            written.result()
+
+    def _submit(self, work: Callable[[sqlite3.Connection], T]) -> "asyncio.Future[T]":
+        def write(connection: sqlite3.Connection) -> T:
+            result = work(connection)
+            self._note_newest(connection)
             return result
 
-        written = asyncio.wrap_future(self._writer.submit(job))
-        # on the inner future, and shielded: waiting readers must be woken even if the caller is cancelled meanwhile
-        written.add_done_callback(lambda _: self._wake())
-        return await asyncio.shield(written)
+        written = asyncio.wrap_future(self._writer.submit(write))
 
-    def _drop_old_raw(self) -> None:
-        first_raw_before, first_kept = self._first_raw, self._last_seq - self._keep_raw + 1
-        for seq in range(first_raw_before, first_kept):
-            drop_raw(self.particles_dir, self._instance_id, seq)
-        self._first_raw = max(first_raw_before, first_kept)
-        if self._first_raw // NOTE_EVERY > first_raw_before // NOTE_EVERY:
-            writes.note_first_raw(self._connection, self._first_raw)
+        def wake(done: "asyncio.Future[T]") -> None:
+            if not done.cancelled():
+                done.exception()  # the caller may be gone
+            self._wake()
+
+        # on the inner future: waiting readers must be woken even if the caller is cancelled meanwhile
+        written.add_done_callback(wake)
+        return written
+
+    def _note_newest(self, connection: sqlite3.Connection) -> None:
+        """Note how far the feed is, and remove raw frames that are too old; the disk may refuse until the next time."""
+        with suppress(sqlite3.Error, OSError):
+            (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
+            if last_seq != self._last_seq:
+                self._last_seq = last_seq
+                history.acknowledge(self._state_dir, self._instance_id, last_seq)
+            first_kept = last_seq - self._keep_raw + 1
+            if first_kept > self._first_raw:
+                writes.drop_old_raw(connection, self.particles_dir, self._first_raw, first_kept)
+                self._first_raw = first_kept
 
     async def _read(
         self, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
@@ -227,7 +272,10 @@ class Store:
             try:
                 with connect_reader(self._path) as connection:
                     return query(connection, *args, **kwargs)
-            except sqlite3.Error as err:
+            except (sqlite3.Error, ValueError) as err:
+                trouble = trouble_of(err)
+                if trouble is not None and trouble.cause is Cause.DAMAGED:
+                    self._writer.hold(trouble)
                 raise StoreError(f"{self._path}: {err}") from err
 
         return await asyncio.get_running_loop().run_in_executor(self._readers, job)

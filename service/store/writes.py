@@ -15,8 +15,11 @@ from pipeline.frames import BundleKind, Trigger, rfc3339
 from service.errors import StoreError
 from service.results.fields import LossReason
 from service.results.record import lost_record
-from service.store.particle_files import drop_sources, keep_files, particle_id
+from service.store.particle_files import drop_raw, drop_sources, keep_files, particle_id
 from service.store.schema import transaction
+
+NOTE_EVERY = 100
+"""Results between two notes in the database of how far raw frames were removed."""
 
 
 def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> int:
@@ -38,30 +41,22 @@ def note_calibration(connection: sqlite3.Connection, session: int, calibration_i
         )
 
 
-def note_first_raw(connection: sqlite3.Connection, seq: int) -> None:
-    """Record that results before `seq` have no raw frames."""
-    with transaction(connection):
-        connection.execute("UPDATE store SET first_raw = ?", (seq,))
+def drop_old_raw(connection: sqlite3.Connection, particles_dir: Path, first: int, end: int) -> None:
+    """Remove the raw frames of the results from `first` to before `end`, and note that at times."""
+    # by their ids: results from before a restore have others than this history gives now
+    rows = connection.execute("SELECT id FROM results WHERE seq >= ? AND seq < ?", (first, end)).fetchall()
+    for (name,) in rows:
+        drop_raw(particles_dir / name)
+    if end // NOTE_EVERY > first // NOTE_EVERY:
+        with transaction(connection):
+            connection.execute("UPDATE store SET first_raw = ?", (end,))
 
 
 def record_triggers(connection: sqlite3.Connection, session: int, triggers: Mapping[str, Trigger]) -> None:
     """Record triggers by the names of their bundles, without an outcome yet."""
     with transaction(connection):
-        connection.executemany(
-            "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state)"
-            " VALUES (?, ?, ?, ?, ?, ?)",
-            [
-                (
-                    session,
-                    bundle,
-                    trigger.sequence,
-                    trigger.kind,
-                    rfc3339(trigger.utc),
-                    "background" if trigger.kind is BundleKind.BACKGROUND else "open",
-                )
-                for bundle, trigger in triggers.items()
-            ],
-        )
+        for bundle, trigger in triggers.items():
+            _record(connection, session, bundle, trigger.sequence, trigger.kind, trigger.utc)
 
 
 def finish(
@@ -72,16 +67,17 @@ def finish(
     record: Mapping[str, Any],
     files: Mapping[str, Path],
 ) -> int:
-    """End a trigger with `record` and return its `seq`; a trigger that has a result keeps that, and its `seq`."""
+    """End a trigger with `record` and return its `seq`; a trigger that has a result keeps that, and its `seq`.
+
+    A trigger that was not recorded, because the store was held when it came, is recorded now.
+    """
     with transaction(connection):
         row = connection.execute(
             "SELECT trigger, state, seq FROM triggers LEFT JOIN results USING (trigger)"
             " WHERE triggers.session = ? AND bundle = ?",
             (session, bundle),
         ).fetchone()
-        if row is None:
-            raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
-        trigger, state, seq = row
+        trigger, state, seq = row or (_record_late(connection, session, bundle, record), "open", None)
         if state == "background":
             raise StoreError(f"session {session}, bundle {bundle}: a background has no outcome")
         if seq is not None:
@@ -117,6 +113,26 @@ def lose_open(
             )
             _end(connection, particles_dir, trigger, record, {})
     return len(rows)
+
+
+def _record_late(connection: sqlite3.Connection, session: int, bundle: str, record: Mapping[str, Any]) -> int:
+    if record.get("captured_at") is None:
+        raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
+    kind = BundleKind(record["kind"])
+    return _record(connection, session, bundle, record["sequence"], kind, record["captured_at"])
+
+
+def _record(
+    connection: sqlite3.Connection, session: int, bundle: str, sequence: int, kind: BundleKind, utc: str
+) -> int:
+    """Insert a trigger without an outcome and return its number."""
+    state = "background" if kind is BundleKind.BACKGROUND else "open"
+    (trigger,) = connection.execute(
+        "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state)"
+        " VALUES (?, ?, ?, ?, ?, ?) RETURNING trigger",
+        (session, bundle, sequence, kind, rfc3339(utc), state),
+    ).fetchone()
+    return int(trigger)
 
 
 def _end(

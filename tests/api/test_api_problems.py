@@ -1,12 +1,15 @@
 """Errors have one form and reveal nothing internal; keys and scopes permit what they should."""
 
+import errno
 import hashlib
+import sqlite3
 from collections.abc import AsyncIterator
+from contextlib import closing
 from pathlib import Path
 
 import httpx
 import pytest
-from support.rest import FakeControl, assert_problem, client_of
+from support.rest import FakeControl, add, assert_problem, client_of, measured
 
 from service.api.app import create_app
 from service.api.settings import ApiKey, ApiSettings, Scope
@@ -81,6 +84,32 @@ async def test_a_broken_store_is_a_503(
     assert answer.headers["Retry-After"] == "5"
     assert str(state_dir) not in answer.text
     assert f"GET /api/v1/results failed: {database}: unable to open" in caplog.text
+
+
+async def test_asking_again_does_not_mend_a_damaged_store(
+    client: httpx.AsyncClient, store: Store, session: int, state_dir: Path
+) -> None:
+    await add(store, session, 1, measured())
+    database = state_dir / "results.sqlite"
+    with closing(sqlite3.connect(database)) as other:
+        other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    database.write_bytes(database.read_bytes()[:4096].ljust(100_000, b"\xa5"))
+    answer = await client.get("/results")
+    assert_problem(answer, 500, "store-damaged")
+    assert "Retry-After" not in answer.headers
+    assert "restore a backup" in answer.json()["detail"]
+
+
+async def test_a_disk_that_refuses_to_write_is_a_503(
+    client: httpx.AsyncClient, control: FakeControl, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def start(plan: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", "/secret/path")
+
+    monkeypatch.setattr(control.recordings, "start", start)
+    answer = await client.post("/recordings", json={"name": "a", "count": 1})
+    assert_problem(answer, 503, "store-unavailable")
+    assert "secret" not in answer.text
 
 
 @pytest.mark.parametrize(

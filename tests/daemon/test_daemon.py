@@ -4,8 +4,10 @@ import multiprocessing
 import os
 import signal
 import socket
+import sqlite3
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -235,8 +237,11 @@ def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
 
 
 def test_a_fatal_error_ends_the_process_with_its_traceback(recording: Path, tmp_path: Path):
-    with open_store(tmp_path / "state") as store:  # a file in the way of the first result's folder
-        (store.particles_dir / f"{store.instance_id[:8]}-00000001").touch()
+    open_store(tmp_path / "state").close()
+    with closing(sqlite3.connect(tmp_path / "state/results.sqlite")) as database:  # no fault of the disk
+        database.execute(
+            "CREATE TRIGGER refuse BEFORE INSERT ON results BEGIN SELECT RAISE(ABORT, 'a bug'); END"
+        )
     with DaemonProcess(tmp_path, recording, slots=1) as daemon:
         assert daemon.process.wait(PATIENCE_S) == 1
         workers = daemon.worker_pids()

@@ -26,6 +26,7 @@ class AcquisitionBench:
         self.n_records = 0
         self.bundles: list[FrameBundle] = []
         self.states: list[AcquisitionState] = []
+        self.store_trouble: str | None = None
         self._min_cameras = min_cameras
         self._is_ball = is_ball
         self.make_acquisition()
@@ -40,6 +41,7 @@ class AcquisitionBench:
             is_ball=self._is_ball,
             on_bundle=self.on_bundle,
             on_progress=self.on_progress,
+            store_trouble=lambda: self.store_trouble,
         )
 
     async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:

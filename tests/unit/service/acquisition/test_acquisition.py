@@ -202,6 +202,20 @@ async def test_too_few_cameras_hold_the_acquisition_until_they_are_back(
     assert [len(bundle.frames) for bundle in bench.bundles] == [1, 1, 3]
 
 
+async def test_a_store_that_is_held_holds_the_acquisition_and_stones_are_still_counted(recording: Path):
+    bench = Bench(recording)
+    async with armed(bench) as acquisition:
+        await bench.step(1)
+        bench.store_trouble = "store: database or disk is full: make room"
+        await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
+        assert acquisition.status().trouble == bench.store_trouble
+        await bench.step(1)
+        bench.store_trouble = None
+        await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
+        assert acquisition.status().trouble is None
+    assert len(bench.bundles) == 2
+
+
 async def test_a_lost_gate_holds_and_comes_back_while_the_cameras_stay_armed(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ):

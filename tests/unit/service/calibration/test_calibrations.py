@@ -1,5 +1,6 @@
 """Calibrations without cameras: transitions, drops, solution, restart."""
 
+import errno
 import time
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import Problem
 from pipeline.frames import BundleKind
 from service.calibration import calibrations
+from service.calibration.files import CalibrationFiles, CalibrationRecord
 from service.calibration.plan import CalibrationPlan, Method
 from service.calibration.states import (
     OPEN,
@@ -161,6 +163,29 @@ async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: 
     assert details.record.state is CalibrationState.COLLECTING
     assert "too few drops" in str(details.record.detail)
     assert desk.wants_balls
+
+
+async def test_a_solution_that_cannot_be_written_goes_on_collecting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    solver = MadeUpSolver(failure=full)
+    desk = open_desk(tmp_path, solver=solver)
+    name = await solved(desk)
+    assert state_of(desk, name) is CalibrationState.COLLECTING
+    assert desk.all()[0].detail == "the solution cannot be written: No space left on device"
+    solver.failure = None
+    await desk.act(name, CalibrationAction.SOLVE)
+
+    def write(files: CalibrationFiles, record: CalibrationRecord) -> None:
+        raise full
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CalibrationFiles, "write", write)
+        await until(desk, lambda: state_of(desk, name) is not CalibrationState.SOLVING)
+    assert state_of(desk, name) is CalibrationState.COLLECTING
+    await solve(desk, name)
+    assert state_of(desk, name) is CalibrationState.SOLVED
 
 
 async def test_a_calibration_that_was_cancelled_before_it_was_solved_stays_so(tmp_path: Path):

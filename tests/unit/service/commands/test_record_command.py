@@ -1,6 +1,5 @@
 """`stonefall record` on the replay backend."""
 
-import fcntl
 import json
 import os
 import signal
@@ -26,6 +25,7 @@ from pipeline.frames import BundleKind, FrameBundle
 from service.commands import record
 from service.errors import ServiceError
 from service.status import DeviceState
+from service.store.lock import lock_store
 
 BUNDLES = [
     make_bundle(0, kind=BundleKind.BACKGROUND, name="empty"),
@@ -95,13 +95,11 @@ def test_cameras_that_are_not_to_be_had(
 
     monkeypatch.setattr(record, "build_devices", build_without_cameras)
     (tmp_path / "state").mkdir()
-    with (tmp_path / "state" / "store.lock").open("w") as lock:
-        if daemon_runs:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(
-            ServiceError, match="the first one: is controlled by another application"
-        ) as caught:
-            record.command(tmp_path / "out", config)
+    lock = lock_store(tmp_path / "state") if daemon_runs else None
+    with pytest.raises(ServiceError, match="the first one: is controlled by another application") as caught:
+        record.command(tmp_path / "out", config)
+    if lock is not None:
+        os.close(lock)
     assert ("POST /api/v1/recordings" in str(caught.value)) == daemon_runs
     assert not list(tmp_path.glob("*out*"))
 

@@ -65,6 +65,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "calibration",
         "store",
         "disk",
+        "backup",
         "recording",
         "archive",
         "rig",
@@ -234,3 +235,25 @@ def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Sever
     assert assess(replace(HEALTHY, optical_findings=(weak,))).reasons == (
         "optics: all: look at the strobes' supply",
     )
+
+
+def test_a_held_store_is_a_failure_with_the_remedy():
+    full = "database or disk is full: make room on the disk of store.dir"
+    health = assess(
+        replace(HEALTHY, acquisition=rig(AcquisitionState.HELD), store_trouble=full, without_outcome=12)
+    )
+    assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
+    assert health.reasons == ("acquisition: held", f"store: {full}; 12 stones wait for it")
+
+
+def test_what_was_moved_aside_and_a_failed_backup_stay_alarms_until_they_are_seen_to():
+    lost = "aside/20261123T081100Z-lost-rows: The database ends at result 3"
+    health = assess(replace(HEALTHY, store_incidents=(lost,), backup_trouble="no room"))
+    assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
+    store, backup = health.reasons
+    assert store.startswith(f"store: store.dir/{lost}; look at it")
+    assert backup == "backup: no room"
+
+
+def test_a_disk_that_does_not_answer_fails():
+    assert assess(replace(HEALTHY, free_bytes=None)).checks["disk"].status is CheckStatus.FAIL

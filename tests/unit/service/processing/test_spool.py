@@ -9,8 +9,10 @@ import pytest
 
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.processing import spool as spool_module
 from service.processing.bundle_files import SPARE_FILES, BundleFiles
 from service.processing.spool import Loss, Spool, SpooledBundle
+from service.results.fields import LossReason
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))
 
@@ -113,6 +115,40 @@ async def test_files_of_bundles_that_are_through_are_written_over(tmp_path: Path
                 assert (read.frames[CAMERAS[0]].image == sequence).all()
                 await spool.release(bundle)
             assert len(file_names(tmp_path)) == SPARE_FILES
+
+
+async def test_while_the_store_is_held_losses_say_so_and_do_not_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(spool_module, "MAX_LOSSES", 3)
+    trouble = "database is locked: end the program"
+    spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS, store_trouble=lambda: trouble)
+    async with writing(spool):
+        for sequence in range(1, 10):
+            spool.offer(bundle_of(sequence))
+        assert spool.n_waiting == 9
+        taken = []
+        while len(taken) < 9:
+            bundle = await spool.take()
+            assert bundle is not None
+            taken.append(bundle)
+            await spool.release(bundle)
+        assert spool.n_waiting == 0
+    assert [bundle.trigger.sequence for bundle in taken] == [1, 2, 3, 4, 9, 9, 9, 9, 9]
+    assert len({bundle.name for bundle in taken}) == 9
+    assert isinstance(taken[0].content, Path)
+    assert {bundle.content for bundle in taken[1:]} == {Loss(reason=LossReason.STORE_HELD, detail=trouble)}
+
+
+async def test_losses_that_were_only_counted_come_out_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(spool_module, "MAX_LOSSES", 1)
+    spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS)
+    async with writing(spool):
+        for sequence in range(1, 6):
+            spool.offer(bundle_of(sequence))
+    assert len(await take_all(spool)) == 5
 
 
 async def test_a_bundle_without_any_frame_is_lost_and_takes_no_room(tmp_path: Path):

@@ -1,0 +1,52 @@
+"""Back the store up by itself, every hour or as configured, and know why the last backup failed."""
+
+import asyncio
+import logging
+import time
+
+from service.errors import StoreError
+from service.store import Store
+
+log = logging.getLogger(__name__)
+
+RETRY_S = 300.0
+"""Pause after a backup that failed."""
+
+
+class BackingUp:
+    """Makes backups: `run` is its task."""
+
+    def __init__(self, store: Store, *, every_h: float, keep: int) -> None:
+        """`every_h`: hours between two backups, 0: none; `keep`: how many of the newest are kept."""
+        self._store = store
+        self._every_s = 3600 * every_h
+        self._keep = keep
+        self.trouble: str | None = None
+        """Why the last backup failed, None if it did not."""
+
+    async def run(self) -> None:
+        """Make a backup whenever the newest one is too old."""
+        if self._every_s == 0:
+            return
+        await asyncio.sleep(self._due_in_s())
+        while True:
+            await self._back_up()
+            await asyncio.sleep(self._every_s if self.trouble is None else min(RETRY_S, self._every_s))
+
+    def _due_in_s(self) -> float:
+        try:
+            newest = self._store.last_backup()
+            age_s = self._every_s if newest is None else time.time() - newest.stat().st_mtime
+        except OSError:
+            return 0.0
+        return max(self._every_s - max(age_s, 0.0), 0.0)
+
+    async def _back_up(self) -> None:
+        try:
+            path = await self._store.back_up(self._keep)
+        except (StoreError, OSError) as err:
+            self.trouble = str(err)
+            log.error("%s", err)
+        else:
+            self.trouble = None
+            log.info("store backed up file=%s", path)

@@ -1,0 +1,148 @@
+"""Copies of the database: made while it is written, checked, and restored.
+
+A copy has every result and every count, not the files of the particles, which stay where they are.
+"""
+
+import os
+import shutil
+import sqlite3
+import time
+from collections.abc import Callable
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+from drivers.files.durable import replacing, sync
+from service.errors import StoreError
+from service.store import history, schema
+from service.store.lock import lock_store
+
+BACKUPS = "backups"
+PAGES, PAUSE_S = 1000, 0.01
+"""Copied at a time, 4 MB, and the pause before the next: measuring comes first."""
+ROOM_BYTES = 1 << 30
+"""Free space that a copy must leave for results."""
+
+
+class DamagedStoreError(StoreError):
+    """The copy of the database is damaged, and so is the database."""
+
+
+def backup_path(state_dir: Path) -> Path:
+    """Return where a copy made now belongs."""
+    return state_dir / BACKUPS / f"results-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.sqlite"
+
+
+def backups_in(state_dir: Path) -> list[Path]:
+    """Return all copies, the oldest first."""
+    return sorted((state_dir / BACKUPS).glob("results-*.sqlite"))
+
+
+def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: True) -> None:
+    """Copy the database, as it is at one moment, durably to `target`; a daemon may be writing to it.
+
+    Raises
+    ------
+    StoreError
+        There is no database or no room, it is damaged, or `go_on` returned False.
+    """
+    path = state_dir / history.DATABASE
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _require_room(path, target)
+        with replacing(target) as unfinished:
+            unfinished.unlink(missing_ok=True)
+            _copy(path, unfinished, go_on)
+            if (damage := history.find_damage(unfinished, go_on)) is not None:
+                raise DamagedStoreError(f"the database is damaged: {damage}")
+            if not go_on():
+                raise StoreError(f"no backup of {path}: the daemon stops")
+    except (sqlite3.Error, OSError) as err:
+        raise StoreError(f"no backup of {path} to {target}: {err}") from err
+
+
+def prune(state_dir: Path, keep: int) -> None:
+    """Remove all copies but the newest `keep`."""
+    for path in backups_in(state_dir)[:-keep]:
+        path.unlink()
+
+
+def restore(source: Path, state_dir: Path) -> str:
+    """Put a copy in the place of the database, and return what was done.
+
+    The history begins anew, with a new `instance_id`; the database that was there is moved to `aside`.
+
+    Raises
+    ------
+    StoreError
+        A daemon is running, or the copy is not a database of results.
+    """
+    state_dir.joinpath(history.PARTICLES).mkdir(parents=True, exist_ok=True)
+    lock = lock_store(state_dir)
+    try:
+        return _restore(source, state_dir)
+    except (sqlite3.Error, OSError) as err:
+        raise StoreError(f"{source} is not restored to {state_dir}: {err}") from err
+    finally:
+        os.close(lock)
+
+
+def _restore(source: Path, state_dir: Path) -> str:
+    path = state_dir / history.DATABASE
+    restored = path.with_name(f"{path.name}.restored")
+    _require_backup(source)
+    with replacing(restored) as unfinished:
+        shutil.copyfile(source, unfinished)
+    schema.prepare(restored)
+    folder = history.aside_folder(state_dir, "before-restore")
+    with closing(schema.connect(restored)) as connection:
+        why = f"The backup {source} was restored."
+        history.begin_anew(connection, state_dir, folder, why, beyond=_last_seq(path))
+        n_back = history.take_back(connection, state_dir)
+        connection.execute("PRAGMA journal_mode = DELETE")  # so that it is one file
+    history.move_database(path, folder)
+    restored.rename(path)
+    sync(state_dir)
+    return f"restored; what was there before is in {folder}; folders of particles taken back: {n_back}"
+
+
+def _copy(path: Path, target: Path, go_on: Callable[[], bool]) -> None:
+    def progress(status: int, remaining: int, total: int) -> None:
+        if not go_on():
+            raise StoreError(f"no backup of {path}: the daemon stops")
+        if target.exists():
+            sync(target)  # step by step: at the end, results would wait for all of it
+        time.sleep(PAUSE_S)
+
+    with schema.connect_reader(path) as source, closing(sqlite3.connect(target)) as copy:
+        source.execute("SELECT * FROM store")  # from here on it sees one state, whatever is written meanwhile
+        source.backup(copy, pages=PAGES, progress=progress)
+        copy.execute("PRAGMA journal_mode = DELETE")  # so that it is one file
+
+
+def _require_room(path: Path, target: Path) -> None:
+    needed_bytes = path.stat().st_size + ROOM_BYTES
+    free_bytes = shutil.disk_usage(target.parent).free
+    if free_bytes < needed_bytes:
+        raise StoreError(
+            f"no backup of {path}: it needs {needed_bytes / 1e9:.1f} GB, and {free_bytes / 1e9:.1f} GB are free"
+        )
+
+
+def _require_backup(source: Path) -> None:
+    if (damage := history.find_damage(source)) is not None:
+        raise StoreError(f"{source}: is damaged: {damage}")
+    with schema.connect_reader(source) as connection:
+        try:
+            connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
+        except sqlite3.OperationalError as err:
+            raise StoreError(f"{source}: is not a database of results: {err}") from err
+
+
+def _last_seq(path: Path) -> int:
+    """Return the number of the newest result of a database, 0 if there is none or it cannot be read."""
+    try:
+        with schema.connect_reader(path) as connection:
+            return int(connection.execute("SELECT last_seq FROM store").fetchone()[0])
+    except (sqlite3.Error, TypeError):
+        return 0

@@ -1,0 +1,200 @@
+"""Check at the start that the database still has every result that was acknowledged.
+
+A database can be damaged, and it can be older than what it has acknowledged: its WAL was cut, or a copy was put in its
+place. Evidence are the folders of the particles, and the file `acknowledged`, which is written after every
+commit. In doubt the history begins anew: a new `instance_id`, numbers beyond all that were seen. Nothing is deleted:
+what no longer belongs to the history is moved to `aside/<time>-<why>/`, with a note that says what happened.
+"""
+
+import logging
+import os
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from drivers.files.durable import sync
+from service.store import schema
+from service.store.trouble import Cause, trouble_of
+
+log = logging.getLogger(__name__)
+
+DATABASE, PARTICLES, ASIDE, ACKNOWLEDGED, NOTE = (
+    "results.sqlite",
+    "particles",
+    "aside",
+    "acknowledged",
+    "note.txt",
+)
+CHECK_S = 10.0
+"""Longest check of the database at the start, half a million results; every backup is checked to the end."""
+
+
+def open_history(state_dir: Path) -> None:
+    """Create the database, or check it and begin the history anew in doubt; the caller has the store locked.
+
+    Raises
+    ------
+    StoreError
+        The database is of a newer schema.
+    sqlite3.Error, OSError
+        It cannot be read or written now.
+    """
+    path = state_dir / DATABASE
+    folder: Path | None = None
+    is_new = not path.exists()
+    deadline_s = time.monotonic() + CHECK_S
+    if not is_new and (damage := find_damage(path, lambda: time.monotonic() < deadline_s)) is not None:
+        folder = aside_folder(state_dir, "damaged")
+        explain(folder, f"The database was damaged ({damage}) and was moved here.")
+        move_database(path, folder)
+        is_new = True
+    schema.prepare(path)
+    with closing(schema.connect(path)) as connection:
+        if loss := _find_loss(connection, state_dir, is_new=is_new):
+            folder = folder or aside_folder(state_dir, "lost-rows")
+            begin_anew(connection, state_dir, folder, loss)
+
+
+def find_damage(path: Path, go_on: Callable[[], bool] = lambda: True) -> str | None:
+    """Return what is damaged in a database, None if nothing is found as long as it may `go_on`.
+
+    Raises
+    ------
+    sqlite3.Error
+        It cannot be read now.
+    """
+    try:
+        with schema.connect_reader(path) as connection:
+            connection.set_progress_handler(lambda: not go_on(), 10_000)
+            (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    except sqlite3.Error as err:
+        if getattr(err, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+            log.info("only a part of the database was checked file=%s", path)
+            return None
+        trouble = trouble_of(err)
+        if trouble is None or trouble.cause is not Cause.DAMAGED:
+            raise
+        return trouble.detail
+    return None if found == "ok" else " ".join(str(found).split())
+
+
+def begin_anew(
+    connection: sqlite3.Connection, state_dir: Path, folder: Path, why: str, *, beyond: int = 0
+) -> None:
+    """Give the history a new identity and numbers beyond all that were seen; move folders without a result away."""
+    (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
+    in_folders = max((seq for _, seq in _particles(state_dir)), default=0)
+    highest = max(last_seq, acknowledged(state_dir)[1], in_folders, beyond)
+    explain(folder, f"{why} The feed goes on after {highest}, with a new instance_id.")
+    instance_id = schema.new_instance()
+    # first of all: what is moved away is evidence that these numbers were given
+    connection.execute("UPDATE store SET instance_id = ?, last_seq = ?", (instance_id, highest))
+    acknowledge(state_dir, instance_id, highest)
+    strays = [name for name, _ in _particles(state_dir) if not _has_result(connection, name)]
+    for name in strays:
+        (folder / PARTICLES).mkdir(exist_ok=True)
+        (state_dir / PARTICLES / name).rename(folder / PARTICLES / name)
+    if strays:
+        explain(folder, f"{len(strays)} folders of particles without a result were moved here.")
+
+
+def take_back(connection: sqlite3.Connection, state_dir: Path) -> int:
+    """Move folders of particles that have a result again back from `aside`; return how many these were."""
+    found = [
+        path
+        for path in (state_dir / ASIDE).glob(f"*/{PARTICLES}/*")
+        if _has_result(connection, path.name) and not (state_dir / PARTICLES / path.name).exists()
+    ]
+    for path in found:
+        path.rename(state_dir / PARTICLES / path.name)
+    return len(found)
+
+
+def move_database(path: Path, folder: Path) -> None:
+    """Move a database into a folder, with the files of its WAL."""
+    for suffix in ("", "-wal", "-shm"):
+        source = path.with_name(path.name + suffix)
+        if source.exists():
+            source.rename(folder / source.name)
+    sync(folder)
+    sync(path.parent)
+
+
+def aside_folder(state_dir: Path, why: str) -> Path:
+    """Create and return a new folder for what is moved away."""
+    name = f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{why}"
+    folder = state_dir / ASIDE / name
+    folder.mkdir(parents=True)
+    return folder
+
+
+def explain(folder: Path, note: str) -> None:
+    """Add to the note of what was moved away."""
+    log.error("store: %s folder=%s", note, folder)
+    with (folder / NOTE).open("a", encoding="utf-8") as file:
+        file.write(f"{note}\n")
+    sync(folder)
+
+
+def incidents(state_dir: Path) -> list[str]:
+    """Return what was moved away at a start and still lies there, each with its note."""
+    found = []
+    for path in sorted((state_dir / ASIDE).glob(f"*/{NOTE}")):
+        with suppress(OSError):  # moved elsewhere just now
+            note = " ".join(path.read_text(encoding="utf-8").split())
+            found.append(f"{path.parent.relative_to(state_dir)}: {note}")
+    return found
+
+
+def acknowledge(state_dir: Path, instance_id: str, seq: int) -> None:
+    """Note beside the database up to which number results are acknowledged; not flushed, so it may be behind."""
+    descriptor = os.open(state_dir / ACKNOWLEDGED, os.O_WRONLY | os.O_CREAT, 0o640)
+    try:
+        os.pwrite(
+            descriptor, f"{instance_id} {seq:016d}\n".encode(), 0
+        )  # of one length, written over in place
+    finally:
+        os.close(descriptor)
+
+
+def acknowledged(state_dir: Path) -> tuple[str | None, int]:
+    """Return the history and the number noted by `acknowledge`; None and 0 without a readable note."""
+    try:
+        instance_id, seq = (state_dir / ACKNOWLEDGED).read_text(encoding="ascii").split()
+        return instance_id, int(seq)
+    except (OSError, ValueError):
+        return None, 0
+
+
+def _find_loss(connection: sqlite3.Connection, state_dir: Path, *, is_new: bool) -> str | None:
+    """Return how it shows that the database lacks results that were acknowledged, None if it does not."""
+    instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
+    noted_id, noted_seq = acknowledged(state_dir)
+    if is_new:
+        in_folders = max((seq for _, seq in _particles(state_dir)), default=0)
+        seen = max(noted_seq, in_folders)
+        return f"There were results up to {seen} without a database." if seen else None
+    if noted_id not in (None, instance_id):
+        return f"The database is of another history than the results acknowledged up to {noted_seq}."
+    own = (seq for name, seq in _particles(state_dir) if name.startswith(instance_id[:8]))
+    # a crash leaves the folder of the next result, without its row
+    seen = max(noted_seq, max(own, default=0) - 1)
+    if seen > last_seq:
+        return f"The database ends at result {last_seq}, and results up to {seen} at least were acknowledged."
+    return None
+
+
+def _has_result(connection: sqlite3.Connection, name: str) -> bool:
+    return connection.execute("SELECT 1 FROM results WHERE id = ?", (name,)).fetchone() is not None
+
+
+def _particles(state_dir: Path) -> Iterator[tuple[str, int]]:
+    """Yield the folders of particles by name, each with its number."""
+    with os.scandir(state_dir / PARTICLES) as entries:
+        for entry in entries:
+            number = entry.name.rpartition("-")[2]
+            if number.isdigit():
+                yield entry.name, int(number)

@@ -1,0 +1,79 @@
+"""Why the store cannot be written or read, told from the errors of SQLite and of the file system."""
+
+import errno
+import json
+import sqlite3
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Cause(StrEnum):
+    """What is wrong with the disk or with the database."""
+
+    FULL = "full"
+    LOCKED = "locked"
+    UNWRITABLE = "unwritable"
+    DISK = "disk"
+    DAMAGED = "damaged"
+    """The content of the database is not to be trusted any more; all other causes pass by themselves."""
+
+
+REMEDIES = {
+    Cause.FULL: "make room on the disk of store.dir",
+    Cause.LOCKED: "end the program that has the database of store.dir locked",
+    Cause.UNWRITABLE: "make store.dir writable for the service: owner, mode, chattr, mount",
+    Cause.DISK: "look at the disk of store.dir (journalctl -k)",
+    Cause.DAMAGED: "restart the service, which sets the damaged database aside and begins a new one,"
+    " or stop it and restore a backup (stonefall restore)",
+}
+
+CAUSES_OF_SQLITE = {
+    sqlite3.SQLITE_PERM: Cause.UNWRITABLE,
+    sqlite3.SQLITE_BUSY: Cause.LOCKED,
+    sqlite3.SQLITE_LOCKED: Cause.LOCKED,
+    sqlite3.SQLITE_READONLY: Cause.UNWRITABLE,
+    sqlite3.SQLITE_IOERR: Cause.DISK,
+    sqlite3.SQLITE_CORRUPT: Cause.DAMAGED,
+    sqlite3.SQLITE_FULL: Cause.FULL,
+    sqlite3.SQLITE_CANTOPEN: Cause.UNWRITABLE,
+    sqlite3.SQLITE_PROTOCOL: Cause.LOCKED,
+    sqlite3.SQLITE_NOTADB: Cause.DAMAGED,
+}
+"""By the primary code of the error; any other code is a fault of the program."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIST, errno.ENOENT)
+
+
+@dataclass(frozen=True, slots=True)
+class StoreTrouble:
+    """Why the store cannot be used now, and what to do."""
+
+    cause: Cause
+    detail: str
+
+    def __str__(self) -> str:
+        return f"{self.detail}: {REMEDIES[self.cause]}"
+
+
+def trouble_of(error: Exception) -> StoreTrouble | None:
+    """Return the trouble that an error shows; None for an error that is not the disk's or the database file's."""
+    match error:
+        case sqlite3.Error():
+            return _trouble_of_sqlite(error)
+        case OSError():
+            cause = Cause.FULL if error.errno in FULL else Cause.DISK
+            if error.errno in UNWRITABLE:
+                cause = Cause.UNWRITABLE
+            return StoreTrouble(cause, f"cannot be written: {error.strerror}")
+        case json.JSONDecodeError() | UnicodeDecodeError():
+            return StoreTrouble(Cause.DAMAGED, "a record is damaged")
+    return None
+
+
+def _trouble_of_sqlite(error: sqlite3.Error) -> StoreTrouble | None:
+    code: int | None = getattr(error, "sqlite_errorcode", None)
+    if code is None:  # not of SQLite: Python could not decode a text
+        is_text = isinstance(error, sqlite3.OperationalError) and "decode" in str(error)
+        return StoreTrouble(Cause.DAMAGED, "a text is damaged") if is_text else None
+    cause = CAUSES_OF_SQLITE.get(code & 0xFF)
+    return None if cause is None else StoreTrouble(cause, str(error))

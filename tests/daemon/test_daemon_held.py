@@ -1,0 +1,132 @@
+"""The real process while its disk refuses to write: it answers, says why, counts what falls, and goes on by itself."""
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.daemon_process import DaemonProcess
+from support.small_recording import write_small_recording
+
+from service.store import reads
+from service.store.schema import connect_reader
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("held") / "recording"
+    write_small_recording(path, n_stones=6)
+    return path
+
+
+@contextmanager
+def locked(state_dir: Path) -> Iterator[None]:
+    with closing(sqlite3.connect(state_dir / "results.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        yield
+        other.execute("ROLLBACK")
+
+
+@contextmanager
+def unwritable(state_dir: Path) -> Iterator[None]:
+    """Have a file in the place of the folder for the files of particles."""
+    folder = state_dir / "particles"
+    folder.rename(state_dir / "elsewhere")
+    folder.touch()
+    yield
+    folder.unlink()
+    (state_dir / "elsewhere").rename(folder)
+
+
+def detail_of_store(health: dict[str, Any]) -> str:
+    return str(health["checks"]["store"]["detail"])
+
+
+def is_armed(answer: dict[str, Any]) -> bool:
+    return bool(answer["state"] == "armed")
+
+
+@pytest.mark.parametrize(
+    ("refusing", "remedy"),
+    [(locked, "end the program that has the database"), (unwritable, "make store.dir writable")],
+)
+def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
+    recording: Path,
+    tmp_path: Path,
+    refusing: Callable[[Path], AbstractContextManager[None]],
+    remedy: str,
+) -> None:
+    state = tmp_path / "state"
+    rig = "loop = true\nspeed = 2.0"
+    with DaemonProcess(tmp_path, recording, rig=rig, slots=1, max_bundles=3) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        with refusing(state):
+            held = daemon.wait_for("/acquisition", lambda answer: answer["state"] == "held")
+            assert remedy in held["trouble"]
+            # more falls than can wait
+            daemon.wait_for("/acquisition", lambda answer: answer["triggers"] >= held["triggers"] + 8)
+            health = daemon.get("/health")
+            assert (health["ne107"], health["ready"]) == ("failure", False)
+            assert remedy in detail_of_store(health)
+            assert daemon.get("/results?after=0")["last_seq"] >= 1
+            assert daemon.process.poll() is None
+        daemon.wait_for("/acquisition", is_armed)
+        daemon.wait_for("/accounting", lambda now: now["by_reason"].get("store_held", 0) >= 1)
+        measured = daemon.get("/accounting")["measured"]
+        daemon.wait_for("/accounting", lambda now: now["measured"] > measured + 1)
+        assert daemon.put("/acquisition", {"state": "disarmed"})["state"] in ("disarming", "disarmed")
+        fallen = daemon.wait_for("/acquisition", lambda answer: answer["state"] == "disarmed")
+        counts = daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+        # exposures of the empty rig have no outcome, and are counted only if the store was written
+        results = daemon.results()
+        assert counts["is_balanced"]
+        assert counts["triggers"] == len(results)
+        n_backgrounds = fallen["triggers"] - counts["triggers"]
+        assert n_backgrounds >= counts["backgrounds"]
+        sequences = [result["sequence"] for result in results]
+        assert sequences == sorted(sequences)
+        assert daemon.stop() == 0
+        assert "Traceback" not in daemon.log
+
+
+def test_a_held_daemon_can_be_stopped(recording: Path, tmp_path: Path) -> None:
+    rig = "loop = true\nspeed = 2.0"
+    with DaemonProcess(tmp_path, recording, rig=rig, slots=1, max_bundles=3) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        with locked(tmp_path / "state"):
+            daemon.wait_for("/acquisition", lambda answer: answer["state"] == "held")
+            daemon.process.send_signal(2)
+            daemon.wait_for("/acquisition", lambda answer: answer["state"] == "stopping")
+            assert daemon.stop() == 0
+            assert "outcomes are given up" in daemon.log
+            assert "Traceback" not in daemon.log
+    with connect_reader(tmp_path / "state/results.sqlite") as connection:
+        assert reads.accounting(connection, None).is_balanced
+
+
+def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
+    recording: Path, tmp_path: Path
+) -> None:
+    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] == 6)
+        before = daemon.get("/results?after=0")["instance_id"]
+        assert daemon.stop() == 0
+    database = tmp_path / "state/results.sqlite"
+    content = database.read_bytes()
+    database.write_bytes(content[:4096] + b"\xa5" * (len(content) - 4096))
+    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] == 6)
+        page = daemon.get("/results?after=6")
+        assert page["instance_id"] != before
+        assert [item["seq"] for item in page["items"]] == [7, 8, 9, 10, 11, 12]
+        health = daemon.get("/health")
+        assert health["checks"]["store"]["status"] == "warn"
+        assert "The database was damaged" in detail_of_store(health)
+        assert daemon.stop() == 0
+    assert len(list(tmp_path.glob("state/aside/*/particles/*/mesh.ply"))) == 6

@@ -1,0 +1,201 @@
+"""Copies of the database are whole, checked, and can be put in its place."""
+
+import asyncio
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from support.rest import add, measured, particle_files
+from typer.testing import CliRunner
+
+from service.cli import build_app
+from service.daemon.backing_up import BackingUp
+from service.errors import StoreError
+from service.store import Store, backups, open_store
+from service.store.backups import back_up, backups_in, restore
+from service.store.trouble import Cause
+
+
+async def add_with_files(store: Store, session: int, number: int, folder: Path) -> int:
+    return await add(store, session, number, measured(), particle_files(folder / "out"))
+
+
+def ends_of(path: Path) -> tuple[str, int, int]:
+    """Return identity, last number and number of results of a database file."""
+    with closing(sqlite3.connect(path)) as database:
+        (n_results,) = database.execute("SELECT count(*) FROM results").fetchone()
+        instance_id, last_seq = database.execute("SELECT instance_id, last_seq FROM store").fetchone()
+    return instance_id, last_seq, n_results
+
+
+async def test_a_backup_while_results_are_written_is_of_one_moment(
+    store: Store, session: int, tmp_path: Path, state_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backups, "PAGES", 1)
+    for number in range(20):
+        await add(store, session, number, measured(text="x" * 9000))
+    copying = asyncio.create_task(asyncio.to_thread(back_up, state_dir, tmp_path / "copy.sqlite"))
+    number = 20
+    while not copying.done():
+        await add(store, session, number, measured())
+        number += 1
+    await copying
+    instance_id, last_seq, n_results = ends_of(tmp_path / "copy.sqlite")
+    assert (instance_id, last_seq) == (store.instance_id, n_results)
+    assert 20 <= n_results < number
+    assert not list(store.particles_dir.parents[1].glob("copy.sqlite?*"))
+
+
+async def test_the_newest_backups_are_kept(store: Store, session: int, state_dir: Path) -> None:
+    assert store.last_backup() is None
+    for name in ("results-20200101T000000Z.sqlite", "results-20200102T000000Z.sqlite"):
+        (state_dir / "backups").mkdir(exist_ok=True)
+        (state_dir / "backups" / name).touch()
+    made = await store.back_up(keep=2)
+    assert [path.name for path in backups_in(state_dir)] == ["results-20200102T000000Z.sqlite", made.name]
+    assert store.last_backup() == made
+
+
+async def test_a_damaged_database_replaces_no_backup_and_holds_the_store(
+    store: Store, session: int, state_dir: Path
+) -> None:
+    await add(store, session, 1, measured(text="x" * 100_000))
+    good = await store.back_up(keep=1)
+    path = state_dir / "results.sqlite"
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    content = path.read_bytes()
+    path.write_bytes(content[:8192] + b"\xa5" * (len(content) - 8192))
+    with pytest.raises(StoreError):
+        await store.back_up(keep=1)
+    assert backups_in(state_dir) == [good]
+    assert store.trouble is not None
+    assert store.trouble.cause is Cause.DAMAGED
+
+
+async def test_without_room_there_is_no_backup(
+    store: Store, state_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backups.shutil, "disk_usage", lambda folder: SimpleNamespace(free=1 << 30))
+    with pytest.raises(StoreError, match=r"it needs 1\.1 GB"):
+        await store.back_up(keep=1)
+    assert backups_in(state_dir) == []
+
+
+async def test_a_restored_backup_is_a_new_history_and_nothing_is_deleted(
+    state_dir: Path, tmp_path: Path
+) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        for number in (1, 2):
+            await add_with_files(store, session, number, tmp_path)
+        backup = await store.back_up(keep=4)
+        await add_with_files(store, session, 3, tmp_path)
+        before = store.instance_id
+        with pytest.raises(StoreError, match="another process has the store open"):
+            await asyncio.to_thread(restore, backup, state_dir)
+    await asyncio.to_thread(restore, backup, state_dir)
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        assert store.instance_id != before
+        assert [item["seq"] for item in (await store.results_after(0, 10)).items] == [1, 2]
+        for seq in (1, 2):
+            record = await store.particle(seq)
+            assert record is not None
+            assert (state_dir / record["mesh"]).exists()
+        session = await store.begin_session({})
+        assert await add_with_files(store, session, 4, tmp_path) == 4
+        assert len(store.incidents) == 1
+    (former,) = (state_dir / "aside").glob("*-before-restore/results.sqlite")
+    assert ends_of(former) == (before, 3, 3)
+    assert len(list(former.parent.glob("particles/*/mesh.ply"))) == 1
+
+
+async def test_particles_that_were_moved_aside_come_back_with_their_results(
+    state_dir: Path, tmp_path: Path
+) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        await add_with_files(store, await store.begin_session({}), 1, tmp_path)
+        backup = await store.back_up(keep=4)
+    (state_dir / "results.sqlite").write_bytes(b"\xa5" * 10_000)
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        assert not any(store.particles_dir.iterdir())
+    await asyncio.to_thread(restore, backup, state_dir)
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        record = await store.particle(1)
+        assert record is not None
+        assert (state_dir / record["mesh"]).exists()
+
+
+@pytest.mark.parametrize("content", [b"this is a diary " * 1000, b"", None])
+async def test_what_is_no_backup_changes_nothing(
+    state_dir: Path, tmp_path: Path, content: bytes | None
+) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        before = store.instance_id
+    wrong = tmp_path / "wrong.sqlite"
+    if content is not None:
+        wrong.write_bytes(content)
+    with pytest.raises(StoreError, match=r"wrong\.sqlite"):
+        restore(wrong, state_dir)
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        assert (store.instance_id, store.incidents) == (before, [])
+
+
+class BackupsOfTest:
+    """In the place of the store: the first backup fails."""
+
+    def __init__(self) -> None:
+        self.n_made = 0
+        self.made = asyncio.Event()
+
+    def last_backup(self) -> None:
+        return None
+
+    async def back_up(self, keep: int) -> Path:
+        self.n_made += 1
+        if self.n_made == 1:
+            raise StoreError("no room")
+        self.made.set()
+        return Path("backup")
+
+
+async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
+    store: Any = BackupsOfTest()
+    backing_up = BackingUp(store, every_h=1e-6, keep=4)
+    task = asyncio.create_task(backing_up.run())
+    while backing_up.trouble is None:  # noqa: ASYNC110 - it is no event
+        await asyncio.sleep(0)
+    assert backing_up.trouble == "no room"
+    await asyncio.wait_for(store.made.wait(), 10)
+    while backing_up.trouble is not None:  # noqa: ASYNC110 - as above
+        await asyncio.sleep(0)
+    task.cancel()
+    await BackingUp(store, every_h=0, keep=4).run()
+
+
+async def test_an_hour_after_the_newest_backup_the_next_is_due(store: Store) -> None:
+    assert BackingUp(store, every_h=1, keep=4)._due_in_s() == 0
+    await store.back_up(keep=4)
+    assert 3000 < BackingUp(store, every_h=1, keep=4)._due_in_s() <= 3600
+
+
+def test_the_commands_back_up_and_restore(tmp_path: Path) -> None:
+    open_store(tmp_path / "state").close()
+    config = tmp_path / "stonefall.toml"
+    config.write_text(f'[rig]\nrecording = "{tmp_path}"\n[spool]\ndir = "spool"\n[store]\ndir = "state"\n')
+    run = CliRunner().invoke
+    app = build_app(["backup", "restore"])
+    with open_store(tmp_path / "state"):  # as the daemon has it
+        made = run(app, ["backup", "--config", str(config)])
+        assert made.exit_code == 0, made.output
+        assert [made.stdout.strip()] == [str(path) for path in backups_in(tmp_path / "state")]
+        elsewhere = tmp_path / "elsewhere" / "copy.sqlite"
+        assert run(app, ["backup", "--config", str(config), "--to", str(elsewhere)]).exit_code == 0
+        refused = run(app, ["restore", str(elsewhere), "--config", str(config)])
+        assert isinstance(refused.exception, StoreError)
+    restored = run(app, ["restore", str(elsewhere), "--config", str(config)])
+    assert restored.exit_code == 0, restored.output
+    assert "before-restore" in restored.stdout
