@@ -8,7 +8,7 @@ import asyncio
 import logging
 import shutil
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from socket import socket
 
 from service.api.app import create_app
@@ -18,6 +18,7 @@ from service.daemon.build import build
 from service.daemon.running_daemon import Daemon
 from service.daemon.stopping import StopRequests
 from service.daemon.systemd import ServiceManager, feed_watchdog
+from service.errors import StoreError
 from service.processing.process_memory import freeze_gc, keep_freed_memory
 from service.status import AcquisitionTarget
 from service.store import open_store
@@ -107,7 +108,8 @@ async def _watching(
     watching = tasks.create_task(feed_watchdog(manager, daemon.watch, daemon.status, requests.stop))
     watching_loop = tasks.create_task(daemon.watches.loop.run())
     yield
-    log.info("stopped %s", await daemon.store.accounting(daemon.session))
+    with suppress(StoreError):  # of a store that is damaged, which health has told
+        log.info("stopped %s", await daemon.store.accounting(daemon.session))
     watching.cancel()
     watching_loop.cancel()
 

@@ -130,3 +130,28 @@ def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
         assert "The database was damaged" in detail_of_store(health)
         assert daemon.stop() == 0
     assert len(list(tmp_path.glob("state/aside/*/particles/*/mesh.ply"))) == 6
+
+
+def test_damage_that_shows_while_it_runs_is_an_alarm_and_no_end(recording: Path, tmp_path: Path) -> None:
+    database = tmp_path / "state/results.sqlite"
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        daemon.put("/acquisition", {"state": "disarmed"})
+        daemon.wait_for("/acquisition", lambda answer: answer["state"] == "disarmed")
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+        with closing(sqlite3.connect(database)) as other:  # nothing may be in the WAL alone
+            other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        with database.open("r+b") as file:
+            size = file.seek(0, 2)
+            file.seek(4096)
+            file.write(b"\xa5" * (size - 4096))
+        problem = daemon.get("/results?after=0")
+        assert problem["type"] == "urn:stonefall:problem:store-damaged"
+        health = daemon.get("/health")
+        assert (health["ne107"], health["ready"]) == ("failure", False)
+        assert "restore a backup" in detail_of_store(health)
+        daemon.put("/acquisition", {"state": "armed"})
+        daemon.wait_for("/acquisition", lambda answer: answer["state"] == "held")
+        assert daemon.stop() == 0
+        assert "Traceback" not in daemon.log
