@@ -193,7 +193,7 @@ def test_the_commands_back_up_and_restore(tmp_path: Path) -> None:
         assert made.exit_code == 0, made.output
         assert [made.stdout.strip()] == [str(path) for path in backups_in(tmp_path / "state")]
         elsewhere = tmp_path / "elsewhere" / "copy.sqlite"
-        assert run(app, ["backup", "--config", str(config), "--to", str(elsewhere)]).exit_code == 0
+        assert run(app, ["backup", "--config", str(config), str(elsewhere)]).exit_code == 0
         refused = run(app, ["restore", str(elsewhere), "--config", str(config)])
         assert isinstance(refused.exception, StoreError)
     restored = run(app, ["restore", str(elsewhere), "--config", str(config)])
