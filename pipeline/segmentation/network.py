@@ -13,11 +13,10 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
-import onnxruntime
-from onnxruntime.capi import onnxruntime_pybind11_state as runtime_errors
 
 from pipeline.arrays import FloatImage, Singles
 from pipeline.errors import ModelError
+from pipeline.segmentation.onnx_runtime import onnxruntime, runtime_errors
 from pipeline.segmentation.u2net import PUBLISHED_SIZE_PX, saliency, u2net_input
 
 FORMAT = "stonefall-network/1"

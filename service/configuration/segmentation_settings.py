@@ -4,10 +4,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
-import onnxruntime
 from pydantic import AfterValidator, ValidationInfo
 
 from pipeline.errors import ModelError
+from pipeline.segmentation.onnx_runtime import onnxruntime
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.segmentation.subtraction import SegmentationParameters
 from service.configuration.paths import resolve_path

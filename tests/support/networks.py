@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import onnx
 from onnx import TensorProto, helper
-from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
 
 from pipeline.arrays import Singles
 from pipeline.segmentation.network import CPU, FORMAT, Session, StartSession, start_session
+from pipeline.segmentation.onnx_runtime import runtime_errors
 
 GPU = "CUDAExecutionProvider"
 
@@ -114,7 +114,7 @@ class OnGpu:
     def run(self, output_names: Sequence[str], feed: Mapping[str, Singles]) -> Sequence[Singles]:
         self.n_runs -= 1
         if self.n_runs < 0:
-            raise RuntimeException("Failed to allocate memory\n for requested buffer")
+            raise runtime_errors.RuntimeException("Failed to allocate memory\n for requested buffer")
         return self.session.run(output_names, feed)
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from onnxruntime.capi.onnxruntime_pybind11_state import RuntimeException
 from support.networks import GPU, OnGpu, darkness_network, difference_network, start_on_gpu
 from support.quick_and_full import examples
 
 from pipeline.arrays import Singles
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Session, load_network, start_session
+from pipeline.segmentation.onnx_runtime import runtime_errors
 from pipeline.segmentation.u2net import saliency, u2net_input
 
 
@@ -93,7 +93,7 @@ def test_refused_with_what_was_expected(content: bytes, said: str) -> None:
 def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
     def start(model: bytes, providers: Sequence[str]) -> Session:
         if providers[0] == GPU:
-            raise RuntimeException("CUDA failure 2: out of memory")
+            raise runtime_errors.RuntimeException("CUDA failure 2: out of memory")
         return start_session(model, providers)
 
     network = load_network(difference_network(), (GPU, CPU), start=start)
