@@ -13,7 +13,7 @@ import typer
 from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.daemon.systemd import configure_logging, service_manager
 from service.errors import SettingsError
-from service.processing.worker_pool import import_for_workers
+from service.processing.fork_server import import_for_workers
 
 log = logging.getLogger(__name__)
 

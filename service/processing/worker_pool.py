@@ -1,8 +1,8 @@
 """Pool of worker processes: N slots of one process each; a job that crashes or exceeds its deadline is retried once.
 
 A `ProcessPoolExecutor` of several workers breaks as a whole when one dies, so every slot has its own.
-Processes are forked from a server that does nothing else, never from the daemon, whose drivers have threads. They end
-when the daemon ends, however that happens, and leave Ctrl-C to it.
+Processes are forked from a server that does nothing else, never from the daemon, whose drivers have threads; if it is
+killed, the next process starts another. They end when the daemon ends, however that happens, and leave Ctrl-C to it.
 """
 
 import asyncio
@@ -10,17 +10,19 @@ import logging
 import multiprocessing
 import os
 import re
-import sys
+import signal
+import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import forkserver
+from contextlib import suppress
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 from service.errors import ServiceError, WorkerFailure
+from service.processing.fork_server import ensure_fork_server
 from service.processing.process_memory import freeze_gc
 from service.processing.worker_process import Prepare, begin_process, prepare_process, warm_up
 from service.results.fields import LossReason
@@ -33,6 +35,10 @@ log = logging.getLogger(__name__)
 START_DEADLINE_S = 300.0
 """Longest start of a process; compiling alone takes 20 s on an idle machine."""
 START_ATTEMPTS = 3
+BACK_OFF_S = 0.2
+"""Wait before a process is started again: what killed the last one, or its server, may not be over yet."""
+RECENT_S = 60.0
+"""Time for which a failure is reported as trouble."""
 CLOSE_DEADLINE_S = 2.0
 IDLE_S = 3.0
 """Time without a job after which the start of a new process is unlikely to delay a stone."""
@@ -51,22 +57,6 @@ class JobLostError(ServiceError):
         super().__init__(f"{reason}: {detail}")
         self.reason = reason
         self.detail = detail
-
-
-def import_for_workers(module: str) -> None:
-    """Start the server that workers are forked from; it imports the module in parallel with this process."""
-    multiprocessing.set_forkserver_preload([module])
-    before = dict(os.environ)
-    os.environ |= {
-        "PYTHONSAFEPATH": "1",  # otherwise it would import from the working directory first
-        "PYTHONPATH": os.pathsep.join(sys.path),
-        "OPENBLAS_NUM_THREADS": "1",  # otherwise it has a thread, with which it must not be forked
-    }
-    try:
-        forkserver.ensure_running()
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 class WorkerPool:
@@ -93,6 +83,8 @@ class WorkerPool:
         self._deadline_s = deadline_s
         self._n_jobs = 0
         self.restarts = 0
+        self._last_failure = ""
+        self._last_failure_s = -RECENT_S
 
     @property
     def size(self) -> int:
@@ -103,6 +95,11 @@ class WorkerPool:
         """Number of processors that the next job may use: all, divided by the busy workers and its own."""
         n_busy = self.size - self._idle.qsize()
         return max(1, len(os.sched_getaffinity(0)) // (n_busy + 1))
+
+    @property
+    def trouble(self) -> str | None:
+        """The latest failure of a process within the last `RECENT_S`, None if there was none."""
+        return self._last_failure if time.monotonic() - self._last_failure_s < RECENT_S else None
 
     @property
     def pids(self) -> list[int]:
@@ -159,15 +156,16 @@ class WorkerPool:
             return await slot.run(function, job, self._deadline_s)
         except JobLostError as err:
             log.warning("%s; retrying in a fresh worker", err)
-        await self._rebuild(slot)
+            await self._rebuild(slot, err)
         try:
             return await slot.run(function, job, self._deadline_s)
-        except JobLostError:
-            await self._rebuild(slot)
+        except JobLostError as err:
+            await self._rebuild(slot, err)
             raise
 
-    async def _rebuild(self, slot: "_Slot") -> None:
+    async def _rebuild(self, slot: "_Slot", failure: JobLostError) -> None:
         self.restarts += 1
+        self._last_failure, self._last_failure_s = str(failure), time.monotonic()
         slot.kill()
         await slot.start()
 
@@ -213,6 +211,7 @@ class _Slot:
         self._warm_up_locks = warm_up_locks
         self._executor: ProcessPoolExecutor | None = None
         self.process: BaseProcess | None = None
+        self._pidfd = -1
         self.has_compiled = False
         self.busy = asyncio.Lock()
 
@@ -229,18 +228,30 @@ class _Slot:
                 initializer=begin_process,
                 initargs=(self._name, self._prepare),
             )
-            others = set(multiprocessing.active_children())
-            begun = executor.submit(os.getpid)  # starts the process
-            (self.process,) = set(multiprocessing.active_children()) - others
             try:
+                begun = self._begin(executor)
                 async with asyncio.timeout(START_DEADLINE_S):
                     await asyncio.wrap_future(begun)
                     self.has_compiled = await self._warm_up(executor)
                 return
-            except (BrokenProcessPool, TimeoutError, WorkerFailure) as err:
+            # the last two are what a fork server raises that is killed at this moment
+            except (BrokenProcessPool, TimeoutError, WorkerFailure, OSError, EOFError) as err:
                 self.kill()
-                log.error("worker did not start: %s attempt=%d", str(err) or "deadline", attempt)
+                log.error("worker did not start: %s attempt=%d", str(err) or type(err).__name__, attempt)
+                await asyncio.sleep(BACK_OFF_S)
         raise WorkerStartError(f"a worker process failed to start {START_ATTEMPTS} times in a row")
+
+    def _begin(self, executor: ProcessPoolExecutor) -> Future[int]:
+        """Start the executor's process and return its first job."""
+        ensure_fork_server()
+        others = set(multiprocessing.active_children())
+        begun = executor.submit(os.getpid)  # starts the process
+        started = set(multiprocessing.active_children()) - others
+        if not started:
+            raise BrokenProcessPool("the process ended at once")
+        (self.process,) = started
+        self._pidfd = os.pidfd_open(self.process.pid or 0)
+        return begun
 
     async def _warm_up(self, executor: ProcessPoolExecutor) -> bool:
         """Run all warm-ups, first those that no other slot is running; return whether something was compiled."""
@@ -263,6 +274,7 @@ class _Slot:
             async with self.busy:
                 self.kill()
                 self.process, successor.process = successor.process, None
+                self._pidfd, successor._pidfd = successor._pidfd, -1
                 self._executor, successor._executor = successor._executor, None
                 self.has_compiled = False
         finally:
@@ -283,8 +295,12 @@ class _Slot:
             raise JobLostError(LossReason.WORKER_CRASH, _last_line(str(err))) from err
 
     def kill(self) -> None:
-        if self.process is not None:
-            self.process.kill()
+        if self._pidfd >= 0:
+            # not Process.kill: it takes a process for dead whose fork server was killed
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
+            os.close(self._pidfd)
+            self._pidfd = -1
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
         self.process = self._executor = None

@@ -18,6 +18,9 @@ WarmUp = Callable[[], bool]
 Prepare = Callable[[Any], Sequence[WarmUp]]
 """Called first in a new process, with the context; returns the warm-ups that must run before jobs, longest first."""
 
+OOM_SCORE = "800"
+"""Of 1000: when memory runs out the kernel kills a worker, which costs a retry, and not the daemon."""
+
 
 @contextmanager
 def worker_boundary() -> Iterator[None]:
@@ -33,11 +36,12 @@ _warm_ups: Sequence[WarmUp] = ()
 
 
 def begin_process(name: str, prepare: Prepare) -> None:
-    """Name a new worker process, have it ignore signals, and end it with its parent.
+    """Name a new worker process, have it ignore signals, end it with its parent, and before it without memory.
 
     `prepare` is not called: to unpickle it has imported what it needs.
     """
     Path("/proc/self/comm").write_text(name)
+    Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
     for number in (signal.SIGINT, signal.SIGTERM):  # a terminal sends them to the whole process group
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="end-with-parent", daemon=True).start()

@@ -1,6 +1,9 @@
 """Jobs for the worker pool that run, crash, hang or leave a trace, on demand."""
 
+import ctypes
+import faulthandler
 import os
+import resource
 import signal
 import time
 from dataclasses import dataclass
@@ -8,12 +11,15 @@ from functools import partial
 from pathlib import Path
 
 from service.errors import WorkerFailure
-from service.processing.worker_process import WarmUp
+from service.processing.worker_process import WarmUp, worker_boundary
 
 TRACEBACK = """Traceback (most recent call last):
   File "/opt/stonefall/service/worker_job.py", line 1, in measure
 FileNotFoundError: 3 mm/s: '/run/stonefall/7/mesh.ply'
 """
+
+MEMORY_BYTES = 1 << 30
+"""What a job that hogs memory gets of it."""
 
 GREETING: list[str] = []
 
@@ -63,8 +69,20 @@ def stumble(job: Stumble) -> str:
     if attempt < job.failures:
         if job.way == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
+        if job.way == "crash":
+            faulthandler.disable()  # pytest's would print its traceback
+            ctypes.string_at(0)
         if job.way == "hang":
             time.sleep(60)
+        if job.way == "loop":
+            while True:  # in the interpreter: no call that a signal would interrupt
+                pass
+        if job.way == "hog":
+            resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+            with worker_boundary():
+                hoard = []
+                while True:
+                    hoard.append(bytearray(MEMORY_BYTES // 16))
         raise WorkerFailure(TRACEBACK)
     return "done"
 

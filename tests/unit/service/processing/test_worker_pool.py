@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+from support.eventually import eventually
 from support.worker_jobs import (
     TRACEBACK,
     Stumble,
@@ -44,26 +45,34 @@ async def test_each_slot_is_one_warm_process_of_its_own():
         assert os.getpid() not in pool.pids
 
 
-@pytest.mark.parametrize("way", ["kill", "hang", "raise"])
+WAYS = {"kill": "worker_crash", "crash": "worker_crash", "hog": "worker_crash", "raise": "worker_crash"}
+WAYS |= {"hang": "deadline", "loop": "deadline"}
+"""Ways in which a job fails, and the reason of its loss."""
+
+
+def deadline_s(way: str) -> float:
+    return 1.0 if WAYS[way] == "deadline" else 60.0
+
+
+@pytest.mark.parametrize("way", WAYS)
 async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
-    async with pool_of(1, deadline_s=1.0 if way == "hang" else 10.0) as pool:
+    async with pool_of(1, deadline_s(way)) as pool:
         (before,) = pool.pids
         assert await pool.run(stumble, Stumble(tmp_path, way, failures=1)) == "done"
         first, second = noted_pids(tmp_path)
         assert first == before
         assert [second] == pool.pids
         assert pool.restarts == 1
+        assert WAYS[way] in (pool.trouble or "")
         assert not process_exists(first)
 
 
-@pytest.mark.parametrize(
-    ("way", "reason"), [("kill", "worker_crash"), ("hang", "deadline"), ("raise", "worker_crash")]
-)
-async def test_the_second_failure_loses_this_job_alone(way: str, reason: str, tmp_path: Path):
-    async with pool_of(1, deadline_s=1.0 if way == "hang" else 10.0) as pool:
+@pytest.mark.parametrize("way", WAYS)
+async def test_the_second_failure_loses_this_job_alone(way: str, tmp_path: Path):
+    async with pool_of(1, deadline_s(way)) as pool:
         with pytest.raises(JobLostError) as lost:
             await pool.run(stumble, Stumble(tmp_path, way, failures=9))
-        assert lost.value.reason == reason
+        assert lost.value.reason == WAYS[way]
         assert len(noted_pids(tmp_path)) == 2
         text, _ = await pool.run(greeting_and_pid, "again")
         assert text == "hello again"
@@ -88,6 +97,33 @@ async def test_a_worker_killed_while_idle_is_replaced():
         text, other = await pool.run(greeting_and_pid, "still here")
         assert text == "hello still here"
         assert other != pid
+
+
+async def test_a_killed_fork_server_costs_retries_and_no_process_stays_behind():
+    async with pool_of(2) as pool:
+        before = list(pool.pids)
+        for is_with_a_worker in (False, True) * 5:
+            for pid in [*fork_servers(), *pool.pids[: int(is_with_a_worker)]]:
+                os.kill(pid, signal.SIGKILL)
+            answers = await asyncio.gather(*(pool.run(greeting_and_pid, f"job {i}") for i in range(4)))
+            assert [text for text, _ in answers] == [f"hello job {i}" for i in range(4)]
+            before += pool.pids
+        eventually(lambda: not any(process_exists(pid) for pid in set(before) - set(pool.pids)))
+
+
+def fork_servers() -> list[int]:
+    """The one that runs; none when it was killed and no process was started since."""
+    children = [
+        pid for path in Path("/proc/self/task").glob("*/children") for pid in path.read_text().split()
+    ]
+    return [int(pid) for pid in children if b"forkserver" in (Path("/proc") / pid / "cmdline").read_bytes()]
+
+
+async def test_without_memory_the_kernel_kills_a_worker_first():
+    async with pool_of(1) as pool:
+        (pid,) = pool.pids
+        own = await asyncio.to_thread(Path("/proc/self/oom_score_adj").read_text)
+        assert int((Path("/proc") / str(pid) / "oom_score_adj").read_text()) > int(own)
 
 
 async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_job_comes(tmp_path: Path):
