@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from drivers.errors import LossCause
-from pipeline.frames import CameraId, Frame, Trigger
+from pipeline.frames import CameraId, Frame, GateCount, Trigger
 
 
 class FrameLossReason(StrEnum):
@@ -90,6 +90,7 @@ class TriggersLost:
     received_ns: int
     count: int
     reason: str
+    while_down: bool = False  # they fell while no process listened to the gate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,6 +209,14 @@ class LightGate(Protocol):
     @property
     def warnings(self) -> tuple[str, ...]:
         """What works but needs attention, with the remedy; never blocks, allowed in every state."""
+        ...
+
+    def resume(self, count: GateCount, n_known: int) -> None:
+        """Go on from the count of an earlier process, before the gate is opened for the first time.
+
+        A gate with a counter of its own reports what it has counted since as `TriggersLost` when it is armed, less
+        the `n_known` that have been accounted for; any other ignores the call.
+        """
         ...
 
     def open(self) -> None:

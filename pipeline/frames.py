@@ -72,6 +72,15 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GateCount:
+    """How far a light gate with a counter of its own had counted: a later process learns from it what it missed."""
+
+    gate: str  # which one, as its driver tells them apart
+    sequence: int  # as the gate counts
+    device_us: int  # its own time of that
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trigger:
     """The passing of one stone through the light gate, or an exposure of the empty rig for `BACKGROUND`."""
 
@@ -83,6 +92,7 @@ class Trigger:
     kind: BundleKind = BundleKind.PARTICLE
     name: str | None = None  # of the recorded bundle, in replay
     is_announced: bool = True  # by the gate; False: made up for frames that came without, `utc` still unknown
+    gate_count: GateCount | None = None  # with this trigger; None: the gate has no counter of its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,6 +38,10 @@ class EdgeCounter:
         """Follow another gate from now on; what it counted so far is not missed."""
         self._last = None
 
+    def resume(self, sequence: int, device_us: int) -> None:
+        """Go on from what was known of the same gate earlier; its numbers are not counted on."""
+        self._last, self._device_us = sequence, device_us
+
     def edge(self, sequence: int, device_us: int) -> Step:
         """Take the number of an edge or test pulse."""
         is_not_older = device_us == self._last_edge_us or device_us >= self._device_us

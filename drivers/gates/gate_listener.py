@@ -1,7 +1,7 @@
 """Turn the bytes of a serial gate into events, without port or thread; every loss is an event."""
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 from drivers.gates.edge_counter import EdgeCounter, Step
 from drivers.gates.edge_filter import Began, Bounced, EdgeFilter, Ended, Pulse
@@ -19,7 +19,7 @@ from drivers.gates.gate_protocol import (
 )
 from drivers.gates.gate_thread import trigger_at
 from drivers.interfaces import DeviceEvent, PulseEnded, TriggersIgnored, TriggersLost
-from pipeline.frames import BundleKind
+from pipeline.frames import BundleKind, GateCount, Trigger
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +67,12 @@ class GateListener:
     def counters(self) -> GateCounters:
         """A copy."""
         return replace(self._counters, garbage=self._counters.garbage + self._lines.n_discarded)
+
+    def resume(self, count: GateCount) -> None:
+        """Go on from the count of an earlier process, if the gate turns out to be the same."""
+        name, serial, version = count.gate.split(",")
+        self.identity = Identity(name=name, serial=serial, version=version)
+        self._counter.resume(count.sequence, count.device_us)
 
     def reopen(self) -> None:
         """Forget what does not outlive a closed port: half a line, half a pulse, the offset of the clocks."""
@@ -133,7 +139,8 @@ class GateListener:
         if isinstance(record, TestPulse):
             self._counters.test_pulses += 1
             kind = BundleKind.BACKGROUND
-            return [*events, trigger_at(received_ns, step.sequence, device_ns=device_ns, kind=kind)]
+            trigger = trigger_at(received_ns, step.sequence, device_ns=device_ns, kind=kind)
+            return [*events, self._counted(trigger, record)]
         self._edge = record
         self._counters.edges += 1
         return events + self._filtered(
@@ -179,11 +186,19 @@ class GateListener:
         pulses = self._filter.edge(is_closed=is_closed, at_ns=device_ns)
         return [self._event(pulse, received_ns, sequence) for pulse in pulses]
 
+    def _counted(self, trigger: Trigger, record: Edge | TestPulse | None) -> Trigger:
+        """Return the trigger with the gate's count at its record."""
+        if record is None or self.identity is None:
+            return trigger
+        gate = ",".join(astuple(self.identity))
+        count = GateCount(gate=gate, sequence=record.sequence, device_us=record.device_us)
+        return replace(trigger, gate_count=count)
+
     def _event(self, pulse: Pulse, received_ns: int, sequence: int) -> DeviceEvent:
         match pulse:
             case Began(at_ns=device_ns):
                 self._sequence = sequence
-                return trigger_at(received_ns, sequence, device_ns=device_ns)
+                return self._counted(trigger_at(received_ns, sequence, device_ns=device_ns), self._edge)
             case Ended(width_ns=width_ns):
                 return PulseEnded(sequence=self._sequence, received_ns=received_ns, width_ns=width_ns)
             case Bounced():

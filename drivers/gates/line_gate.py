@@ -9,6 +9,7 @@ from drivers.errors import GateUnavailableError
 from drivers.gates.gate_thread import GateThread
 from drivers.gates.line_pulses import LinePulses
 from drivers.interfaces import EventSink
+from pipeline.frames import GateCount
 
 
 class Closable(Protocol):
@@ -31,6 +32,9 @@ class LineGate(ABC):
     @property
     def warnings(self) -> tuple[str, ...]:
         return ()
+
+    def resume(self, count: GateCount, n_known: int) -> None:
+        return  # what passes while no process listens is not counted
 
     def open(self) -> None:
         if self._thread.is_running and self._thread.failure is None:

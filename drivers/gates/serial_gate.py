@@ -13,7 +13,7 @@ from drivers.gates.gate_listener import GateCounters, GateListener
 from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, Identity
 from drivers.gates.gate_thread import GateThread, port_problem
 from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
-from pipeline.frames import BundleKind, Trigger
+from pipeline.frames import BundleKind, GateCount, Trigger
 
 READ_S = 0.02
 """Time-out of a read; after each the end of a pulse and the silence of the gate are checked."""
@@ -54,8 +54,8 @@ class SerialGate:
     `received_ns` is when the beam closed: when its line was read, less its transmission and less the latency that
     the gate's own clock reveals. Sequence numbers are the gate's, counted on when it restarts.
 
-    What the gate counted and did not announce is `TriggersLost`; when an armed gate was lost, also what it counted
-    until it was armed again. What passes a gate that was disarmed on purpose is not lost.
+    What the gate counted and did not announce is `TriggersLost`; when an armed gate was lost, or the process that had
+    armed it, also what it counted until it was armed again. What passes a gate disarmed on purpose is not lost.
     """
 
     def __init__(self, settings: SerialGateSettings) -> None:
@@ -67,6 +67,7 @@ class SerialGate:
         self._heard_ns = 0
         self._is_owed = False  # the gate was armed and not disarmed before it was lost: report what it counts
         self._n_owed = 0
+        self._was_down = False  # an earlier process had armed it
 
     @property
     def counters(self) -> GateCounters:
@@ -89,6 +90,12 @@ class SerialGate:
             f"light gate {self._settings.port}: the beam has been closed for {blocked_s:.0f} s: "
             "remove what blocks it, clean and align sensor and light",
         )
+
+    def resume(self, count: GateCount, n_known: int) -> None:
+        """Go on from the count of an earlier process that was killed while the gate was armed."""
+        with self._heard:
+            self._listener.resume(count)
+            self._is_owed, self._n_owed, self._was_down = True, -n_known, True
 
     def open(self) -> None:
         """Open and lock the port and wait for the gate's first status; raises `GateUnavailableError`."""
@@ -118,12 +125,16 @@ class SerialGate:
         """Deliver to `sink` from now on; first the stones that were counted since an armed gate was lost."""
         with self._heard:
             self._thread.arm(sink)
-            if self._n_owed:
-                reason = "counted by the gate while it was lost"
+            if self._n_owed > 0:
                 self._thread.deliver(
-                    TriggersLost(received_ns=time.monotonic_ns(), count=self._n_owed, reason=reason)
+                    TriggersLost(
+                        received_ns=time.monotonic_ns(),
+                        count=self._n_owed,
+                        reason="counted by the gate while it was lost",
+                        while_down=self._was_down,
+                    )
                 )
-            self._is_owed, self._n_owed = True, 0
+            self._is_owed, self._n_owed, self._was_down = True, 0, False
 
     def test_pulse(self) -> None:
         """Let the gate trigger the cameras, and wait until it has; raises `GateUnavailableError`."""

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 
 from drivers.errors import DeviceError
 from drivers.interfaces import DeviceEvent, EventSink, LightGate
+from pipeline.frames import GateCount
 
 
 class WrappedGate(ABC):
@@ -19,6 +20,9 @@ class WrappedGate(ABC):
     @property
     def warnings(self) -> tuple[str, ...]:
         return self._gate.warnings
+
+    def resume(self, count: GateCount, n_known: int) -> None:
+        self._gate.resume(count, n_known)
 
     def open(self) -> None:
         self._gate.open()

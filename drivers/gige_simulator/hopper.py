@@ -35,9 +35,13 @@ class Hopper:
     after the first round.
     """
 
-    def __init__(self, recording: Recording, *, is_looping: bool = False) -> None:
+    def __init__(self, recording: Recording, *, is_looping: bool = False, only_stones: bool = False) -> None:
         self._recording = recording
-        self._headers = playback_order(recording)
+        self._headers = [
+            header
+            for header in playback_order(recording)
+            if not (only_stones and header.kind is BundleKind.BACKGROUND)
+        ]
         self._is_looping = is_looping
         width_px, height_px = recording.image_size_px
         n_ahead = max(1, AHEAD_BYTES // (len(recording.camera_ids) * width_px * height_px))

@@ -49,6 +49,7 @@ class RigDesign:
     legacy_every: int = 4  # every so many cameras one speaks the older dialect; 0: none
     rate_hz: float = 4.0
     is_looping: bool = False
+    only_stones: bool = False  # the belt leaves out recorded exposures of the empty rig
     fall_ms: float = 247.35  # from the gate to the middle of the rig: 0.3 m
     sight_ms: float = SIGHT_MS  # a stone is seen so long before and after it passes the middle
     exposure_us: float | None = None  # at which images are as recorded; None: as recording.json says
@@ -94,7 +95,7 @@ class SimulatedRig:
             pulse=self._pulse,
             empty_rig=scene.enter_empty,
         )
-        hopper = Hopper(recording, is_looping=design.is_looping)
+        hopper = Hopper(recording, is_looping=design.is_looping, only_stones=design.only_stones)
         self.belt = Belt(hopper, self._drop, rate_hz=design.rate_hz)
         self._control = design.control
         self._requests = RigRequests(cameras=self.cameras, gate=self.gate, belt=self.belt)

@@ -6,6 +6,7 @@ Arming it starts the belt that plays the recording, disarming pauses it, closing
 from drivers.errors import GateUnavailableError
 from drivers.interfaces import EventSink
 from drivers.replay.belt import ReplayBelt
+from pipeline.frames import GateCount
 
 
 class ReplayGate:
@@ -18,6 +19,9 @@ class ReplayGate:
     @property
     def warnings(self) -> tuple[str, ...]:
         return ()
+
+    def resume(self, count: GateCount, n_known: int) -> None:
+        """Do nothing: a recording stands still while no process plays it."""
 
     def open(self) -> None:
         self._is_open = True

@@ -18,7 +18,7 @@ from drivers.factory import Devices
 from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
-from pipeline.frames import BundleKind, FrameBundle, Trigger
+from pipeline.frames import BundleKind, FrameBundle, GateCount, Trigger
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.rig_cameras import RigCameras
@@ -45,7 +45,15 @@ INBOX_TRIGGERS = 8
 class TriggerLog(Protocol):
     """Durable record of the triggers; the store is one. It never keeps the loop waiting for a disk."""
 
-    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None: ...
+    async def record_triggers(
+        self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
+    ) -> None:
+        """Record triggers, and the gate's count at the last if everything counted before it is recorded."""
+        ...
+
+    async def forget_gate_count(self, session: int) -> None:
+        """Record that the gate was disarmed: what it counts from now on is not missed."""
+        ...
 
 
 class Acquisition:
@@ -159,6 +167,7 @@ class Acquisition:
             if not self._disarm_requested.is_set():
                 async with asyncio.TaskGroup() as tasks:
                     await self._run_armed(tasks)
+                await self._triggers.forget_gate_count(self._session)
             self._set_state(AcquisitionState.DISARMED)
             self.settled.set()
 
@@ -238,7 +247,8 @@ class Acquisition:
         else:
             event = self.cameras.refuse_repeated(event)
             if isinstance(event, Trigger) and not assembler.has_orphan_of(event):
-                (event,) = await self._record([event])
+                count = None if assembler.has_gap else event.gate_count
+                (event,) = await self._record([event], count)
             self.cameras.track(event)
             bundles = assembler.feed(event)
         await self._hand_over(bundles)
@@ -289,14 +299,16 @@ class Acquisition:
     def _with_utc(self, trigger: Trigger) -> Trigger:
         return replace(trigger, utc=utc_ago(self._devices.clock() - trigger.received_ns))
 
-    async def _record(self, triggers: Sequence[Trigger]) -> list[Trigger]:
+    async def _record(
+        self, triggers: Sequence[Trigger], gate_count: GateCount | None = None
+    ) -> list[Trigger]:
         """Make triggers durable in one transaction, and return them with their names.
 
         There may be thousands that the gate counted while it did not answer.
         """
         named = {str(trigger.name): trigger for trigger in map(self._with_name, triggers)}
         if named:
-            await self._triggers.record_triggers(self._session, named)
+            await self._triggers.record_triggers(self._session, named, gate_count)
         return list(named.values())
 
     def _with_name(self, trigger: Trigger) -> Trigger:

@@ -30,6 +30,7 @@ NOT_CAUSED_BY_CAMERA: frozenset[str] = frozenset(
         MissingReason.DISARMED,
         MissingReason.STONE_PASSED,
         MissingReason.UNSEEN,
+        MissingReason.DOWN,
     }
 )
 """Reasons of missing frames that say nothing against an armed camera."""

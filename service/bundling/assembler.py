@@ -32,7 +32,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundling.counters import BundlingCounters, CameraCounters
 from service.bundling.exposure_check import Exposure, ExposureCheck
 from service.bundling.frame_account import FrameAccount
-from service.bundling.missed_triggers import MissedTriggers
+from service.bundling.missed_triggers import MissedTriggers, Unseen
 from service.bundling.parameters import IN_VIEW_NS, BundlingParameters
 from service.bundling.window import MissingReason, Window
 
@@ -68,6 +68,11 @@ class BundleAssembler:
         """Time to call `advance` at if no event comes before, None while no trigger is open."""
         return self._deadline_ns(self._open[0]) if self._open else None
 
+    @property
+    def has_gap(self) -> bool:
+        """Whether the gate counted triggers that have no bundle yet."""
+        return self._missed.has_gap
+
     def feed(self, event: DeviceEvent) -> list[FrameBundle]:
         """Take one event; return the bundles that it finished, in the order of their triggers."""
         match event:
@@ -93,7 +98,8 @@ class BundleAssembler:
             case TriggersLost():
                 self.counters.triggers_lost += event.count
                 due_ns = event.received_ns + self._delay_ns + self._window_ns + DELIVERY_NS
-                self._missed.note_gap(event.count, event.received_ns, due_ns)
+                reason = MissingReason.DOWN if event.while_down else MissingReason.UNSEEN
+                self._missed.note_gap(event.count, event.received_ns, due_ns, reason)
             case PulseEnded():
                 for window in self._open:
                     if window.trigger.sequence == event.sequence:
@@ -210,15 +216,18 @@ class BundleAssembler:
         self._open_window(trigger)
         return True
 
-    def _unseen(self, reported_ns: list[int]) -> list[FrameBundle]:
+    def _unseen(self, unseen: list[Unseen]) -> list[FrameBundle]:
         """Return bundles without frames for triggers that only the gate's counter knows."""
-        self.counters.triggers += len(reported_ns)
-        self.counters.incomplete += len(reported_ns)
-        self.counters.unseen += len(reported_ns)
-        missing = dict.fromkeys(self._camera_ids, MissingReason.UNSEEN)
+        self.counters.triggers += len(unseen)
+        self.counters.incomplete += len(unseen)
+        self.counters.unseen += len(unseen)
         return [
-            FrameBundle(trigger=self._unannounced(received_ns), frames={}, missing=missing)
-            for received_ns in reported_ns
+            FrameBundle(
+                trigger=self._unannounced(trigger.reported_ns),
+                frames={},
+                missing=dict.fromkeys(self._camera_ids, trigger.reason),
+            )
+            for trigger in unseen
         ]
 
     def _unannounced(self, received_ns: int) -> Trigger:

@@ -8,12 +8,21 @@ from collections import deque
 from typing import NamedTuple
 
 from pipeline.frames import Trigger
+from service.bundling.window import MissingReason
 
 
 class _Gap(NamedTuple):
     due_ns: int  # when all frames of its triggers have come
     received_ns: int
     n_triggers: int
+    reason: MissingReason
+
+
+class Unseen(NamedTuple):
+    """A trigger that only the gate's counter knows."""
+
+    reported_ns: int
+    reason: MissingReason
 
 
 class MissedTriggers:
@@ -45,19 +54,21 @@ class MissedTriggers:
         """Register frames that got a trigger of their own, at this time."""
         self._orphans_ns.append(received_ns)
 
-    def note_gap(self, n_triggers: int, received_ns: int, due_ns: int) -> None:
+    @property
+    def has_gap(self) -> bool:
+        """Whether triggers that the gate counted have no bundle yet, and may not get one."""
+        return bool(self._gaps)
+
+    def note_gap(self, n_triggers: int, received_ns: int, due_ns: int, reason: MissingReason) -> None:
         """Register a gap in the gate's counter, to be compared with the orphans when its frames are due."""
-        self._gaps.append(_Gap(due_ns, received_ns, n_triggers))
+        self._gaps.append(_Gap(due_ns, received_ns, n_triggers, reason))
 
-    def take_unseen(self, now_ns: int | None = None) -> list[int]:
-        """Settle the gaps that are due (all without `now_ns`).
-
-        Returns, for each trigger that no orphan explains, the time at which its gap was reported.
-        """
-        reported_ns: list[int] = []
+    def take_unseen(self, now_ns: int | None = None) -> list[Unseen]:
+        """Settle the gaps that are due (all without `now_ns`); return the triggers that no orphan explains."""
+        unseen: list[Unseen] = []
         while self._gaps and (now_ns is None or now_ns >= self._gaps[0].due_ns):
             gap = self._gaps.popleft()
             n_explained = min(len(self._orphans_ns), gap.n_triggers)
             del self._orphans_ns[:n_explained]
-            reported_ns += [gap.received_ns] * (gap.n_triggers - n_explained)
-        return reported_ns
+            unseen += [Unseen(gap.received_ns, gap.reason)] * (gap.n_triggers - n_explained)
+        return unseen

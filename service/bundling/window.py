@@ -28,6 +28,8 @@ class MissingReason(StrEnum):
     """The empty rig was exposed while a stone fell."""
     UNSEEN = "unseen"
     """The gate counted the trigger and did not announce it, and no camera exposed."""
+    DOWN = "down"
+    """The gate counted the trigger while no daemon ran."""
 
 
 @dataclass(slots=True, kw_only=True)

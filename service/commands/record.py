@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from drivers.factory import build_devices
 from drivers.files.durable import require_unused
 from drivers.files.rig_file import read_rig
-from pipeline.frames import Trigger
+from pipeline.frames import GateCount, Trigger
 from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition
 from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
@@ -71,7 +71,12 @@ def command(
 class _NoAccounting:
     """In the place of the store: triggers of a recording need no outcome."""
 
-    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
+    async def record_triggers(
+        self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
+    ) -> None:
+        pass
+
+    async def forget_gate_count(self, session: int) -> None:
         pass
 
 

@@ -2,14 +2,14 @@
 
 import asyncio
 import logging
-import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from drivers.factory import build_devices
 from drivers.files.rig_file import read_rig
 from drivers.replay.belt import ReplayBelt
-from pipeline.frames import FrameBundle
+from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
@@ -27,9 +27,11 @@ from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.background_keeping import KeptBackground
 from service.processing.bundle_files import BundleFiles
+from service.processing.left_bundles import LeftBundle, take_over
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
 from service.processing.processing import Processing, ProcessingContext
+from service.processing.quarantine import Quarantine
 from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
@@ -49,13 +51,20 @@ COMMIT_SILENCE_S = 30.0
 
 
 async def build(settings: Settings, store: Store) -> Daemon:
-    """Build all parts, none of which runs yet; triggers that a killed daemon left open are recorded as lost."""
+    """Build all parts, none of which runs yet.
+
+    Of the triggers that a killed daemon left open, those whose bundle is still on tmpfs are measured; the others are
+    recorded as lost.
+    """
     configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
     found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
     source = settings.rig.source(devices, found.rig)
     session = await _begin_session(settings, store, source, found)
-    folder = await asyncio.to_thread(_empty_folder, settings.spool.dir / store.instance_id)
+    spool_folder = settings.spool.dir / store.instance_id  # daemons with other stores keep theirs
+    quarantine = Quarantine(settings.store.dir / "quarantine")
+    left = await _take_over(store, session, spool_folder, source.camera_ids, quarantine)
+    folder = spool_folder / str(session)
 
     segmentation = await asyncio.to_thread(plan_segmenter, settings.segmentation)
     if segmentation.warning is not None:
@@ -74,7 +83,9 @@ async def build(settings: Settings, store: Store) -> Daemon:
     )
     recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
     calibrations = await _open_calibrations(settings, store, found, session, watches.rig, recordings)
-    spool, archive = _build_queue(settings, store, source, devices.belt, folder)
+    if (counted := await store.gate_count()) is not None:
+        devices.gate.resume(*counted)
+    spool, archive = _build_queue(settings, store, source, devices.belt, folder, left)
 
     def on_bundle(bundle: FrameBundle) -> None:
         recordings.offer(bundle)
@@ -108,6 +119,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         results=WatchedResults(store, watches.rig, watches.optics),
         calibration=calibrations,
         kept_background=_kept_background(settings, configured),
+        quarantine=quarantine,
         on_empty_rig=watches.optics.feed_optics,
         on_network=watches.segmentation.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
@@ -121,6 +133,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         folder=folder,
         pool=pool,
         spool=spool,
+        quarantine=quarantine,
         recordings=recordings,
         archive=archive,
         backing_up=BackingUp(store, every_h=settings.store.backup_every_h, keep=settings.store.keep_backups),
@@ -137,13 +150,18 @@ def _store_trouble(store: Store) -> str | None:
 
 
 def _build_queue(
-    settings: Settings, store: Store, source: RecordingSource, belt: ReplayBelt | None, folder: Path
+    settings: Settings,
+    store: Store,
+    source: RecordingSource,
+    belt: ReplayBelt | None,
+    folder: Path,
+    left: Sequence[LeftBundle],
 ) -> tuple[Spool, RawArchive]:
     """Build the spool of bundles, and the archive that takes over the files of the newest stones."""
     n_ahead = 2 * settings.workers.slots  # bundles that keep the workers busy
     if belt is not None:
         # in fast pace a replay delivers a bundle for each one that is free again; the archive can take all of them
-        belt.permit(min(n_ahead + 1, settings.spool.max_bundles))
+        belt.permit(max(1, min(n_ahead + 1, settings.spool.max_bundles - len(left))))
     files = BundleFiles(folder, on_free=belt.permit if belt is not None else lambda: None)
     archive = RawArchive(store, source.camera_ids, files.give_back, max_waiting=n_ahead)
     spool = Spool(
@@ -152,6 +170,7 @@ def _build_queue(
         camera_ids=source.camera_ids,
         archive=archive if settings.store.keep_raw > 0 else None,
         store_trouble=lambda: _store_trouble(store),
+        left=left,
     )
     return spool, archive
 
@@ -173,8 +192,8 @@ def _build_pool(settings: Settings, source: RecordingSource, segmentation: Segme
 async def _begin_session(
     settings: Settings, store: Store, source: RecordingSource, found: CalibrationsAtStart
 ) -> int:
-    """Begin a session in the store, and record triggers that a killed daemon left open as lost."""
-    session = await store.begin_session(
+    """Begin a session in the store."""
+    return await store.begin_session(
         {
             "calibration_id": found.rig.calibration_id,
             "algorithm_version": ALGORITHM_VERSION,
@@ -182,16 +201,22 @@ async def _begin_session(
             **settings.rig.describe(),
         }
     )
-    if lost := await store.lose_open(LossReason.CRASH, "the daemon ended before this bundle was measured"):
-        log.error("triggers lost in a crash of the daemon count=%d", lost)
-    return session
 
 
-def _empty_folder(folder: Path) -> Path:
-    """Create the folder empty; it belongs to one store, so that daemons with other stores keep theirs."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    return folder
+async def _take_over(
+    store: Store, session: int, folder: Path, camera_ids: Sequence[CameraId], quarantine: Quarantine
+) -> list[LeftBundle]:
+    """Create the spool of this session; return what a killed daemon left to measure, and record the rest as lost."""
+    open_triggers = await store.open_triggers()
+    left = await asyncio.to_thread(take_over, folder, session, open_triggers, camera_ids, quarantine)
+    lost = await store.lose_open(
+        LossReason.CRASH,
+        "the daemon ended before this bundle was measured",
+        but={(bundle.session, bundle.name) for bundle in left},
+    )
+    if lost or left:
+        log.error("the daemon had crashed triggers_lost=%d bundles_to_measure=%d", lost, len(left))
+    return left
 
 
 def _open_recordings(settings: Settings, store: Store, source: RecordingSource, session: int) -> Recordings:

@@ -7,7 +7,7 @@ what is not measured yet. An exception that a part does not handle ends the task
 import asyncio
 import logging
 import shutil
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from socket import socket
 
@@ -17,11 +17,12 @@ from service.configuration.settings import Settings
 from service.daemon.build import build
 from service.daemon.running_daemon import Daemon
 from service.daemon.stopping import StopRequests
-from service.daemon.systemd import ServiceManager, feed_watchdog
+from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog
 from service.errors import StoreError
 from service.processing.process_memory import freeze_gc, keep_freed_memory
 from service.status import AcquisitionTarget
-from service.store import open_store
+from service.store import Store, open_store
+from service.store.trouble import Cause, trouble_of
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +30,8 @@ DRAIN_S = 30.0
 """Longest wait for the results of bundles already seen, after which they are lost, reason `shutdown`."""
 DISARM_S = 15.0
 """Longest wait for the rig to disarm, the last stone's frames included, before its devices are abandoned."""
+FULL_S = 2.0
+"""Pause before the store is opened again while its disk is full."""
 HELD_S = 2.0
 """Last wait for a store that is held; triggers without an outcome then are lost, reason `crash`, at the next start."""
 ARCHIVE_S = 5.0
@@ -50,10 +53,12 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
     requests.listen()
     async with AsyncExitStack() as resources:
         listener = resources.enter_context(listen(settings.api.host, settings.api.port))
-        store = await asyncio.to_thread(open_store, settings.store.dir, keep_raw=settings.store.keep_raw)
+        store = await _opened_store(settings, manager, requests)
+        if store is None:
+            return
         resources.push_async_callback(asyncio.to_thread, store.close)
         daemon = await build(settings, store)
-        resources.push_async_callback(asyncio.to_thread, shutil.rmtree, daemon.folder, ignore_errors=True)
+        resources.push_async_exit(_end_of_spool(daemon))
         resources.callback(daemon.pool.close)
         resources.push_async_callback(daemon.recordings.close)
         server = await _warmed_up(daemon, manager)
@@ -69,6 +74,36 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             ):
                 await parts.enter_async_context(part)
             await requests.stop.wait()
+
+
+async def _opened_store(settings: Settings, manager: ServiceManager, requests: StopRequests) -> Store | None:
+    """Open the store, as soon as its disk has room; return None if the daemon is to stop before."""
+    told = ""
+    while not requests.stop.is_set():
+        try:
+            return await asyncio.to_thread(open_store, settings.store.dir, keep_raw=settings.store.keep_raw)
+        except StoreError as err:
+            trouble = trouble_of(err.__cause__) if isinstance(err.__cause__, Exception) else None
+            if trouble is None or trouble.cause is not Cause.FULL:
+                raise
+            if told != (told := str(trouble)):
+                log.error("waiting for the store: %s", told)
+            manager.notify(f"STATUS=waiting for the store: {told}", f"EXTEND_TIMEOUT_USEC={EXTENSION_US}")
+        with suppress(TimeoutError):
+            await asyncio.wait_for(requests.stop.wait(), FULL_S)
+    return None
+
+
+def _end_of_spool(daemon: Daemon) -> Callable[..., Awaitable[None]]:
+    """Return the exit callback that removes the spool, unless the daemon fails: then the next one measures it."""
+
+    async def remove(kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            await asyncio.to_thread(shutil.rmtree, daemon.folder, ignore_errors=True)
+            with suppress(OSError):  # the folder of the store, unless something else is in it
+                daemon.folder.parent.rmdir()
+
+    return remove
 
 
 async def _warmed_up(daemon: Daemon, manager: ServiceManager) -> RestServer:

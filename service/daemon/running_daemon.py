@@ -18,6 +18,7 @@ from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.processing import Processing
+from service.processing.quarantine import Quarantine
 from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
@@ -48,9 +49,10 @@ class Daemon:
     store: Store
     session: int
     calibrations: Calibrations
-    folder: Path  # on tmpfs, for bundles and for the workers' files
+    folder: Path  # on tmpfs, of this session, for bundles and for the workers' files
     pool: WorkerPool
     spool: Spool
+    quarantine: Quarantine
     recordings: Recordings
     archive: RawArchive
     backing_up: BackingUp
@@ -90,10 +92,12 @@ class Daemon:
                 waiting=self.spool.n_queued,
                 without_outcome=self.spool.n_waiting,
                 max_waiting=self.spool.max_bundles,
-                overflows=self.spool.overflows,
+                spool_trouble=self.spool.trouble,
                 workers=len(self.pool.pids),
                 slots=self.pool.size,
                 worker_restarts=self.pool.restarts,
+                worker_trouble=self.pool.trouble,
+                quarantined=self.quarantine.bundles(),
                 loop_ms=self.watches.loop.worst_ms(),
                 clock_step_s=self.watches.loop.clock_step_s(),
                 late=self.late(),

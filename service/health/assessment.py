@@ -43,10 +43,12 @@ class Facts:
     waiting: int  # bundles in the spool
     without_outcome: int = 0  # these, and losses that are not stored yet
     max_waiting: int
-    overflows: int  # stones and balls lost because the spool was full
+    spool_trouble: str | None = None  # what went wrong with it lately: stones lost, its folder deleted
     workers: int  # processes that run
     slots: int
     worker_restarts: int
+    worker_trouble: str | None = None  # how the latest process failed that did so lately
+    quarantined: Sequence[str] = ()  # files of bundles that no worker survived
     late: Sequence[str]  # parts without progress, see `service.daemon.heartbeats`
     loop_ms: float  # longest delay of the event loop within a minute
     clock_step_s: float | None  # by which the wall clock was set lately
@@ -194,20 +196,37 @@ def _progress(facts: Facts) -> HealthCheck:
 
 
 def _queue(facts: Facts) -> HealthCheck:
+    waiting = f"{facts.waiting} of {facts.max_waiting} waiting"
+    trouble = facts.spool_trouble
     return HealthCheck(
-        status=_status(warn=2 * facts.waiting > facts.max_waiting, fail=facts.waiting >= facts.max_waiting),
+        status=_status(
+            warn=2 * facts.waiting > facts.max_waiting or trouble is not None,
+            fail=facts.waiting >= facts.max_waiting,
+        ),
         observed_value=facts.waiting,
         observed_unit="bundles",
-        detail=f"{facts.waiting} of {facts.max_waiting} waiting, {facts.overflows} lost",
+        detail=waiting if trouble is None else f"{waiting}; within the last minute: {trouble}",
     )
 
 
 def _workers(facts: Facts) -> HealthCheck:
     return HealthCheck(
-        status=_status(warn=facts.workers < facts.slots, fail=facts.workers == 0),
+        status=_status(
+            warn=facts.workers < facts.slots or facts.worker_trouble is not None, fail=facts.workers == 0
+        ),
         observed_value=facts.workers,
         observed_unit="processes",
-        detail=f"{facts.workers} of {facts.slots} up, {facts.worker_restarts} restarts",
+        detail=f"{facts.workers} of {facts.slots} up, {facts.worker_restarts} restarts"
+        + (f"; within the last minute: {facts.worker_trouble}" if facts.worker_trouble else ""),
+    )
+
+
+def _quarantine(facts: Facts) -> HealthCheck:
+    return HealthCheck(
+        status=_status(warn=bool(facts.quarantined)),
+        observed_value=len(facts.quarantined),
+        observed_unit="bundles",
+        detail=f"no worker survived {', '.join(facts.quarantined)}" if facts.quarantined else None,
     )
 
 
@@ -324,6 +343,7 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "progress": _progress,
     "queue": _queue,
     "workers": _workers,
+    "quarantine": _quarantine,
     "background": _background,
     "segmentation": _segmentation,
     "calibration": _calibration,

@@ -34,6 +34,10 @@ class BackgroundVersions:
         self._n_beside = 0
         self._retired: list[Path] = []
 
+    def is_gone(self) -> bool:
+        """Return whether the folder of the version in use was deleted."""
+        return self.in_use is not None and not self.in_use.exists()
+
     async def advance(self, is_background: bool) -> tuple[Path, ...]:
         """Wait until `in_use` is the version that the next bundle needs; return those no longer needed from it on."""
         self._n_beside += not is_background

@@ -4,6 +4,8 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
+from service.processing.left_bundles import is_left
+
 SPARE_FILES = 4
 """Free files that are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
 
@@ -28,9 +30,12 @@ class BundleFiles:
         return self._folder / f"{self._n_files:08d}.tiff"
 
     async def give_back(self, path: Path) -> None:
-        """Take back a file that is no longer read."""
+        """Take back a file that is no longer read; it may be gone."""
+        if is_left(path):  # its name must not become another bundle's, and it had no place
+            await asyncio.to_thread(path.unlink, missing_ok=True)
+            return
         if len(self._spare) < SPARE_FILES:
             self._spare.append(path)
         else:
-            await asyncio.to_thread(path.unlink)
+            await asyncio.to_thread(path.unlink, missing_ok=True)
         self.on_free()

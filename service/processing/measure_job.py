@@ -203,6 +203,8 @@ def measure(job: MeasureJob) -> MeasuredBundle:
     worker = this_worker()
     timings_ms: dict[str, float] = {}
     stage_start = time.perf_counter()
+    # first of all: if the daemon ends now, it shows that a worker had this bundle
+    job.out_dir.mkdir(parents=True, exist_ok=True)
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True, checked=job.checked)
 
     def on_stage(stage: str) -> None:
@@ -254,7 +256,6 @@ def view_mapper(n_threads: int) -> Iterator[ViewMapper]:
 
 
 def _write_files(job: MeasureJob, result: ParticleResult) -> None:
-    job.out_dir.mkdir(parents=True, exist_ok=True)
     if result.mesh is not None:
         write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces)
     if job.save_silhouettes:

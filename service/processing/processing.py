@@ -1,7 +1,8 @@
 """Process bundles from the spool to the store: on any worker, committed strictly in the order of the triggers.
 
 Every job names the version of the background that it needs (`background_versions`), and the calibration in use when
-its bundle's turn began, so a result does not depend on the number of workers.
+its bundle's turn began, so a result does not depend on the number of workers. A bundle that an earlier session left is
+measured with the newest background that its session had learnt.
 Every trigger that leaves the spool gets exactly one outcome here.
 """
 
@@ -17,6 +18,7 @@ from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
 from service.processing.background_keeping import KeptBackground
 from service.processing.background_versions import BackgroundVersions, LearntBackground
+from service.processing.left_bundles import BACKGROUND, job_folder
 from service.processing.measure_job import (
     MESH,
     SILHOUETTES,
@@ -28,6 +30,7 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
+from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, WorkerPool
 from service.results.fields import LossReason
@@ -155,6 +158,7 @@ class Processing:
         results: ResultSink,
         calibration: CalibrationInUse,
         kept_background: KeptBackground | None = None,
+        quarantine: Quarantine | None = None,
         on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None,
         on_network: Callable[[NetworkUse], None] = lambda use: None,
         on_progress: Callable[[], None],
@@ -170,9 +174,10 @@ class Processing:
         self._jobs: set[asyncio.Task[_Measured | LearntBackground | Loss]] = set()
         self._is_abandoned = False
         self._kept_background = kept_background
+        self._quarantine = quarantine
         self._keeping: asyncio.Task[None] | None = None
         self._backgrounds = BackgroundVersions()
-        self._n_started = 0
+        self._n_backgrounds = 0
         self._last_loss: Loss | None = None
 
     @property
@@ -182,18 +187,12 @@ class Processing:
     async def run(self) -> None:
         """Process and commit every bundle of the spool; return when it is finished."""
         if self._kept_background is not None:
-            folder = self._context.folder / "00000000"
-            restored = await asyncio.to_thread(self._kept_background.restore, folder)
-            self._backgrounds = BackgroundVersions(restored)
+            self._backgrounds = BackgroundVersions(await self._restored(self._kept_background))
         turns: asyncio.Queue[_Turn | None] = asyncio.Queue(MAX_TURNS)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
-                retired = await self._backgrounds.advance(bundle.is_background)
-                collector = self._calibration.collector
-                if collector is not None and collector.kind is not bundle.trigger.kind:
-                    collector = None
-                inputs = JobInputs(self._calibration.rig_file, collector, self._backgrounds.in_use)
+                inputs, retired = await self._inputs(bundle)
                 job = tasks.create_task(self._process(bundle, inputs))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
@@ -203,6 +202,37 @@ class Processing:
                 if bundle.is_background:
                     await self._backgrounds.learn(job)
             await turns.put(None)
+
+    async def _restored(self, kept: KeptBackground) -> Path | None:
+        """Return the folder of the background that was kept for this start, None if there is none."""
+        learning, learnt = self._background_folders()
+        if await asyncio.to_thread(kept.restore, learning) is None:
+            return None
+        return await asyncio.to_thread(learning.rename, learnt)
+
+    def _background_folders(self) -> tuple[Path, Path]:
+        """Return where the next version of the background is written, and its name once it is complete."""
+        folder = self._context.folder
+        self._n_backgrounds += 1
+        return (
+            folder / f"learning-{self._n_backgrounds:08d}",
+            folder / f"{BACKGROUND}{self._n_backgrounds:08d}",
+        )
+
+    async def _inputs(self, bundle: SpooledBundle) -> tuple[JobInputs, tuple[Path, ...]]:
+        """Return what a bundle is processed with, and the versions of the background not needed from it on."""
+        if self._backgrounds.is_gone():
+            log.error("the background was deleted from the spool folder=%s", self._context.folder)
+            kept = self._kept_background
+            self._backgrounds = BackgroundVersions(None if kept is None else await self._restored(kept))
+        if bundle.left is not None:
+            background = bundle.left.background or self._backgrounds.in_use
+            return JobInputs(self._calibration.rig_file, None, background), ()
+        retired = await self._backgrounds.advance(bundle.is_background)
+        collector = self._calibration.collector
+        if collector is not None and collector.kind is not bundle.trigger.kind:
+            collector = None
+        return JobInputs(self._calibration.rig_file, collector, self._backgrounds.in_use), retired
 
     def abandon(self) -> None:
         """Stop measuring: bundles without a result are lost, reason `shutdown`, and `run` returns soon."""
@@ -222,6 +252,7 @@ class Processing:
     async def _commit(self, turn: _Turn, tasks: asyncio.TaskGroup) -> int | None:
         """Make the outcome durable; return the number of a result that was measured or rejected, else None."""
         bundle = turn.bundle
+        session = self._session_of(bundle)
         match outcome := turn.outcome:
             case LearntBackground(path, optics):
                 self._on_empty_rig(optics)
@@ -244,46 +275,52 @@ class Processing:
                     calibration_id=turn.inputs.rig_file.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
-                await self._results.finish(self._context.session, bundle.name, record)
+                await self._results.finish(session, bundle.name, record)
             case _Measured(MeasuredBundle(record, network), folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
                 self._last_loss = None
-                seq = await self._results.finish(self._context.session, bundle.name, record, files)
+                seq = await self._results.finish(session, bundle.name, record, files)
                 self._on_network(network)
                 if keep_drop is not None:
                     try:
                         await keep_drop(record)
                     except OSError as err:  # the drop has its outcome; only the calibration lacks it
                         log.error("drop not kept for the calibration: %s bundle=%s", err, bundle.name)
-                await asyncio.to_thread(shutil.rmtree, folder)
+                await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
                 log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
                 return seq
         return None
+
+    def _session_of(self, bundle: SpooledBundle) -> int:
+        return self._context.session if bundle.left is None else bundle.left.session
 
     async def _remove(self, path: Path, keeping: "asyncio.Task[None] | None") -> None:
         """Remove a version of the background when it is not being copied for the next start."""
         if keeping is not None:
             await asyncio.wait([keeping])
-        await asyncio.to_thread(shutil.rmtree, path)
+        await asyncio.to_thread(shutil.rmtree, path, ignore_errors=True)
 
     async def _process(self, bundle: SpooledBundle, inputs: JobInputs) -> _Measured | LearntBackground | Loss:
         if isinstance(bundle.content, Loss):
             return bundle.content
-        self._n_started += 1
-        folder = self._context.folder / f"{self._n_started:08d}"
+        if bundle.is_background:
+            return await self._learn(bundle.content, inputs.background)
+        folder = self._context.folder / job_folder(bundle.content)
         try:
-            if bundle.is_background:
-                return await self._learn(bundle.content, inputs.background, folder)
             return await self._measure(bundle.content, inputs, folder)
         except JobLostError as err:
             loss = Loss(reason=err.reason, detail=err.detail)
+            if self._quarantine is not None:
+                session = self._session_of(bundle)
+                await asyncio.to_thread(self._quarantine.keep, bundle.content, session, bundle.name)
         except RecordingError as err:
             loss = Loss(reason=LossReason.UNREADABLE, detail=err.problem)
         # files of failed jobs would fill the tmpfs
         await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
         return loss
 
-    async def _learn(self, path: Path, background: Path | None, out_path: Path) -> LearntBackground:
+    async def _learn(self, path: Path, background: Path | None) -> LearntBackground | Loss:
+        out_path, learnt = self._background_folders()
         job = LearnJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
@@ -291,7 +328,17 @@ class Processing:
             out_path=out_path,
             threads=self._pool.threads_per_job,
         )
-        return LearntBackground(out_path, await self._pool.run(learn_background, job))
+        try:
+            optics = await self._pool.run(learn_background, job)
+            return LearntBackground(_complete(out_path, learnt), optics)
+        except JobLostError as err:
+            loss = Loss(reason=err.reason, detail=err.detail)
+        except RecordingError as err:
+            loss = Loss(reason=LossReason.UNREADABLE, detail=err.problem)
+        except FileNotFoundError:
+            loss = Loss(reason=LossReason.UNREADABLE, detail="the spool was deleted")
+        await asyncio.to_thread(shutil.rmtree, out_path, ignore_errors=True)
+        return loss
 
     async def _measure(self, path: Path, inputs: JobInputs, folder: Path) -> _Measured:
         job = MeasureJob(
@@ -308,3 +355,8 @@ class Processing:
         collector = inputs.collector
         keep_drop = None if collector is None else await collector.observe(self._pool, job)
         return _Measured(measured, folder, keep_drop)
+
+
+def _complete(learning: Path, learnt: Path) -> Path:
+    """Give a version of the background the name that says that it is complete."""
+    return learning.rename(learnt)

@@ -4,13 +4,15 @@ A worker maps the file, so a frame is copied once on its way; later bundles are 
 
 Bundles leave strictly in the order in which they came. When the spool is full the whole new bundle is lost: this is
 the one place where stones are dropped for lack of speed, never half a bundle and never by blocking a camera.
-A lost bundle keeps its place in the order, without a file.
+A lost bundle keeps its place in the order, without a file. Bundles that an earlier session left come first.
 """
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -19,12 +21,15 @@ from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.bundling.window import MissingReason
 from service.processing.bundle_files import BundleFiles
+from service.processing.left_bundles import LeftBundle, remove_backgrounds
 from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)
 
 MAX_LOSSES = 50_000
 """Most losses that wait for a store that is held, 0.5 kB each: three hours of stones. Later ones are only counted."""
+RECENT_S = 60.0
+"""Time for which a loss is reported as trouble."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +47,7 @@ class SpooledBundle:
     trigger: Trigger
     name: str
     content: Path | Loss
+    left: LeftBundle | None = None  # of an earlier session
 
     @property
     def is_background(self) -> bool:
@@ -67,6 +73,7 @@ class Spool:
         camera_ids: Sequence[CameraId],
         archive: Archive | None = None,
         store_trouble: Callable[[], str | None] = lambda: None,
+        left: Sequence[LeftBundle] = (),
     ) -> None:
         """`store_trouble` returns why bundles do not get their outcome now, None if they do."""
         self._files = files
@@ -79,10 +86,21 @@ class Spool:
         self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
         self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
         self.max_bundles = max_bundles
-        self.n_queued = 0
+        self.n_queued = self._n_left = len(left)
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
-        """Stones and balls lost because the spool was full."""
+        """Stones and balls lost because the spool was full, or could not be written."""
+        self._trouble = ""
+        self._trouble_s = -RECENT_S
+        for each in left:
+            self._ready.put_nowait(
+                SpooledBundle(trigger=each.trigger, name=each.name, content=each.path, left=each)
+            )
+
+    @property
+    def trouble(self) -> str | None:
+        """What went wrong with the spool within the last `RECENT_S`, None if nothing did."""
+        return self._trouble if time.monotonic() - self._trouble_s < RECENT_S else None
 
     @property
     def n_waiting(self) -> int:
@@ -94,8 +112,7 @@ class Spool:
         if not bundle.frames:
             self._lose(bundle, _loss_without_frames(bundle))
         elif self.n_queued >= self.max_bundles:
-            self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
-            self._lose(bundle, self._loss_when_full())
+            self._lose(bundle, self._overflow(bundle, f"{self.n_queued} bundles were waiting"))
         else:
             self.n_queued += 1
             self._offered.put_nowait(bundle)
@@ -128,13 +145,12 @@ class Spool:
             self._files.on_free()
             return
         self.n_queued -= 1
+        if bundle.left is not None:
+            self._n_left -= 1
+            if self._n_left == 0:
+                await asyncio.to_thread(remove_backgrounds, bundle.content.parent)
         if seq is None or self._archive is None or not self._archive.take(bundle.content, seq):
             await self._files.give_back(bundle.content)
-
-    def _loss_when_full(self) -> Loss:
-        if (trouble := self._store_trouble()) is not None:
-            return Loss(reason=LossReason.STORE_HELD, detail=trouble)
-        return Loss(reason=LossReason.QUEUE_FULL, detail=f"{self.n_queued} bundles were waiting")
 
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
         lost = SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
@@ -156,17 +172,37 @@ class Spool:
     async def _spooled(self, bundle: FrameBundle, thread: ThreadPoolExecutor) -> SpooledBundle:
         path = self._files.take()
         try:
-            await asyncio.get_running_loop().run_in_executor(
-                thread, overwrite_bundle, path, bundle, self._camera_ids
-            )
+            await asyncio.get_running_loop().run_in_executor(thread, self._write, path, bundle)
         except OSError as err:  # a full tmpfs is a full queue
-            await asyncio.to_thread(path.unlink, missing_ok=True)
+            with suppress(OSError):
+                await asyncio.to_thread(path.unlink, missing_ok=True)
             log.error("bundle lost, the spool cannot be written: %s bundle=%s", err, bundle.name)
             self.n_queued -= 1
             self._n_losses += 1
-            loss = Loss(reason=LossReason.QUEUE_FULL, detail=f"spool: {err.strerror}")
+            loss = self._overflow(bundle, f"spool: {err.strerror}")
             return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
         return SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=path)
+
+    def _write(self, path: Path, bundle: FrameBundle) -> None:
+        """Write a bundle's file, on the thread; a folder that was deleted is made anew."""
+        try:
+            overwrite_bundle(path, bundle, self._camera_ids)
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            log.error("the spool was deleted and is made anew folder=%s", path.parent)
+            self._note("its folder was deleted, and made anew")
+            overwrite_bundle(path, bundle, self._camera_ids)
+
+    def _overflow(self, bundle: FrameBundle, detail: str) -> Loss:
+        """Count a bundle that finds no room; return its loss, of which a store that is held is the cause."""
+        self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
+        if (trouble := self._store_trouble()) is not None:
+            return Loss(reason=LossReason.STORE_HELD, detail=trouble)
+        self._note(f"{self.overflows} stones lost since the start ({detail})")
+        return Loss(reason=LossReason.QUEUE_FULL, detail=detail)
+
+    def _note(self, trouble: str) -> None:
+        self._trouble, self._trouble_s = trouble, time.monotonic()
 
 
 def _loss_without_frames(bundle: FrameBundle) -> Loss:
@@ -175,4 +211,6 @@ def _loss_without_frames(bundle: FrameBundle) -> Loss:
     causes = sorted(set(bundle.missing.values()))
     if causes == [MissingReason.DISARMED]:
         return Loss(reason=LossReason.SHUTDOWN, detail="the rig was disarmed before the frames came")
+    if causes == [MissingReason.DOWN]:
+        return Loss(reason=LossReason.DOWN, detail="counted by the light gate while the daemon was down")
     return Loss(reason=LossReason.NO_FRAMES, detail=", ".join(causes) or "no camera delivered")

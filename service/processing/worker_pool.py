@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import re
 import signal
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -44,6 +45,10 @@ IDLE_S = 3.0
 """Time without a job after which the start of a new process is unlikely to delay a stone."""
 WORKER_NAME = "stonefall-work"
 """Name of a measuring process in `ps` and `top`."""
+
+
+_starting = threading.Lock()
+"""Held while a process is started, so that it is told apart from those of others."""
 
 
 class WorkerStartError(ServiceError):
@@ -229,7 +234,8 @@ class _Slot:
                 initargs=(self._name, self._prepare),
             )
             try:
-                begun = self._begin(executor)
+                # on a thread: a fork server that was killed takes a second to import everything again
+                begun = await asyncio.to_thread(self._begin, executor)
                 async with asyncio.timeout(START_DEADLINE_S):
                     await asyncio.wrap_future(begun)
                     self.has_compiled = await self._warm_up(executor)
@@ -242,11 +248,12 @@ class _Slot:
         raise WorkerStartError(f"a worker process failed to start {START_ATTEMPTS} times in a row")
 
     def _begin(self, executor: ProcessPoolExecutor) -> Future[int]:
-        """Start the executor's process and return its first job."""
-        ensure_fork_server()
-        others = set(multiprocessing.active_children())
-        begun = executor.submit(os.getpid)  # starts the process
-        started = set(multiprocessing.active_children()) - others
+        """Start the executor's process and return its first job; blocks."""
+        with _starting:
+            ensure_fork_server()
+            others = set(multiprocessing.active_children())
+            begun = executor.submit(os.getpid)  # starts the process
+            started = set(multiprocessing.active_children()) - others
         if not started:
             raise BrokenProcessPool("the process ended at once")
         (self.process,) = started

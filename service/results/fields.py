@@ -53,7 +53,9 @@ class LossReason(StrEnum):
     UNREADABLE = "unreadable"
     """The bundle's file is damaged."""
     CRASH = "crash"
-    """The daemon ended before the bundle was measured; recorded by its next start."""
+    """The daemon ended before the bundle was measured, and it is not in the spool; recorded by its next start."""
+    DOWN = "down"
+    """The light gate counted it after the daemon had been killed and before the next one was armed."""
     SHUTDOWN = "shutdown"
     """The daemon was stopped before the bundle was measured, or the rig disarmed before its frames came."""
 

@@ -4,14 +4,16 @@ A crash between the two leaves a folder without a row: it is invisible, and remo
 the next result. Raw frames are large, so only those of the newest results are kept.
 """
 
+import logging
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from drivers.files.durable import sync, unfinished
-from service.errors import StoreError
+
+log = logging.getLogger(__name__)
 
 RAW = "bundle.tiff"
 
@@ -28,27 +30,33 @@ def drop_raw(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def keep_files(folder: Path, files: Mapping[str, Path]) -> None:
-    """Copy or link `files`, by their names in `folder`, into it, durably.
+def keep_files(folder: Path, files: Mapping[str, Path]) -> Collection[str]:
+    """Copy or link `files`, by their names in `folder`, into it, durably; return the names of those that were there.
 
-    The sources stay until `drop_sources`, so that a transaction that fails afterwards can be repeated.
+    Sources on tmpfs may have been deleted, which is no reason to lose the result. The others stay until `drop_sources`,
+    so that a transaction that fails afterwards can be repeated.
     """
     shutil.rmtree(folder, ignore_errors=True)
     if not files:
-        return
+        return ()
     folder.mkdir()
+    kept = []
     for name, source in files.items():
-        if not source.exists():  # no fault of the disk that is written to: repeating it does not help
-            raise StoreError(f"{source}: is gone")
-        _link_or_copy(source, folder / name)
+        try:
+            _link_or_copy(source, folder / name)
+        except FileNotFoundError:
+            log.error("a file of a result is gone: %s", source)
+        else:
+            kept.append(name)
     # in parallel: one flush of the device serves all of them
-    written = [*(folder / name for name in files), folder, folder.parent]
+    written = [*(folder / name for name in kept), folder, folder.parent]
     with ThreadPoolExecutor(len(written), thread_name_prefix="sync") as threads:
         list(threads.map(sync, written))
+    return kept
 
 
 def drop_sources(files: Mapping[str, Path]) -> None:
-    """Remove the sources of files that `keep_files` has made durable."""
+    """Remove the sources of files that `keep_files` has made durable; they may be gone."""
     for source in files.values():
         source.unlink(missing_ok=True)
 

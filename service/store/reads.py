@@ -5,6 +5,7 @@ import sqlite3
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.frames import GateCount
 from service.results.fields import Outcome
 from service.store.accounting import Accounting
 
@@ -32,6 +33,31 @@ class ParticleFilter:
     max_sieve_size_mm: float | None = None
     since: str | None = None  # captured at or after, as `pipeline.frames.rfc3339` writes it
     until: str | None = None  # captured before
+
+
+def open_triggers(connection: sqlite3.Connection, live_session: int | None) -> list[tuple[int, str]]:
+    """Return session and bundle of the open triggers of sessions other than `live_session`, in their order."""
+    return connection.execute(
+        "SELECT session, bundle FROM triggers WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
+        (live_session,),
+    ).fetchall()
+
+
+def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
+    """Return the gate's count noted last, and the number of triggers recorded since; None if there is nothing to miss.
+
+    A session that noted none, not even that the gate was disarmed, has not heard of the gate.
+    """
+    row = connection.execute(
+        "SELECT json_extract(info, '$.gate_count') FROM sessions"
+        " WHERE json_type(info, '$.gate_count') IS NOT NULL ORDER BY session DESC LIMIT 1"
+    ).fetchone()
+    if row is None or row[0] is None:
+        return None
+    noted = json.loads(row[0])
+    newest = noted.pop("trigger")
+    (n_since,) = connection.execute("SELECT count(*) FROM triggers WHERE trigger > ?", (newest,)).fetchone()
+    return GateCount(**noted), n_since
 
 
 def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:

@@ -8,7 +8,7 @@ import asyncio
 import logging
 import os
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from drivers.files.durable import sync
-from pipeline.frames import Trigger
+from pipeline.frames import GateCount, Trigger
 from service.errors import StoreError
 from service.results.fields import LossReason
 from service.store import backups, history, reads, writes
@@ -136,13 +136,24 @@ class Store:
         """Record that the session uses another calibration from now on."""
         await self._write_soon(writes.note_calibration, session, calibration_id)
 
-    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
+    async def record_triggers(
+        self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None = None
+    ) -> None:
         """Record triggers durably, by the names of their bundles, which are unique within the session.
 
         While the store is held they are not: `finish` records each with its outcome, so nothing waits in between.
+        `gate_count` is the gate's at the last of them, if everything that it counted before is recorded.
         """
         if self.trouble is None:
-            await self._write_soon(writes.record_triggers, session, triggers)
+            await self._write_soon(writes.record_triggers, session, triggers, gate_count)
+
+    async def forget_gate_count(self, session: int) -> None:
+        """Record that nothing is missed of what the gate counts from now on, as it was disarmed."""
+        await self._write_soon(writes.forget_gate_count, session)
+
+    async def gate_count(self) -> tuple[GateCount, int] | None:
+        """Return the gate's count noted last, and the number of triggers recorded since; None if nothing is missed."""
+        return await self._read(reads.gate_count)
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
@@ -185,9 +196,15 @@ class Store:
         """Return the newest copy of the database that was made by `back_up`, None if there is none."""
         return max(backups.backups_in(self._state_dir), default=None)
 
-    async def lose_open(self, reason: LossReason, detail: str) -> int:
-        """End as `lost` every trigger that an earlier session left open; return how many these were."""
-        return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail)
+    async def open_triggers(self) -> list[tuple[int, str]]:
+        """Return session and bundle of every trigger that an earlier session left open, in their order."""
+        return await self._read(reads.open_triggers, self._session)
+
+    async def lose_open(
+        self, reason: LossReason, detail: str, but: Collection[tuple[int, str]] = frozenset()
+    ) -> int:
+        """End as `lost` every trigger that an earlier session left open, `but` some; return how many these were."""
+        return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail, but)
 
     async def accounting(self, session: int | None = None) -> Accounting:
         """Return the counts of one session, or of the whole history."""

@@ -6,12 +6,13 @@ a gap, because the number is taken in the transaction that makes the result dura
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
-from pipeline.frames import BundleKind, Trigger, rfc3339
+from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.errors import StoreError
 from service.results.fields import LossReason
 from service.results.record import lost_record
@@ -52,11 +53,33 @@ def drop_old_raw(connection: sqlite3.Connection, particles_dir: Path, first: int
             connection.execute("UPDATE store SET first_raw = ?", (end,))
 
 
-def record_triggers(connection: sqlite3.Connection, session: int, triggers: Mapping[str, Trigger]) -> None:
-    """Record triggers by the names of their bundles, without an outcome yet."""
+def record_triggers(
+    connection: sqlite3.Connection,
+    session: int,
+    triggers: Mapping[str, Trigger],
+    gate_count: GateCount | None,
+) -> None:
+    """Record triggers by the names of their bundles, without an outcome yet, and the gate's count at the last."""
     with transaction(connection):
         for bundle, trigger in triggers.items():
             _record(connection, session, bundle, trigger.sequence, trigger.kind, trigger.utc)
+        if gate_count is not None:
+            _note_gate_count(connection, session, asdict(gate_count))
+
+
+def forget_gate_count(connection: sqlite3.Connection, session: int) -> None:
+    """Record that nothing is missed of what the gate counts from now on."""
+    with transaction(connection):
+        _note_gate_count(connection, session, None)
+
+
+def _note_gate_count(connection: sqlite3.Connection, session: int, count: Mapping[str, Any] | None) -> None:
+    """Note the gate's count with the newest trigger, as `gate_count` in the `info` of the session."""
+    (newest,) = connection.execute("SELECT max(trigger) FROM triggers").fetchone()
+    connection.execute(
+        "UPDATE sessions SET info = json_set(info, '$.gate_count', json(?)) WHERE session = ?",
+        (json.dumps(count and {**count, "trigger": newest}), session),
+    )
 
 
 def finish(
@@ -93,15 +116,20 @@ def lose_open(
     live_session: int | None,
     reason: LossReason,
     detail: str,
+    but: Collection[tuple[int, str]] = frozenset(),
 ) -> int:
-    """End as `lost` all open triggers of sessions other than `live_session`; return how many these were."""
+    """End as `lost` all open triggers of sessions other than `live_session`; return how many these were.
+
+    `but` are left open, by session and bundle: they are measured yet.
+    """
     with transaction(connection):
         rows = connection.execute(
-            "SELECT trigger, bundle, info FROM triggers JOIN sessions USING (session)"
+            "SELECT trigger, session, bundle, info FROM triggers JOIN sessions USING (session)"
             " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
             (live_session,),
         ).fetchall()
-        for trigger, bundle, info_text in rows:
+        lost = [row for row in rows if row[1:3] not in but]
+        for trigger, _, bundle, info_text in lost:
             info = json.loads(info_text)
             record = lost_record(
                 None,
@@ -112,7 +140,7 @@ def lose_open(
                 is_simulated=info.get("is_simulated"),
             )
             _end(connection, particles_dir, trigger, record, {})
-    return len(rows)
+    return len(lost)
 
 
 def _record_late(connection: sqlite3.Connection, session: int, bundle: str, record: Mapping[str, Any]) -> int:
@@ -149,7 +177,7 @@ def _end(
         "UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq, instance_id"
     ).fetchone()
     name = particle_id(instance_id, seq)
-    keep_files(particles_dir / name, files)
+    kept = keep_files(particles_dir / name, files)
     identity = {
         "seq": seq,
         "id": name,
@@ -160,7 +188,7 @@ def _end(
         "captured_at": captured_at,
         "recorded_at": utc_now(),
         # relative to the state directory, and likewise to the base path of the REST interface
-        "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in files else None,
+        "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in kept else None,
     }
     stored = identity | dict(record) | identity  # first for the order of the keys, last for the values
     connection.execute(

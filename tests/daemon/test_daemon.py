@@ -183,42 +183,6 @@ def test_a_killed_worker_costs_one_retry_and_no_stone(
         assert daemon.stop() == 0
 
 
-def test_after_a_kill_of_the_daemon_open_triggers_are_lost_and_the_feed_goes_on(
-    recording: Path, tmp_path: Path
-):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
-        daemon.hear("READY=1")
-        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
-        workers = daemon.worker_pids()
-        daemon.signal_workers(signal.SIGSTOP)
-        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 2)  # one may just have been measured
-        daemon.process.kill()
-        daemon.process.wait()
-        for pid in workers:
-            os.kill(pid, signal.SIGCONT)
-        wait_until_gone(workers)
-    before = accounting_in(tmp_path)
-    assert before.is_balanced
-    assert before.in_progress >= 1
-    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
-        daemon.hear("READY=1")
-        daemon.wait_for("/accounting", lambda now: now["measured"] == before.measured + N_STONES)
-        results = daemon.results()
-        assert seqs(results) == list(range(1, len(results) + 1))
-        lost = [result for result in results if result["outcome"] == "lost"]
-        assert len(lost) == before.in_progress
-        assert {result["reason"] for result in lost} == {"crash"}
-        assert daemon.get("/accounting")["triggers"] == len(results) == before.triggers + N_STONES
-        assert daemon.stop() == 0
-
-
-def wait_until_gone(pids: list[int]) -> None:
-    deadline = time.monotonic() + 10
-    while any(is_running(pid) for pid in pids):
-        assert time.monotonic() < deadline, "workers outlive the daemon"
-        time.sleep(0.01)
-
-
 def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 
 from drivers.factory import Devices
-from pipeline.frames import CameraId, FrameBundle, Trigger
+from pipeline.frames import CameraId, FrameBundle, GateCount, Trigger
 from service.acquisition.acquisition import Acquisition
 from service.bundling.parameters import BundlingParameters
 from service.status import AcquisitionState, AcquisitionTarget
@@ -24,6 +24,7 @@ class AcquisitionBench:
         self.devices = devices
         self.told: list[tuple[str, str]] = []
         self.n_records = 0
+        self.gate_counts: list[GateCount | None] = []
         self.bundles: list[FrameBundle] = []
         self.states: list[AcquisitionState] = []
         self.store_trouble: str | None = None
@@ -44,7 +45,13 @@ class AcquisitionBench:
             store_trouble=lambda: self.store_trouble,
         )
 
-    async def record_triggers(self, session: int, triggers: Mapping[str, Trigger]) -> None:
+    async def forget_gate_count(self, session: int) -> None:
+        self.gate_counts.append(None)
+
+    async def record_triggers(
+        self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
+    ) -> None:
+        self.gate_counts.append(gate_count)
         await asyncio.sleep(0)
         self.n_records += 1
         for bundle, trigger in triggers.items():

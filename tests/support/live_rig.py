@@ -63,6 +63,7 @@ def simulated_rig(
     is_looping: bool = True,
     sight_ms: float = SIGHT_MS,
     number: int = 0,
+    only_stones: bool = False,
 ) -> Iterator[SimulatedRig]:
     """The belt stands until it is started."""
     design = RigDesign(
@@ -70,6 +71,7 @@ def simulated_rig(
         first_address=own_address(number),
         rate_hz=rate_hz,
         is_looping=is_looping,
+        only_stones=only_stones,
         sight_ms=sight_ms,
     )
     with SimulatedRig(design, open_recording(recording)) as rig:

@@ -12,6 +12,7 @@ from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob
 from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, NetworkUse, RigFile
 from service.processing.processing import Processing, ProcessingContext
+from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 
 RIG = RigFile(Path("rig.json"), "rig")
@@ -60,9 +61,9 @@ class ScriptedPool:
         if name in self.failures:
             raise self.failures[name]
         if isinstance(job, LearnJob):
-            job.out_path.mkdir()
+            job.out_path.mkdir(parents=True)
             return {}
-        job.out_dir.mkdir()
+        job.out_dir.mkdir(parents=True)
         (job.out_dir / "mesh.ply").write_text(name)
         (job.out_dir / "mesh.ply.tmp").touch()
         record = {
@@ -88,7 +89,7 @@ class ListStore:
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
     ) -> int:
         assert record["bundle"] == bundle
-        self.records.append({**record, "files": dict(files or {})})
+        self.records.append({**record, "session": session, "files": dict(files or {})})
         return len(self.records)
 
 
@@ -120,6 +121,7 @@ class Bench:
         self.store = ListStore()
         self.progress = 0
         self.folder = folder
+        self.quarantine = Quarantine(folder.parent / "quarantine")
         context = ProcessingContext(
             session=1,
             camera_ids=(CameraId("c01"),),
@@ -133,6 +135,7 @@ class Bench:
             pool=pool,
             results=self.store,
             calibration=desk or Desk(),
+            quarantine=self.quarantine,
             on_progress=self.on_progress,
         )
 

@@ -15,7 +15,7 @@ from drivers.gates.gate_protocol import Edge, Identity, encode
 from drivers.gates.gate_thread import port_problem
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored, TriggersLost
-from pipeline.frames import BundleKind, Trigger
+from pipeline.frames import BundleKind, GateCount, Trigger
 
 
 @pytest.fixture
@@ -149,6 +149,82 @@ def test_unplugged_and_plugged_in_again_it_knows_what_it_missed(
     assert isinstance(trigger, Trigger)
     assert trigger.sequence == 6
     assert [type(event) for event in sink.events] == [Trigger, GateLost]
+
+
+def last_count(device: PtyGate, gate: SerialGate) -> GateCount:
+    """Let a stone fall, and return what the driver's process knows of the gate when it is killed after it."""
+    gate.open()
+    gate.arm(sink := Collector())
+    device.edge()
+    trigger = sink.next()
+    gate.close()
+    assert isinstance(trigger, Trigger)
+    assert trigger.gate_count is not None
+    return trigger.gate_count
+
+
+@pytest.mark.parametrize(("n_known", "n_missed"), [(0, 3), (1, 2), (3, 0), (4, 0)])
+def test_the_next_process_knows_what_fell_while_none_listened(
+    device: PtyGate, settings: SerialGateSettings, n_known: int, n_missed: int
+) -> None:
+    count = last_count(device, SerialGate(settings))
+    for _ in range(3):
+        device.edge()
+    successor = SerialGate(settings)
+    try:
+        successor.resume(count, n_known)
+        successor.open()
+        successor.arm(sink := Collector())
+        device.edge()
+        events = [sink.next() for _ in range(1 + (n_missed > 0))]
+        assert isinstance(events[-1], Trigger)
+        assert events[-1].sequence == device.last_sequence
+        for event in events[:-1]:
+            assert isinstance(event, TriggersLost)
+            assert (event.count, event.while_down) == (n_missed, True)
+        successor.disarm()
+        device.edge()
+        successor.arm(later := Collector())
+        device.edge()
+        assert isinstance(later.next(), Trigger)  # it owes nothing any more
+    finally:
+        successor.close()
+
+
+def test_of_another_gate_nothing_is_known(device: PtyGate, settings: SerialGateSettings) -> None:
+    count = last_count(device, SerialGate(settings))
+    for _ in range(3):
+        device.edge()
+    successor = SerialGate(settings)
+    try:
+        successor.resume(replace(count, gate="other,1,1"), 0)
+        successor.open()
+        successor.arm(sink := Collector())
+        device.edge()
+        assert isinstance(sink.next(), Trigger)
+    finally:
+        successor.close()
+
+
+def test_of_a_gate_without_power_meanwhile_the_next_process_knows_what_it_counted_since(
+    device: PtyGate, settings: SerialGateSettings
+) -> None:
+    for _ in range(5):
+        device.edge()
+    count = last_count(device, SerialGate(settings))
+    device.restart()
+    for _ in range(2):
+        device.edge()
+    successor = SerialGate(settings)
+    try:
+        successor.resume(count, 0)
+        successor.open()
+        successor.arm(sink := Collector())
+        lost = sink.next()
+        assert isinstance(lost, TriggersLost)
+        assert (lost.count, lost.while_down) == (2, True)
+    finally:
+        successor.close()
 
 
 def test_a_disarmed_gate_owes_nothing(device: PtyGate, gate: SerialGate, sink: Collector) -> None:

@@ -8,7 +8,7 @@ from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
 
 from drivers.factory import Devices
 from drivers.interfaces import CameraLost, CameraVitals, EventSink, TriggersLost
-from pipeline.frames import BundleKind, CameraId, Frame, Trigger
+from pipeline.frames import BundleKind, CameraId, Frame, GateCount, Trigger
 from service.status import AcquisitionState, AcquisitionTarget
 
 
@@ -117,3 +117,31 @@ async def test_what_only_the_counter_saw_is_recorded_at_once():
         await bench.until(lambda: len(bench.bundles) == 500)
     assert bench.n_records == 1
     assert len({name for kind, name in bench.told if kind == "trigger"}) == 500
+
+
+async def test_the_gates_count_is_noted_when_everything_before_it_is_recorded():
+    bench = HandBench()
+    counts = [GateCount(gate="a,b,1", sequence=n, device_us=n) for n in (1, 5, 6)]
+    async with armed(bench):
+        sink = bench.gate.sink
+        assert sink is not None
+
+        def fall(count: GateCount) -> None:
+            sink.deliver(
+                Trigger(
+                    sequence=count.sequence, received_ns=bench.now_ns, device_ns=0, utc=UTC, gate_count=count
+                )
+            )
+
+        fall(counts[0])
+        await bench.until(lambda: bench.n_records == 1)
+        bench.now_ns += 10 * DELAY_NS
+        sink.deliver(TriggersLost(received_ns=bench.now_ns, count=3, reason="gap"))
+        fall(counts[1])
+        await bench.until(lambda: bench.n_records == 2)
+        bench.now_ns += 10 * DELAY_NS
+        await bench.until(lambda: bench.n_records == 3)  # those of the gap
+        fall(counts[2])
+        await bench.until(lambda: bench.n_records == 4)
+        assert bench.gate_counts == [counts[0], None, None, counts[2]]
+    assert bench.gate_counts[4:] == [None]  # disarmed: nothing is missed

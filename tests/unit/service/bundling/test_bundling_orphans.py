@@ -140,6 +140,18 @@ def test_what_only_the_counter_of_the_gate_knows_is_a_bundle_without_frames() ->
     assert assembler.counters.triggers == 4 == assembler.counters.complete + assembler.counters.incomplete
 
 
+def test_what_fell_while_no_daemon_ran_says_so_unless_the_cameras_saw_it() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [frame(camera, 0, DELAY_NS) for camera in CAMERAS])  # armed before the gate
+    gap = TriggersLost(received_ns=1000 * MS, count=3, reason="gap", while_down=True)
+    feed_all(assembler, [gap])
+    assert assembler.has_gap
+    bundles = assembler.advance(1000 * MS + DELAY_NS + WINDOW_NS + DELIVERY_NS)
+    assert not assembler.has_gap
+    assert [set(bundle.missing.values()) for bundle in bundles] == [{"down"}, {"down"}]
+    assert (assembler.counters.orphans, assembler.counters.unseen) == (1, 2)
+
+
 def test_a_flood_of_late_frames_makes_no_stone_of_its_own() -> None:
     assembler = BundleAssembler(CAMERAS, PARAMETERS)
     feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS, device_ns=1) for camera in CAMERAS)])

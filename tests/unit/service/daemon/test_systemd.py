@@ -2,6 +2,7 @@ import asyncio
 import logging
 import os
 import resource
+import shlex
 import shutil
 import socket
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from service.daemon.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
+from service.processing.left_bundles import MAX_DEATHS
 
 UNIT = Path(__file__).parents[4] / "systemd/stonefall.service"
 
@@ -129,12 +131,51 @@ def test_the_unit_is_valid_and_hardened(tmp_path: Path):
     unit = tmp_path / UNIT.name
     # the release folder exists on the plant's machine only
     unit.write_text(UNIT.read_text().replace("/opt/stonefall/current/bin/stonefall", "/bin/true"))
+    alarm = tmp_path / "stonefall-alarm.service"
+    shutil.copyfile(UNIT.with_name(alarm.name), alarm)
+    drop_in = tmp_path / f"{UNIT.name}.d/networks.conf"
+    drop_in.parent.mkdir()
+    shutil.copyfile(UNIT.with_name("stonefall-networks.conf"), drop_in)
     analyze = systemd_tool("systemd-analyze")
-    verified = subprocess.run([analyze, "verify", unit], capture_output=True, text=True)
+    verified = subprocess.run([analyze, "verify", unit, alarm], capture_output=True, text=True)
     assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
     subprocess.run(
         [analyze, "security", "--offline=true", "--threshold=20", unit], check=True, capture_output=True
     )
+
+
+def settings_of(path: Path) -> dict[str, str]:
+    """Return the settings of a unit; of those given twice the last."""
+    return dict(
+        line.split("=", 1) for line in path.read_text().splitlines() if "=" in line and line[0] != "#"
+    )
+
+
+def test_the_unit_keeps_the_spool_bounds_memory_and_lets_nothing_out():
+    unit = settings_of(UNIT)
+    assert unit["RuntimeDirectoryPreserve"] == "restart"
+    assert unit["MemoryMax"].endswith("G")
+    assert unit["OOMPolicy"] == "continue"
+    assert (unit["IPAddressDeny"], unit["IPAddressAllow"]) == ("any", "localhost")
+    assert UNIT.with_name(unit["OnFailure"]).exists()
+    # the daemon that gives a bundle up, after it ended so many others, must still be started
+    assert int(unit["StartLimitBurst"]) > MAX_DEATHS
+
+
+def test_when_systemd_gives_up_a_line_says_so(tmp_path: Path):
+    command = settings_of(UNIT.with_name("stonefall-alarm.service"))["ExecStart"]
+    shell, option, script = shlex.split(command.replace("$$", "$").replace("%%", "%"))
+    environment = {
+        "STATE_DIRECTORY": str(tmp_path),
+        "MONITOR_UNIT": "stonefall.service",
+        "MONITOR_SERVICE_RESULT": "exit-code",
+        "MONITOR_EXIT_STATUS": "1",
+    }
+    for _ in range(2):
+        subprocess.run([shell, option, script], check=True, env=os.environ | environment)
+    lines = (tmp_path / "alarm.txt").read_text().splitlines()
+    assert len(lines) == 2
+    assert lines[0].partition(" ")[2].startswith("stonefall.service failed (exit-code, status 1)")
 
 
 def test_account_and_folders_are_made_as_the_unit_expects(tmp_path: Path):

@@ -1,5 +1,7 @@
 import asyncio
+import shutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from pipeline.frames import BundleKind
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.processing.background_versions import N_AWAITED, N_BESIDE
+from service.processing.left_bundles import LeftBundle
 from service.processing.measure_job import LearnJob, RigFile
 from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
@@ -44,10 +47,10 @@ async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tm
     await bench.processing.run()
     assert bench.processing.has_background
     learnt = [job for job in bench.pool.jobs if isinstance(job, LearnJob)]
-    assert [job.previous_path for job in learnt] == [None, learnt[0].out_path]
+    assert [job.previous_path for job in learnt] == [None, complete(learnt[0])]
     used = {record["bundle"]: record["background"] for record in bench.store.records}
-    assert used == {"a": None, "b": learnt[0].out_path, "c": learnt[1].out_path, "d": learnt[1].out_path}
-    assert list_names(tmp_path) == [learnt[1].out_path.name]
+    assert used == {"a": None, "b": complete(learnt[0]), "c": complete(learnt[1]), "d": complete(learnt[1])}
+    assert list_names(tmp_path) == [complete(learnt[1]).name]
 
 
 async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Path):
@@ -74,7 +77,7 @@ async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Pat
     pool.gates[empty[-1].name].set()
     pool.gates["z"].set()
     await run
-    learnt = [job.out_path for job in pool.jobs if isinstance(job, LearnJob)]
+    learnt = [complete(job) for job in pool.jobs if isinstance(job, LearnJob)]
     used = [record["background"] for record in bench.store.records]
     assert used == [learnt[-3]] * (1 + N_BESIDE) + [learnt[-2]] * 3
     assert [job.previous_path for job in pool.jobs if isinstance(job, LearnJob)] == [None, *learnt[:-1]]
@@ -214,6 +217,64 @@ async def test_drops_are_collected_in_order_and_stones_are_not(tmp_path: Path):
         "has no pages",
     ]
     assert list_names(tmp_path) == []
+
+
+def complete(job: LearnJob) -> Path:
+    """The name of what the job has learnt, once it is complete."""
+    return job.out_path.with_name(job.out_path.name.replace("learning", "background"))
+
+
+async def test_what_an_earlier_session_left_ends_there_with_the_background_of_then(tmp_path: Path):
+    left, other = (
+        replace(
+            turn(name),
+            left=LeftBundle(
+                session=7,
+                trigger=turn(name).trigger,
+                name=name,
+                path=Path(f"{name}.tiff"),
+                background=background,
+            ),
+        )
+        for name, background in (("left", tmp_path / "then"), ("other", None))
+    )
+    desk = Desk(kind=BundleKind.PARTICLE)
+    bench = Bench(
+        tmp_path, [left, other, turn("e", kind=BundleKind.BACKGROUND), turn("a")], ScriptedPool(), desk
+    )
+    await bench.processing.run()
+    used = {record["bundle"]: (record["session"], record["background"]) for record in bench.store.records}
+    (learnt,) = (job for job in bench.pool.jobs if isinstance(job, LearnJob))
+    assert used == {"left": (7, tmp_path / "then"), "other": (7, None), "a": (1, complete(learnt))}
+    assert [bundle for _, bundle, _ in desk.collected] == ["a"]  # nobody waits for drops of then
+
+
+async def test_a_bundle_that_no_worker_survives_is_kept_and_nothing_else(tmp_path: Path):
+    failures = {name: JobLostError("worker_crash", "") for name in ("b", "e")}
+    bundles = [turn("a"), turn("b"), turn("e", kind=BundleKind.BACKGROUND), turn("c")]
+    bench = Bench(tmp_path / "spool", bundles, ScriptedPool(failures))
+    (tmp_path / "spool").mkdir()
+    for bundle in bundles:
+        (tmp_path / f"{bundle.name}.tiff").touch()
+    bench.spool.bundles = [replace(each, content=tmp_path / f"{each.name}.tiff") for each in bundles]
+    await bench.processing.run()
+    assert bench.outcomes == [("a", None), ("b", "worker_crash"), ("c", None)]
+    assert bench.quarantine.bundles() == ["1-b.tiff"]
+
+
+async def test_a_deleted_spool_costs_the_background_and_not_the_daemon(tmp_path: Path):
+    folder = tmp_path / "spool"
+    folder.mkdir()
+    empty = BundleKind.BACKGROUND
+    bundles = [turn("e1", kind=empty), turn("a"), turn("b"), turn("c"), turn("e2", kind=empty), turn("d")]
+    bench = Bench(folder, bundles, ScriptedPool())
+    bench.spool.on_take = lambda name: name == "b" and shutil.rmtree(folder)
+    await bench.processing.run()
+    assert [name for name, _ in bench.outcomes] == ["a", "b", "c", "d"]
+    *_, d = bench.store.records
+    learnt = [job for job in bench.pool.jobs if isinstance(job, LearnJob)]
+    assert [job.previous_path for job in learnt] == [None, None]
+    assert d["background"] == complete(learnt[1])
 
 
 def list_names(folder: Path) -> list[str]:

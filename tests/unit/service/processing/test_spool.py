@@ -1,7 +1,9 @@
 import asyncio
+import shutil
 import threading
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.bundling.window import MissingReason
 from service.processing import spool as spool_module
 from service.processing.bundle_files import SPARE_FILES, BundleFiles
 from service.processing.spool import Loss, Spool, SpooledBundle
@@ -76,6 +79,7 @@ async def test_when_full_whole_bundles_are_lost_in_their_place(tmp_path: Path):
     assert isinstance(lost, Loss)
     assert lost.reason == "queue_full"
     assert spool.overflows == 1
+    assert spool.trouble == "1 stones lost since the start (2 bundles were waiting)"
     for bundle in rest:
         await spool.release(bundle)
     assert spool.n_queued == 0
@@ -161,6 +165,15 @@ async def test_a_bundle_without_any_frame_is_lost_and_takes_no_room(tmp_path: Pa
     assert isinstance(second.content, Path)
 
 
+async def test_a_bundle_of_a_stone_that_fell_while_no_daemon_ran_says_so(tmp_path: Path):
+    spool = Spool(BundleFiles(tmp_path), max_bundles=1, camera_ids=CAMERAS)
+    async with writing(spool):
+        spool.offer(replace(bundle_of(1, cameras=()), missing=dict.fromkeys(CAMERAS, MissingReason.DOWN)))
+    (bundle,) = await take_all(spool)
+    assert isinstance(bundle.content, Loss)
+    assert bundle.content.reason == "down"
+
+
 async def test_equal_sequences_do_not_overwrite_each_other(tmp_path: Path):
     spool = Spool(BundleFiles(tmp_path), max_bundles=2, camera_ids=CAMERAS)
     async with writing(spool):
@@ -170,16 +183,37 @@ async def test_equal_sequences_do_not_overwrite_each_other(tmp_path: Path):
     assert len(file_names(tmp_path)) == 2
 
 
+async def test_a_deleted_folder_is_made_anew_and_costs_no_bundle_after_it(tmp_path: Path):
+    folder = tmp_path / "7"
+    spool = Spool(BundleFiles(folder), max_bundles=20, camera_ids=CAMERAS)
+    assert spool.trouble is None
+    async with writing(spool):
+        for first in (1, 11):
+            for sequence in range(first, first + 10):
+                spool.offer(bundle_of(sequence))
+            for _ in range(10):
+                bundle = await spool.take()
+                assert bundle is not None
+                assert isinstance(bundle.content, Path)
+                await asyncio.to_thread(read_bundle, bundle.content, CAMERAS)
+                await spool.release(bundle)
+            await asyncio.to_thread(shutil.rmtree, folder)
+    assert spool.overflows == 0
+    assert spool.trouble == "its folder was deleted, and made anew"
+
+
 async def test_a_spool_that_cannot_be_written_loses_bundles_not_the_daemon(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
+    (tmp_path / "gone").touch()
     spool = Spool(BundleFiles(tmp_path / "gone"), max_bundles=1, camera_ids=CAMERAS)
     async with writing(spool):
         spool.offer(bundle_of(1))
     (bundle,) = await take_all(spool)
     assert isinstance(bundle.content, Loss)
     assert bundle.content.reason == "queue_full"
-    assert "No such file" in bundle.content.detail
+    assert "Not a directory" in bundle.content.detail
+    assert spool.trouble == "1 stones lost since the start (spool: Not a directory)"
     assert spool.n_queued == 0
     assert "cannot be written" in caplog.text
 

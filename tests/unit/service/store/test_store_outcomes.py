@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.rest import add, measured, particle_files, rejected, trigger
 
-from pipeline.frames import BundleKind, rfc3339
+from pipeline.frames import BundleKind, GateCount, rfc3339
 from service.errors import StoreError
 from service.results.fields import Result
 from service.results.version import ALGORITHM_VERSION
@@ -58,13 +58,62 @@ async def test_a_failed_write_changes_nothing_and_can_be_repeated(
     store: Store, session: int, state_dir: Path, tmp_path: Path
 ) -> None:
     files = particle_files(tmp_path / "out")
-    with pytest.raises(StoreError, match=r"gone\.tiff"):
-        await add(store, session, 1, measured(), {**files, "bundle.tiff": tmp_path / "gone.tiff"})
+    with pytest.raises(StoreError, match="CHECK constraint failed"):
+        await add(store, session, 1, {**measured(), "outcome": "odd"}, files)
     assert await seqs(store) == []
     assert (await store.accounting()).in_progress == 1
     assert await store.finish(session, "00000001", measured(), files) == 1
     (folder,) = (state_dir / "particles").iterdir()
     assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes.tiff"]
+
+
+async def test_a_file_that_was_deleted_is_left_out_of_its_result(
+    store: Store, session: int, state_dir: Path, tmp_path: Path
+) -> None:
+    files = particle_files(tmp_path / "out")
+    await asyncio.to_thread(files["mesh.ply"].unlink)
+    await add(store, session, 1, measured(), files)
+    (folder,) = (state_dir / "particles").iterdir()
+    assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "silhouettes.tiff"]
+    record = await store.particle(1)
+    assert record is not None
+    assert (record["outcome"], record["mesh"]) == ("measured", None)
+
+
+async def test_the_count_of_the_gate_is_that_of_the_newest_session_that_knows_one(state_dir: Path) -> None:
+    first, second = (GateCount(gate="a,b,1", sequence=n, device_us=1000 * n) for n in (7, 9))
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        assert await store.gate_count() is None
+        await store.record_triggers(session, {"a": trigger(7)}, first)
+        assert await store.gate_count() == (first, 0)
+        await store.record_triggers(session, {"b": trigger(8), "c": trigger(8)})  # not announced
+        assert await store.gate_count() == (first, 2)
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})  # killed before it heard of the gate
+        session = await store.begin_session({})
+        assert await store.gate_count() == (first, 2)
+        await store.record_triggers(session, {"a": trigger(9)}, second)
+        assert await store.gate_count() == (second, 0)
+        await store.forget_gate_count(session)
+        assert await store.gate_count() is None
+        session = await store.begin_session({})
+        assert await store.gate_count() is None
+
+
+async def test_triggers_that_are_measured_yet_stay_open(state_dir: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        old = await store.begin_session({})
+        await store.record_triggers(old, {name: trigger(1) for name in ("b", "a", "c")})
+        new = await store.begin_session({})
+        await store.record_triggers(new, {"a": trigger(1)})
+        assert await store.open_triggers() == [(old, "b"), (old, "a"), (old, "c")]
+        assert await store.lose_open("crash", "killed", but={(old, "a")}) == 2
+        assert await store.open_triggers() == [(old, "a")]
+        await store.finish(old, "a", measured())
+        assert await store.open_triggers() == []
+        counts = await store.accounting(old)
+        assert (counts.measured, counts.lost) == (1, 2)
 
 
 async def add_raw(store: Store, session: int, sequence: int, folder: Path) -> int:

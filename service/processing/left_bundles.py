@@ -1,0 +1,165 @@
+"""Take over the bundles that a killed daemon left on tmpfs, so that the next one measures them, once.
+
+Each session has a folder of its own, because names of bundles repeat. The next session moves into its own what is
+worth it, by renaming: complete bundles whose trigger has no outcome yet, as `left-<session>-<deaths>-<file>.tiff`, and
+the newest background of each session, which they are measured with. Everything else in there goes. A daemon that is
+killed meanwhile leaves either the old name or the new one.
+
+`deaths` counts the daemons that ended while a worker had the bundle: the folder of its job is there. After
+`MAX_DEATHS` it is not measured again, or one bundle could end every daemon for ever.
+"""
+
+import logging
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from drivers.errors import RecordingError
+from drivers.files.recording import read_bundle
+from drivers.interfaces import FrameLossReason
+from pipeline.frames import BundleKind, CameraId, Trigger
+from service.processing.quarantine import Quarantine
+
+log = logging.getLogger(__name__)
+
+MAX_DEATHS = 3
+"""Daemons that may end over a bundle; systemd starts the fifth one at most."""
+PREFIX = "left-"
+JOB = "job-"
+"""Before a bundle's name in the name of its job's folder, which a worker creates when it begins."""
+BACKGROUND = "background-"
+"""Begins the name of a complete background model's folder; those of a session are in the order of their names."""
+
+OpenTrigger = tuple[int, str]
+"""A trigger without an outcome: its session, and the name of its bundle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftBundle:
+    """A complete bundle of an earlier session, in the folder of this one."""
+
+    session: int
+    trigger: Trigger
+    name: str
+    path: Path
+    background: Path | None  # the newest that its session had learnt
+
+
+class _Name(NamedTuple):
+    """What the name of a file says, in the folder of a session."""
+
+    session: int
+    deaths: int
+    file: str
+
+    @classmethod
+    def read(cls, stem: str, session: int) -> Self:
+        if not stem.startswith(PREFIX):
+            return cls(session, 0, stem)
+        left_by, deaths, file = stem.removeprefix(PREFIX).split("-", 2)
+        return cls(int(left_by), int(deaths), file)
+
+    def __str__(self) -> str:
+        return f"{PREFIX}{self.session}-{self.deaths}-{self.file}"
+
+
+def take_over(
+    folder: Path,
+    session: int,
+    open_triggers: Sequence[OpenTrigger],
+    camera_ids: Sequence[CameraId],
+    quarantine: Quarantine,
+) -> list[LeftBundle]:
+    """Create the session's folder in `folder`, and return the bundles taken over, in the order of `open_triggers`."""
+    own = folder / str(session)
+    shutil.rmtree(own, ignore_errors=True)  # of a store that was rolled back since
+    own.mkdir(parents=True)
+    order = {trigger: place for place, trigger in enumerate(open_triggers)}
+    taken: dict[int, LeftBundle] = {}
+    for other in sorted(folder.iterdir()):
+        if other == own:
+            continue
+        if other.name.isdecimal():
+            _take_backgrounds(other, own)
+            for path in sorted(other.glob("*.tiff")):
+                bundle = _taken(path, own, order, camera_ids, quarantine)
+                if bundle is not None:
+                    taken[order[bundle.session, bundle.name]] = bundle
+        _remove(other)
+    left = [taken[place] for place in sorted(taken)]
+    if not left:
+        remove_backgrounds(own)
+    return left
+
+
+def is_left(path: Path) -> bool:
+    """Return whether a file is one of an earlier session."""
+    return path.name.startswith(PREFIX)
+
+
+def job_folder(path: Path) -> str:
+    """Return the name of the folder that the worker of a bundle's file writes to."""
+    return JOB + path.stem
+
+
+def remove_backgrounds(own: Path) -> None:
+    """Remove the backgrounds of earlier sessions, when nothing is left to be measured with them."""
+    for path in own.glob(f"{PREFIX}*-{BACKGROUND.rstrip('-')}"):
+        _remove(path)
+
+
+def _taken(
+    path: Path,
+    own: Path,
+    order: dict[OpenTrigger, int],
+    camera_ids: Sequence[CameraId],
+    quarantine: Quarantine,
+) -> LeftBundle | None:
+    """Move a bundle into the folder of this session; return None if it is not to be measured."""
+    try:
+        name = _Name.read(path.stem, int(path.parent.name))
+        bundle = read_bundle(path, camera_ids)
+    except (RecordingError, ValueError) as err:
+        log.warning("a bundle of an earlier session cannot be read: %s", err)
+        return None
+    if bundle.kind is BundleKind.BACKGROUND or (name.session, bundle.name) not in order:
+        return None
+    if FrameLossReason.DAMAGED in bundle.missing.values():
+        log.warning(
+            "a bundle of an earlier session is incomplete session=%d bundle=%s", name.session, bundle.name
+        )
+        return None
+    name = name._replace(deaths=name.deaths + (path.parent / job_folder(path)).exists())
+    if name.deaths >= MAX_DEATHS:
+        log.error(
+            "%d daemons ended over a bundle session=%d bundle=%s", name.deaths, name.session, bundle.name
+        )
+        quarantine.keep(path, name.session, bundle.name)
+        return None
+    background = own / f"{PREFIX}{name.session}-{BACKGROUND.rstrip('-')}"
+    return LeftBundle(
+        session=name.session,
+        trigger=bundle.trigger,
+        name=bundle.name,
+        path=path.rename(own / f"{name}.tiff"),
+        background=background if background.exists() else None,
+    )
+
+
+def _take_backgrounds(other: Path, own: Path) -> None:
+    """Move the newest background that a session learnt, and those that it had taken over itself."""
+    learnt = sorted(other.glob(f"{BACKGROUND}*"))[-1:]
+    taken = [own / f"{PREFIX}{other.name}-{BACKGROUND.rstrip('-')}" for _ in learnt]
+    earlier = list(other.glob(f"{PREFIX}*-{BACKGROUND.rstrip('-')}"))
+    for path, target in [*zip(learnt, taken, strict=True), *((path, own / path.name) for path in earlier)]:
+        if not target.exists():
+            path.rename(target)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,151 @@
+"""The real process killed, its workers killed, its folder on tmpfs deleted: what it costs, and who is told."""
+
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.daemon_process import DaemonProcess, descendants_of, is_running
+from support.eventually import eventually
+from support.left_in_spool import open_triggers, whole_bundles
+from support.small_recording import write_small_recording
+
+from drivers.files.recording import read_bundle
+from pipeline.frames import CameraId
+
+LOOP = "loop = true\nspeed = 2.0"
+CAMERAS = tuple(CameraId(f"c{number:02d}") for number in range(1, 17))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("crash") / "recording"
+    write_small_recording(path, n_stones=6)
+    return path
+
+
+def kill(daemon: DaemonProcess) -> None:
+    """Kill the daemon, and see its workers end."""
+    workers = daemon.worker_pids()
+    daemon.process.kill()
+    daemon.process.wait()
+    for pid in workers:  # some may be stopped
+        os.kill(pid, signal.SIGCONT)
+    eventually(lambda: not any(is_running(pid) for pid in workers))
+
+
+def outcome_of(results: list[dict[str, Any]]) -> dict[tuple[int, str], dict[str, Any]]:
+    """Return the results by session and bundle, of which none may be there twice."""
+    found = {(result["session"], result["bundle"]): result for result in results}
+    assert len(found) == len(results)
+    return found
+
+
+def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
+    recording: Path, tmp_path: Path
+) -> None:
+    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        daemon.signal_workers(signal.SIGSTOP)
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 4)
+        kill(daemon)
+    left = open_triggers(tmp_path)
+    there = {name for _, name in whole_bundles(tmp_path, CAMERAS)}
+    assert len(there) >= 2
+    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:  # killed while it makes up for it
+        daemon.hear("WATCHDOG=1")
+        daemon.wait_for("/accounting?session=1", lambda now: now["in_progress"] < len(there))
+        kill(daemon)
+    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+        results = outcome_of(daemon.results())
+        assert daemon.stop() == 0
+    assert open_triggers(tmp_path) == []
+    for session, name in left:
+        result = results[session, name]
+        expected = ("measured", None) if name in there else ("lost", "crash")
+        assert (result["outcome"], result["reason"]) == expected, result["detail"]
+    twins = [result for result in results.values() if result["session"] == 3 and result["sieve_size_mm"]]
+    for name in there:  # as the same stone is measured without a crash
+        seen = results[1, name]
+        stone = name.split("-", 1)[0]
+        assert any(abs(twin["sieve_size_mm"] - seen["sieve_size_mm"]) < 0.05 for twin in twins), stone
+    assert list((tmp_path / "spool").iterdir()) == []
+
+
+def test_a_bundle_that_kills_its_workers_is_kept_and_named(recording: Path, tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        for _ in range(2):
+            daemon.wait_for("/accounting", lambda _: bool(list((tmp_path / "spool").glob("*/*/job-*"))))
+            daemon.signal_workers(signal.SIGSTOP)
+            (job,) = (tmp_path / "spool").glob("*/*/job-*")
+            shutil.rmtree(job)  # it comes again with the next attempt
+            daemon.signal_workers(signal.SIGSEGV)
+            daemon.signal_workers(signal.SIGCONT)
+        daemon.wait_for("/accounting", lambda now: "worker_crash" in now["by_reason"])
+        (lost,) = [result for result in daemon.results() if result["reason"] == "worker_crash"]
+        name = f"{lost['session']}-{lost['bundle']}.tiff"
+        check = daemon.get("/health")["checks"]["quarantine"]
+        assert (check["status"], check["detail"]) == ("warn", f"no worker survived {name}")
+        assert read_bundle(tmp_path / "state/quarantine" / name, CAMERAS).name == lost["bundle"]
+        measured = daemon.get("/accounting")["measured"]
+        daemon.wait_for("/accounting", lambda now: now["measured"] > measured)
+        assert daemon.stop() == 0
+
+
+@pytest.mark.parametrize("is_deleted", [True, False], ids=["spool", "fork server"])
+def test_what_is_taken_from_a_running_daemon_comes_back(
+    is_deleted: bool, recording: Path, tmp_path: Path
+) -> None:
+    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=2) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        take_away: Callable[[], None] = (
+            (lambda: delete(tmp_path / "spool")) if is_deleted else (lambda: kill_fork_server(daemon))
+        )
+        for _ in range(3):
+            measured = daemon.get("/accounting")["measured"]
+            take_away()
+            daemon.wait_for("/accounting", lambda now, before=measured: now["measured"] >= before + 2)
+        check = daemon.get("/health")["checks"]["queue" if is_deleted else "workers"]
+        assert check["status"] == "warn", check
+        assert ("was deleted" if is_deleted else "died") in check["detail"]
+        assert daemon.stop() == 0
+    assert "stood still" not in daemon.log
+
+
+def delete(folder: Path) -> None:
+    eventually(folder.exists)
+    gone = folder.with_name("gone")
+    folder.rename(gone)  # at once: it is written to
+    shutil.rmtree(gone, ignore_errors=True)
+
+
+def kill_fork_server(daemon: DaemonProcess) -> None:
+    """Kill it, and a worker so that it is missed at once."""
+    for pid in descendants_of(daemon.process.pid):
+        command = Path(f"/proc/{pid}/cmdline").read_bytes()
+        if b"forkserver" in command and pid not in daemon.worker_pids():
+            os.kill(pid, signal.SIGKILL)
+
+
+def test_a_full_spool_is_named_after_it_was_full(recording: Path, tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1, max_bundles=2) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        daemon.signal_workers(signal.SIGSTOP)
+        daemon.wait_for("/health", lambda now: "stones lost" in now["checks"]["queue"]["detail"])
+        daemon.signal_workers(signal.SIGCONT)
+        daemon.put("/acquisition", {"state": "disarmed"})
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+        check = daemon.get("/health")["checks"]["queue"]
+        assert (check["status"], check["observed_value"]) == ("warn", 0)
+        assert "stones lost since the start (2 bundles were waiting)" in check["detail"]
+        assert daemon.stop() == 0
