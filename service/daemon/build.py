@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from drivers.factory import build_devices
+from drivers.factory import Devices, build_devices
 from drivers.files.rig_file import read_rig
 from drivers.replay.belt import ReplayBelt
 from pipeline.frames import CameraId, FrameBundle
@@ -60,7 +60,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
     found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
     source = settings.rig.source(devices, found.rig)
-    session = await _begin_session(settings, store, source, found)
+    session = await _begin_session(settings, store, devices, source, found)
     spool_folder = settings.spool.dir / store.instance_id  # daemons with other stores keep theirs
     quarantine = Quarantine(settings.store.dir / "quarantine")
     left = await _take_over(store, session, spool_folder, source.camera_ids, quarantine)
@@ -190,7 +190,7 @@ def _build_pool(settings: Settings, source: RecordingSource, segmentation: Segme
 
 
 async def _begin_session(
-    settings: Settings, store: Store, source: RecordingSource, found: CalibrationsAtStart
+    settings: Settings, store: Store, devices: Devices, source: RecordingSource, found: CalibrationsAtStart
 ) -> int:
     """Begin a session in the store."""
     return await store.begin_session(
@@ -198,6 +198,7 @@ async def _begin_session(
             "calibration_id": found.rig.calibration_id,
             "algorithm_version": ALGORITHM_VERSION,
             "is_simulated": source.is_simulated,
+            "is_replay": source.is_simulated or devices.belt is not None,
             **settings.rig.describe(),
         }
     )

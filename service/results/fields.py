@@ -206,6 +206,9 @@ class Result(BaseModel):
     calibration_id: str | None = Field(default=None, description="Calibration that was measured with")
     algorithm_version: str | None = Field(default=None, description="Changes whenever results may")
     is_simulated: bool | None = Field(default=None, description="True when the images are synthetic")
+    is_replay: bool | None = Field(
+        default=None, description="True when no stone fell: a recording was played, or the rig is simulated"
+    )
 
 
 MEASURED_FIELDS = tuple(
@@ -213,7 +216,7 @@ MEASURED_FIELDS = tuple(
 )
 """Fields that are null unless the outcome is `measured`."""
 
-STORED_FIELDS = ("seq", "id", "session", "recorded_at")
+STORED_FIELDS = ("seq", "id", "session", "recorded_at", "is_replay")
 """Fields that a result gets when it becomes durable; `results.jsonl` lacks them."""
 
 EMPTY: Mapping[str, Any] = {

@@ -19,17 +19,36 @@ from service.results.record import lost_record
 from service.store.particle_files import drop_raw, drop_sources, keep_files, particle_id
 from service.store.schema import transaction
 
+IS_REPLAY = (
+    "coalesce(json_extract(info, '$.is_replay'), json_extract(info, '$.recording') IS NOT NULL"
+    " OR coalesce(json_extract(info, '$.is_simulated'), 0))"
+)
+"""Whether a session's stones did not fall then; sessions from before it was noted tell by their rig."""
 NOTE_EVERY = 100
 """Results between two notes in the database of how far raw frames were removed."""
 
 
 def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> int:
-    """Record the start of a run of the daemon and return its number."""
+    """Record the start of a run of the daemon and return its number.
+
+    Raises
+    ------
+    StoreError
+        It is a replay and the store holds stones that fell, or the other way round.
+    """
     with transaction(connection):
-        (session,) = connection.execute(
-            "INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session",
+        session, is_replay = connection.execute(
+            f"INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session, {IS_REPLAY}",  # noqa: S608 - a constant
             (utc_now(), json.dumps(info, allow_nan=False)),
         ).fetchone()
+        others = connection.execute(
+            f"SELECT 1 FROM sessions WHERE {IS_REPLAY} != ?"  # noqa: S608 - as above
+            " AND EXISTS (SELECT 1 FROM triggers WHERE triggers.session = sessions.session)",
+            (is_replay,),
+        )
+        if others.fetchone() is not None:
+            held, wanted = ("stones that fell", "a replay") if is_replay else ("a replay", "a live rig")
+            raise StoreError(f"the store holds the results of {held}: choose another store.dir for {wanted}")
     return int(session)
 
 
@@ -170,8 +189,10 @@ def _end(
     record: Mapping[str, Any],
     files: Mapping[str, Path],
 ) -> int:
-    session, bundle, sequence, kind, captured_at = connection.execute(
-        "SELECT session, bundle, sequence, kind, captured_at FROM triggers WHERE trigger = ?", (trigger,)
+    session, bundle, sequence, kind, captured_at, is_replay = connection.execute(
+        f"SELECT session, bundle, sequence, kind, captured_at, {IS_REPLAY}"  # noqa: S608 - a constant
+        " FROM triggers JOIN sessions USING (session) WHERE trigger = ?",
+        (trigger,),
     ).fetchone()
     seq, instance_id = connection.execute(
         "UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq, instance_id"
@@ -189,6 +210,7 @@ def _end(
         "recorded_at": utc_now(),
         # relative to the state directory, and likewise to the base path of the REST interface
         "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in kept else None,
+        "is_replay": bool(is_replay),
     }
     stored = identity | dict(record) | identity  # first for the order of the keys, last for the values
     connection.execute(

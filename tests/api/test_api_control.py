@@ -88,7 +88,7 @@ async def test_cameras(client: httpx.AsyncClient, control: FakeControl) -> None:
 async def test_accounting(client: httpx.AsyncClient, store: Store, session: int) -> None:
     await add(store, session, 1, measured())
     await add(store, session, 2, rejected("clipped"))
-    latest = await store.begin_session({})
+    latest = await store.begin_session({"is_replay": True})
     await store.record_triggers(latest, {"open": trigger(3)})
     assert (await client.get("/accounting")).json() == {
         "session": None,

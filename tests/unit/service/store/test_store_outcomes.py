@@ -3,6 +3,7 @@
 import asyncio
 import sqlite3
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -247,7 +248,7 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
             await store.record_triggers(old, {f"{sequence}": trigger(sequence)})
         instance_id = store.instance_id
     with await asyncio.to_thread(open_store, state_dir) as store:
-        new = await store.begin_session({})
+        new = await store.begin_session({"is_replay": True})
         await store.record_triggers(new, {"1": trigger(1)})  # has its life before it
         assert await store.lose_open("worker_crash", "the daemon was killed") == 2
         assert await store.lose_open("worker_crash", "") == 0
@@ -328,3 +329,22 @@ def test_times_are_written_in_one_way() -> None:
     for wrong in ("2026-03-01T00:00:00", "yesterday", "0001-01-01T00:00:00+14:00"):
         with pytest.raises(ValueError, match=r".+"):
             rfc3339(wrong)
+
+
+async def test_results_of_a_replay_are_marked_and_never_beside_those_of_stones_that_fell(
+    state_dir: Path,
+) -> None:
+    for folder, info, other in (
+        ("live", {"cameras": ["c01"]}, {"is_replay": True}),
+        ("replay", {"recording": "/a/recording"}, {"is_replay": False}),
+    ):
+        with closing(open_store(state_dir / folder)) as store:
+            await store.begin_session(other)  # nothing came of it
+            session = await store.begin_session(info)
+            await add(store, session, 1, measured(), {})
+            record = await store.particle(1)
+            assert record is not None
+            assert record["is_replay"] is (folder == "replay")
+            with pytest.raises(StoreError, match=r"choose another store\.dir"):
+                await store.begin_session(other)
+            assert await store.begin_session(info) == session + 1
