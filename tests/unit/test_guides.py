@@ -22,3 +22,12 @@ def test_links_lead_to_files(guide: Path) -> None:
 
 def test_the_front_door_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_tests_that_are_named_exist() -> None:
+    named = set(
+        re.findall(r"`(test_\w+[a-z0-9])`", (ROOT / "tests" / "README.md").read_text(encoding="utf-8"))
+    )
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    assert len(named) > 50
+    assert {name for name in named if f"def {name}(" not in sources} == set()
