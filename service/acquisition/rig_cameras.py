@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 
-import cv2
 import numpy as np
 
 from drivers.errors import LossCause
@@ -211,10 +210,9 @@ class RigCameras:
             _status(name, camera, now_s, self._skew.skew_us(name)) for name, camera in self._cameras.items()
         ]
 
-    async def snapshot(self, name: CameraId) -> bytes | None:
-        """Return a camera's latest frame as PNG, None while there is none."""
-        image = self._cameras[name].image
-        return None if image is None else await asyncio.to_thread(_png, image)
+    def latest_image(self, name: CameraId) -> Image | None:
+        """Return a camera's latest frame, None while there is none."""
+        return self._cameras[name].image
 
     def _report_lost(self, name: CameraId, reason: str, cause: LossCause = LossCause.OTHER) -> None:
         if self._sink is not None:
@@ -275,8 +273,3 @@ def _miss_warnings(camera: _RigCamera) -> tuple[str, ...]:
     if camera.misses < MAX_MISSES:
         return ()
     return (f"answers, but {camera.misses} images in a row could not be used ({camera.last_miss_reason})",)
-
-
-def _png(image: Image) -> bytes:
-    _, encoded = cv2.imencode(".png", image)
-    return encoded.tobytes()

@@ -1,6 +1,5 @@
 """The dependency of every route: what `create_app` was given, kept in the state of the application."""
 
-import asyncio
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -8,7 +7,10 @@ from fastapi import Depends, Request
 
 from service.api.control import Control
 from service.api.key_guesses import KeyGuesses
+from service.api.pace import Pace
+from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
+from service.api.shared_answers import SharedAnswers
 from service.store import Store
 
 
@@ -19,8 +21,11 @@ class ApiContext:
     store: Store
     control: Control
     settings: ApiSettings
-    rendering: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(1))
-    """Meshes and images are converted one at a time: clients must not take the processor from measuring."""
+    reading: Reading
+    """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
+    shared: SharedAnswers = field(default_factory=SharedAnswers)
+    waking: Pace = field(default_factory=Pace)
+    """Long polls are answered one after the other, although a result wakes all of them at once."""
     guesses: KeyGuesses = field(default_factory=KeyGuesses)
 
 

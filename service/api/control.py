@@ -6,7 +6,7 @@ query the devices, and this returns what they found last.
 
 from typing import Protocol
 
-from pipeline.frames import CameraId
+from pipeline.frames import CameraId, Image
 from service.calibration.calibrations import Calibrations
 from service.recording.recordings import Recordings
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
@@ -33,6 +33,6 @@ class Control(Protocol):
         """Return the status of all cameras, in the order of the rig."""
         ...
 
-    async def snapshot(self, camera: CameraId) -> bytes | None:
-        """Return the latest frame of the camera as PNG; None before the first."""
+    def latest_image(self, camera: CameraId) -> Image | None:
+        """Return the latest frame of the camera; None before the first."""
         ...

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
+from service.api.reader_process import BusyError
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
 from service.status import ConflictError
@@ -22,6 +23,7 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 TITLES = {
+    "busy": "More is asked for than can be made at a time",
     "calibration-conflict": "The calibration does not allow this now",
     "cursor-ahead": "The cursor is ahead of the history",
     "cursor-expired": "The cursor is older than the oldest result kept",
@@ -120,6 +122,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
     app.add_exception_handler(StoreError, _handle_store)
     app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
+    app.add_exception_handler(BusyError, _handle_busy)
     app.add_exception_handler(Exception, _handle_bug)
 
 
@@ -196,6 +199,11 @@ async def _handle_store(request: Request, error: Exception) -> JSONResponse:
         request,
         Problem(503, "store-unavailable", "try again in 5 s", headers={"Retry-After": "5"}, retry_after_s=5),
     )
+
+
+async def _handle_busy(request: Request, error: Exception) -> JSONResponse:
+    headers = {"Retry-After": "2"}
+    return problem_response(request, Problem(503, "busy", str(error), headers=headers, retry_after_s=2))
 
 
 async def _handle_bug(request: Request, error: Exception) -> JSONResponse:

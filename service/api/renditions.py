@@ -1,4 +1,4 @@
-"""Meshes and images of a stored particle in the formats that clients ask for. Everything blocks: call it in threads."""
+"""Meshes and images of a stored particle in the formats that clients ask for, made in the process `stonefall-read`."""
 
 from contextlib import suppress
 from enum import StrEnum
@@ -15,7 +15,7 @@ from drivers.files.durable import replacing
 from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
 from drivers.files.silhouette_file import read_silhouettes
-from pipeline.frames import CameraId
+from pipeline.frames import CameraId, Image
 from pipeline.preview import render_preview
 
 if TYPE_CHECKING:
@@ -88,6 +88,12 @@ def silhouette_png(folder: Path, camera: str) -> bytes:
     if labels is None:
         raise NotKeptError("the view is missing")
     return encode_png(labels)
+
+
+def snapshot_png(image: Image) -> bytes:
+    """Return the latest frame of a camera as PNG; smaller than the others."""
+    _, encoded = cv2.imencode(".png", image)
+    return encoded.tobytes()
 
 
 def encode_png(image: NDArray[np.uint8]) -> bytes:

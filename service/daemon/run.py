@@ -12,6 +12,7 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from socket import socket
 
 from service.api.app import create_app
+from service.api.reader_process import ReaderProcess, Reading
 from service.api.server import RestServer, listen, server_config
 from service.configuration.settings import Settings
 from service.daemon.build import build
@@ -61,7 +62,9 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         resources.push_async_exit(_end_of_spool(daemon))
         resources.callback(daemon.pool.close)
         resources.push_async_callback(daemon.recordings.close)
-        server = await _warmed_up(daemon, manager)
+        reading = ReaderProcess()
+        resources.callback(reading.close)
+        server = await _warmed_up(daemon, reading, manager)
         async with asyncio.TaskGroup() as tasks, AsyncExitStack() as parts:
             for part in (
                 _serving(daemon, tasks, server, listener),
@@ -106,9 +109,9 @@ def _end_of_spool(daemon: Daemon) -> Callable[..., Awaitable[None]]:
     return remove
 
 
-async def _warmed_up(daemon: Daemon, manager: ServiceManager) -> RestServer:
+async def _warmed_up(daemon: Daemon, reading: Reading, manager: ServiceManager) -> RestServer:
     """Start the workers and return the REST server, with everything prepared that would hold the loop for 0.3 s."""
-    app = create_app(daemon.store, daemon, daemon.settings.api)
+    app = create_app(daemon.store, daemon, daemon.settings.api, reading)
     manager.notify("STATUS=warming up the workers")
     await asyncio.gather(
         daemon.pool.start(),

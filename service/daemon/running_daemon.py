@@ -6,7 +6,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pipeline.frames import CameraId
+from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
@@ -78,8 +78,8 @@ class Daemon:
             for status in self.acquisition.cameras.statuses()
         ]
 
-    async def snapshot(self, camera: CameraId) -> bytes | None:
-        return await self.acquisition.cameras.snapshot(camera)
+    def latest_image(self, camera: CameraId) -> Image | None:
+        return self.acquisition.cameras.latest_image(camera)
 
     def health(self) -> Health:
         return assess(

@@ -6,15 +6,18 @@ one applied. A database with a newer schema is refused.
 
 import sqlite3
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from importlib.resources import files
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
 from service.errors import StoreError
 
 BUSY_S = 0.5
 """Longest wait for another connection that has the database locked, before that is reported."""
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def prepare(path: Path) -> None:
@@ -54,6 +57,23 @@ def connect_reader(path: Path) -> Iterator[sqlite3.Connection]:
         yield connection
     finally:
         connection.close()
+
+
+def read(
+    path: Path, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
+) -> T:
+    """Return `query(connection, ...)` on a read-only connection of its own; blocks, in any process.
+
+    Raises
+    ------
+    StoreError
+        The database cannot be read, or is damaged.
+    """
+    try:
+        with connect_reader(path) as connection:
+            return query(connection, *args, **kwargs)
+    except (sqlite3.Error, ValueError) as err:  # or of a damaged record
+        raise StoreError(f"{path}: {err}") from err
 
 
 @contextmanager

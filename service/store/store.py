@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -23,7 +24,7 @@ from service.store import backups, history, reads, writes
 from service.store.accounting import Accounting
 from service.store.lock import lock_store
 from service.store.particle_files import RAW, drop_raw, particle_id
-from service.store.schema import connect_reader
+from service.store.schema import connect_reader, read
 from service.store.trouble import Cause, StoreTrouble, trouble_of
 from service.store.writer import StoreWriter
 
@@ -71,14 +72,14 @@ class Store:
     def __init__(self, state_dir: Path, lock: int, writer: StoreWriter, keep_raw: int) -> None:
         self.particles_dir = state_dir / history.PARTICLES
         self._state_dir = state_dir
-        self._path = state_dir / history.DATABASE
+        self.path = state_dir / history.DATABASE
         self._lock = lock  # held until the process ends or `close`
         self._writer = writer
         self._session: int | None = None
         self._committed = asyncio.Event()  # replaced at each commit
         self._released = False
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
-        with connect_reader(self._path) as reader:
+        with connect_reader(self.path) as reader:
             row = reader.execute("SELECT instance_id, last_seq, first_raw FROM store").fetchone()
         self._instance_id: str = row[0]
         self._last_seq: int = row[1]
@@ -153,7 +154,7 @@ class Store:
 
     async def gate_count(self) -> tuple[GateCount, int] | None:
         """Return the gate's count noted last, and the number of triggers recorded since; None if nothing is missed."""
-        return await self._read(reads.gate_count)
+        return await self.read(reads.gate_count)
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
@@ -198,7 +199,7 @@ class Store:
 
     async def open_triggers(self) -> list[tuple[int, str]]:
         """Return session and bundle of every trigger that an earlier session left open, in their order."""
-        return await self._read(reads.open_triggers, self._session)
+        return await self.read(reads.open_triggers, self._session)
 
     async def lose_open(
         self, reason: LossReason, detail: str, but: Collection[tuple[int, str]] = frozenset()
@@ -208,21 +209,21 @@ class Store:
 
     async def accounting(self, session: int | None = None) -> Accounting:
         """Return the counts of one session, or of the whole history."""
-        return await self._read(reads.accounting, session)
+        return await self.read(reads.accounting, session)
 
     async def results_after(self, seq: int, limit: int) -> reads.ResultPage:
         """Return up to `limit` results after `seq`, in order."""
-        return await self._read(reads.results_after, seq, limit)
+        return await self.read(reads.results_after, seq, limit)
 
     async def particle(self, key: str | int) -> reads.Record | None:
         """Return one result by id (text) or seq (number), None if there is none."""
-        return await self._read(reads.particle, key)
+        return await self.read(reads.particle, key)
 
     async def particles(
         self, wanted: reads.ParticleFilter, before_seq: int | None, limit: int
     ) -> list[reads.Record]:
         """Return the newest `limit` results that fit and are older than `before_seq`, newest first."""
-        return await self._read(reads.particles, wanted, before_seq, limit)
+        return await self.read(reads.particles, wanted, before_seq, limit)
 
     async def wait_beyond(self, seq: int) -> None:
         """Return when a result after `seq` is durable, or when waiting was ended by `release_waiters`."""
@@ -282,17 +283,19 @@ class Store:
                 writes.drop_old_raw(connection, self.particles_dir, self._first_raw, first_kept)
                 self._first_raw = first_kept
 
-    async def _read(
+    async def read(
         self, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> T:
+        """Return `query(connection, ...)`, made in a thread of the store on a read-only connection."""
+        ask = partial(read, self.path, query, *args, **kwargs)
+
         def job() -> T:
             try:
-                with connect_reader(self._path) as connection:
-                    return query(connection, *args, **kwargs)
-            except (sqlite3.Error, ValueError) as err:
-                trouble = trouble_of(err)
+                return ask()
+            except StoreError as err:
+                trouble = trouble_of(err.__cause__) if isinstance(err.__cause__, Exception) else None
                 if trouble is not None and trouble.cause is Cause.DAMAGED:
                     self._writer.hold(trouble)
-                raise StoreError(f"{self._path}: {err}") from err
+                raise
 
         return await asyncio.get_running_loop().run_in_executor(self._readers, job)

@@ -6,9 +6,8 @@ import httpx
 import pytest
 from support.calibration_desk import open_desk
 from support.recordings import SOURCE
-from support.rest import FakeControl, client_of
+from support.rest import FakeControl, app_of, client_of
 
-from service.api.app import create_app
 from service.api.settings import ApiSettings
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
@@ -25,7 +24,7 @@ def control(tmp_path: Path) -> FakeControl:
 
 @pytest.fixture
 async def client(store: Store, control: FakeControl) -> AsyncIterator[httpx.AsyncClient]:
-    async with client_of(create_app(store, control, ApiSettings())) as client:
+    async with client_of(app_of(store, control, ApiSettings())) as client:
         yield client
 
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import httpx
 import pytest
 from support.calibration_desk import CONFIGURED, a_drop, open_desk, other_rig
-from support.rest import FakeControl, client_of
+from support.rest import FakeControl, app_of, client_of
 
 from pipeline.rig.document import rig_from_document
-from service.api.app import create_app
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.calibration.verifications import VerificationState
 from service.status import AcquisitionState
@@ -152,7 +151,7 @@ async def test_who_may_do_what(store: Store, tmp_path: Path) -> None:
         for scope in (Scope.READ, Scope.OPERATE)
     )
     control = FakeControl(calibrations=open_desk(tmp_path))
-    async with client_of(create_app(store, control, ApiSettings(keys=keys))) as client:
+    async with client_of(app_of(store, control, ApiSettings(keys=keys))) as client:
         reader, operator = ({"Authorization": f"Bearer {scope}"} for scope in (Scope.READ, Scope.OPERATE))
         assert (await client.get("/calibrations")).status_code == 401
         assert (await client.get("/calibrations/0001", headers=reader)).status_code == 200

@@ -12,10 +12,9 @@ import httpx
 import pytest
 from fastapi import FastAPI
 from fastapi.responses import Response
-from support.rest import FakeControl, add, measured
+from support.rest import FakeControl, add, app_of, measured
 
 from service.api import connections
-from service.api.app import create_app
 from service.api.connections import READING_S, REQUEST_S, Connection, drop_hindering, max_connections
 from service.api.server import RestServer, listen, server_config
 from service.api.settings import ApiSettings
@@ -90,7 +89,7 @@ async def served_by(app: FastAPI) -> AsyncIterator[Served]:
 
 @pytest.fixture
 def app(store: Store, control: FakeControl) -> FastAPI:
-    app = create_app(store, control, ApiSettings())
+    app = app_of(store, control, ApiSettings())
 
     @app.get("/large")
     async def large() -> Response:

@@ -1,8 +1,10 @@
 """Health, acquisition, cameras and accounting over REST."""
 
+import cv2
 import httpx
+import numpy as np
 import pytest
-from support.rest import PNG, SICK_HEALTH, FakeControl, add, measured, rejected, trigger
+from support.rest import SICK_HEALTH, FakeControl, add, measured, rejected, trigger
 
 from service.api.routes.health import HealthDocument
 from service.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
@@ -80,9 +82,11 @@ async def test_cameras(client: httpx.AsyncClient, control: FakeControl) -> None:
 
     none_yet = await client.get("/cameras/c02/snapshot.png")
     assert (none_yet.status_code, none_yet.json()["type"]) == (404, "urn:stonefall:problem:not-kept")
-    control.snapshots["c02"] = PNG
+    control.images["c02"] = np.arange(48, dtype=np.uint8).reshape(6, 8)
     answer = await client.get("/cameras/c02/snapshot.png")
-    assert (answer.content, answer.headers["Cache-Control"]) == (PNG, "no-store")
+    assert (answer.headers["Content-Type"], answer.headers["Cache-Control"]) == ("image/png", "no-store")
+    image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(image, control.images["c02"])
 
 
 async def test_accounting(client: httpx.AsyncClient, store: Store, session: int) -> None:

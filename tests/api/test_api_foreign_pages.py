@@ -2,9 +2,8 @@
 
 import httpx
 import pytest
-from support.rest import FakeControl, assert_problem, client_of
+from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.app import create_app
 from service.api.settings import ApiSettings
 from service.store import Store
 
@@ -15,7 +14,7 @@ NAMED = ApiSettings(host="0.0.0.0", allowed_hosts=("stonefall.plant", "192.0.2.8
 @pytest.mark.parametrize("path", ["/results", "/health/live", "/openapi.json", "/docs", "/nothing"])
 async def test_a_name_that_is_not_ours_reads_nothing(store: Store, control: FakeControl, path: str) -> None:
     """A page whose own name leads to this machine would otherwise read as if it were ours (DNS rebinding)."""
-    async with client_of(create_app(store, control, ApiSettings()), host="rebound.example") as client:
+    async with client_of(app_of(store, control, ApiSettings()), host="rebound.example") as client:
         answer = await client.get(path)
         assert_problem(answer, 421, "unknown-host")
         assert "'rebound.example'" in answer.json()["detail"]
@@ -45,7 +44,7 @@ async def test_a_name_that_is_not_ours_reads_nothing(store: Store, control: Fake
     ],
 )
 async def test_names_of_this_service(store: Store, control: FakeControl, host: str, is_ours: bool) -> None:
-    async with client_of(create_app(store, control, NAMED), "192.0.2.9", "192.0.2.7:8080") as client:
+    async with client_of(app_of(store, control, NAMED), "192.0.2.9", "192.0.2.7:8080") as client:
         answer = await client.get("/results", headers={"Host": host})
     assert answer.status_code == (200 if is_ours else 421)
 
@@ -69,7 +68,7 @@ async def test_pages_of_strangers_do_not_write(
     store: Store, control: FakeControl, origin: str, is_ours: bool
 ) -> None:
     headers = {"Origin": origin}
-    async with client_of(create_app(store, control, NAMED)) as client:
+    async with client_of(app_of(store, control, NAMED)) as client:
         assert (await client.get("/results", headers=headers)).status_code == 200
         arm = await client.put("/acquisition", json=ARM, headers=headers)
         roll_back = await client.post("/calibrations/0001/activate", headers=headers)  # as a form does

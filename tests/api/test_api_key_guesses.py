@@ -2,9 +2,8 @@
 
 import hashlib
 
-from support.rest import FakeControl, assert_problem, client_of
+from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.app import create_app
 from service.api.key_guesses import MAX_REMEMBERED, MAX_WRONG, PAUSE_S, KeyGuesses
 from service.api.settings import ApiKey, ApiSettings
 from service.store import Store
@@ -21,7 +20,7 @@ def guessed(host: str, n: int = MAX_WRONG, now_s: float = 0.0) -> KeyGuesses:
 
 
 async def test_an_address_that_guesses_must_wait(store: Store, control: FakeControl) -> None:
-    app = create_app(store, control, ApiSettings(keys=(MES,)))
+    app = app_of(store, control, ApiSettings(keys=(MES,)))
     async with client_of(app, "192.0.2.66") as stranger, client_of(app, "192.0.2.1") as mes:
         for _ in range(MAX_WRONG):
             assert_problem(await stranger.get("/results", headers=WRONG), 401, "unauthorized")
@@ -37,7 +36,7 @@ async def test_an_address_that_guesses_must_wait(store: Store, control: FakeCont
 async def test_a_right_key_begins_anew_and_is_not_shut_out_by_others_at_its_address(
     store: Store, control: FakeControl
 ) -> None:
-    async with client_of(create_app(store, control, ApiSettings(keys=(MES,)))) as client:
+    async with client_of(app_of(store, control, ApiSettings(keys=(MES,)))) as client:
         for _ in range(3):
             for _ in range(MAX_WRONG - 1):
                 assert (await client.get("/results", headers=WRONG)).status_code == 401
@@ -49,7 +48,7 @@ async def test_a_right_key_begins_anew_and_is_not_shut_out_by_others_at_its_addr
 
 
 async def test_no_key_is_no_guess(store: Store, control: FakeControl) -> None:
-    async with client_of(create_app(store, control, ApiSettings(keys=(MES,)))) as client:
+    async with client_of(app_of(store, control, ApiSettings(keys=(MES,)))) as client:
         for _ in range(3 * MAX_WRONG):
             assert (await client.get("/results")).status_code == 401
         assert (await client.get("/results", headers=RIGHT)).status_code == 200

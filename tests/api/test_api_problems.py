@@ -9,9 +9,8 @@ from pathlib import Path
 
 import httpx
 import pytest
-from support.rest import FakeControl, add, assert_problem, client_of, measured
+from support.rest import FakeControl, add, app_of, assert_problem, client_of, measured
 
-from service.api.app import create_app
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.status import Health
 from service.store import Store
@@ -64,7 +63,7 @@ class FaultyControl(FakeControl):
 
 
 async def test_a_bug_is_a_500_without_a_trace(store: Store, caplog: pytest.LogCaptureFixture) -> None:
-    async with client_of(create_app(store, FaultyControl(), ApiSettings())) as client:
+    async with client_of(app_of(store, FaultyControl(), ApiSettings())) as client:
         answer = await client.get("/health")
     assert_problem(answer, 500, "internal-error")
     assert "secret" not in answer.text
@@ -127,7 +126,7 @@ async def test_without_keys_only_this_machine_writes(
     store: Store, control: FakeControl, address: str, host: str, is_allowed: bool
 ) -> None:
     settings = ApiSettings(allowed_hosts=("instrument",))
-    async with client_of(create_app(store, control, settings), address, host) as client:
+    async with client_of(app_of(store, control, settings), address, host) as client:
         assert (await client.get("/results")).status_code == 200
         answer = await client.put("/acquisition", json=ARM)
     if is_allowed:
@@ -143,7 +142,7 @@ def key(name: str, *scopes: Scope) -> ApiKey:
 
 async def test_keys_and_scopes(store: Store, control: FakeControl) -> None:
     keys = (key("mes", Scope.READ), key("shift", Scope.READ, Scope.OPERATE))
-    async with client_of(create_app(store, control, ApiSettings(keys=keys))) as client:
+    async with client_of(app_of(store, control, ApiSettings(keys=keys))) as client:
         for headers in ({}, {"Authorization": "Basic bWVz"}, {"Authorization": "Bearer nobody-token"}):
             answer = await client.get("/results", headers=headers)
             assert_problem(answer, 401, "unauthorized")

@@ -6,9 +6,8 @@ from pathlib import Path
 import httpx
 import pytest
 from support.recordings import SOURCE, make_bundle
-from support.rest import FakeControl, client_of
+from support.rest import FakeControl, app_of, client_of
 
-from service.api.app import create_app
 from service.api.settings import ApiKey, ApiSettings
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
@@ -42,7 +41,7 @@ async def test_no_room(store: Store, tmp_path: Path) -> None:
     control = FakeControl(
         open_recordings(tmp_path / "full", SOURCE, RecordingsSettings(reserve_gb=100_000.0), {})
     )
-    async with client_of(create_app(store, control, ApiSettings())) as client:
+    async with client_of(app_of(store, control, ApiSettings())) as client:
         answer = await client.post("/recordings", json={"name": "large", "count": 1})
         assert (answer.status_code, answer.json()["type"]) == (507, "urn:stonefall:problem:no-room")
         assert "make room" in answer.json()["detail"]
@@ -80,7 +79,7 @@ async def test_unknown_ones(client: httpx.AsyncClient) -> None:
 
 async def test_reading_is_not_recording(store: Store, control: FakeControl) -> None:
     keys = (ApiKey(name="reader", sha256=sha256(b"token").hexdigest()),)
-    async with client_of(create_app(store, control, ApiSettings(keys=keys))) as client:
+    async with client_of(app_of(store, control, ApiSettings(keys=keys))) as client:
         headers = {"Authorization": "Bearer token"}
         assert (await client.get("/recordings", headers=headers)).status_code == 200
         for path in ("/recordings", "/recordings/r1/stop"):

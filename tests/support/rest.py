@@ -1,9 +1,10 @@
 """A fake daemon, made-up results, and a client of the REST interface."""
 
-from collections.abc import Mapping
+import asyncio
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
 import numpy as np
@@ -12,7 +13,9 @@ from fastapi import FastAPI
 
 from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
+from service.api.app import create_app
+from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.recording.recordings import Recordings
 from service.status import (
@@ -28,10 +31,11 @@ from service.status import (
 )
 from service.store import Store
 
+T = TypeVar("T")
+
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 BOX_MM = (10.0, 20.0, 30.0)
 GREY = {CameraId("c01"): 10, CameraId("c02"): 20}  # of the images, so that views cannot be mixed up
-PNG = b"\x89PNG\r\n\x1a\n"
 
 GOOD_HEALTH = Health(
     ne107=Ne107.GOOD,
@@ -55,7 +59,7 @@ class FakeControl:
     recordings: Recordings | None = None
     state: AcquisitionState = AcquisitionState.DISARMED
     condition: Health = GOOD_HEALTH
-    snapshots: dict[str, bytes] = field(default_factory=dict)
+    images: dict[str, Image] = field(default_factory=dict)
     calibrations: Calibrations | None = None
 
     def acquisition_status(self) -> AcquisitionStatus:
@@ -72,8 +76,20 @@ class FakeControl:
     def cameras(self) -> list[CameraStatus]:
         return [CameraStatus(id=camera, state="armed", frames=7) for camera in CAMERAS]
 
-    async def snapshot(self, camera: CameraId) -> bytes | None:
-        return self.snapshots.get(camera)
+    def latest_image(self, camera: CameraId) -> Image | None:
+        return self.images.get(camera)
+
+
+class ReadingThread:
+    """Stands in for the process `stonefall-read`: what it is asked for is made in a thread of this process."""
+
+    async def run(self, function: Callable[..., T], *arguments: object) -> T:
+        return await asyncio.to_thread(function, *arguments)
+
+
+def app_of(store: Store, control: FakeControl, settings: ApiSettings | None = None) -> FastAPI:
+    """Return the application with a thread in the place of the reading process."""
+    return create_app(store, control, settings or ApiSettings(), ReadingThread())
 
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:

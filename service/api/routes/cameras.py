@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from service.api.context import ApiContext, Context
 from service.api.problems import Problem, problem_responses
+from service.api.renditions import snapshot_png
 from service.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
@@ -46,9 +47,10 @@ async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
     """Return the latest frame of the camera; 404 `not-kept` before the first."""
-    png = await context.control.snapshot(_status_of(context, camera).id)
-    if png is None:
+    image = context.control.latest_image(_status_of(context, camera).id)
+    if image is None:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")
+    png = await context.reading.run(snapshot_png, image)
     return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
 
 

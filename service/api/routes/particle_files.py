@@ -4,9 +4,7 @@ They never change: content negotiation and caching go as far as immutable files 
 and 13).
 """
 
-import asyncio
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -83,7 +81,7 @@ async def preview(context: Context, request: Request, particle_id: ParticleKey) 
 async def view(context: Context, request: Request, particle_id: ParticleKey, camera: CameraName) -> Response:
     """Return the image of one camera; 404 `not-kept` when the raw images were not kept or are gone."""
     record = await _record_with_view(context, particle_id, camera)
-    return await _file(context, request, record, camera, "image/png", lambda folder: view_png(folder, camera))
+    return await _file(context, request, record, camera, "image/png", view_png, camera)
 
 
 @router.get("/{particle_id}/views/{camera}/silhouette.png", response_class=Response, responses=IMAGE)
@@ -98,7 +96,8 @@ async def silhouette(
         record,
         f"{camera}.silhouette",
         "image/png",
-        lambda folder: silhouette_png(folder, camera),
+        silhouette_png,
+        camera,
     )
 
 
@@ -122,7 +121,8 @@ async def _mesh_response(
         record,
         mesh_format,
         MEDIA_TYPES[mesh_format],
-        lambda folder: mesh_bytes(folder, mesh_format),
+        mesh_bytes,
+        mesh_format,
     )
     response.headers["Vary"] = "Accept"
     return response
@@ -134,16 +134,16 @@ async def _file(
     record: Record,
     name: str,
     media_type: str,
-    load: Callable[[Path], bytes],
+    load: Callable[..., bytes],
+    *choice: str,
 ) -> Response:
-    """Answer with a file of the particle, which the client may cache for ever; 304 when it has it."""
+    """Answer with `load(folder, *choice)`, which the client may cache for ever; 304 when it has it."""
     etag = f'"{record["id"]}.{name}"'
     headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER}
     if has_version(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     try:
-        async with context.rendering:
-            content = await asyncio.to_thread(load, context.store.particles_dir / record["id"])
+        content = await context.reading.run(load, context.store.particles_dir / record["id"], *choice)
     except NotKeptError as err:
         members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
         raise Problem(

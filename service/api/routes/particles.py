@@ -8,10 +8,11 @@ from pydantic import AfterValidator, BaseModel, Field
 
 from pipeline.frames import rfc3339
 from service.api.context import ApiContext, Context
+from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
-from service.api.routes.results import MAX_SEQ, page_response
+from service.api.routes.results import MAX_SEQ, MAX_SMALL
 from service.results.fields import Result, completed
-from service.store import ParticleFilter, Record
+from service.store import ParticleFilter, Record, read
 
 router = APIRouter(prefix="/particles", tags=["particles"])
 
@@ -54,11 +55,13 @@ async def particles(
         since=since,
         until=until,
     )
-    records = await context.store.particles(wanted, MAX_SEQ if cursor is None else int(cursor), limit + 1)
-    items = records[:limit]
-    return await page_response(
-        {"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}, items
-    )
+    before_seq = MAX_SEQ if cursor is None else int(cursor)
+    if limit > MAX_SMALL:
+        path = context.store.path
+        page = await context.reading.run(read, path, particles_page, wanted, before_seq, limit)
+    else:
+        page = await context.store.read(particles_page, wanted, before_seq, limit)
+    return Response(page, media_type="application/json")
 
 
 @router.get("/{particle_id}", response_model=Result, responses=problem_responses(404))

@@ -1,21 +1,25 @@
 """The feed: every outcome in order, for a client that keeps its own position."""
 
 import asyncio
-import json
-from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic import BaseModel, Field
 
-from service.api.context import Context
+from service.api.context import ApiContext, Context
+from service.api.pages import FeedPage, feed_page
 from service.api.problems import Problem, problem_responses
-from service.results.fields import Result, completed
-from service.store import Record
+from service.results.fields import Result
+from service.store import read
 
 MAX_SEQ = 10**15
 """Beyond any feed, within what a JSON number and SQLite hold exactly."""
+MAX_SMALL = 20
+"""Results of a page that the daemon itself makes, in 3 ms; bigger ones are made beside it."""
+KEEP_S = 1.0
+"""Time for which a small page is the answer to all who ask for it."""
 
 router = APIRouter(prefix="/results", tags=["results"])
 
@@ -46,40 +50,38 @@ async def results(
     410 `cursor-expired`: results after `after` are no longer kept, the feed begins at `first_seq`. 409 `cursor-ahead`:
     the feed has not reached `after`, as when the store was replaced or restored from a backup.
     """
-    page = await context.store.results_after(after, limit)
-    if not page.items and after == page.last_seq and wait_s > 0:
-        try:
-            async with asyncio.timeout(wait_s):
-                await context.store.wait_beyond(after)
-        except TimeoutError:
-            pass
-        else:
-            page = await context.store.results_after(after, limit)
+    page = await _page(context, after, limit, wait_s)
     ends: dict[str, Any] = {"first_seq": page.first_seq, "last_seq": page.last_seq}
     if after > page.last_seq:
         raise Problem(409, "cursor-ahead", f"the newest result is {page.last_seq}, not {after}", **ends)
     if after < page.first_seq - 1:
         raise Problem(410, "cursor-expired", f"the oldest result kept is {page.first_seq}", **ends)
-    head = {
-        "instance_id": context.store.instance_id,
-        **ends,
-        "next_after": page.items[-1]["seq"] if page.items else after,
-    }
-    return await page_response(head, page.items)
+    return Response(page.content, media_type="application/json")
 
 
-async def page_response(head: Mapping[str, Any], items: Sequence[Record]) -> Response:
-    """Return a page as JSON: the members of `head`, and the results as `items`; written off the event loop."""
-    return Response(await asyncio.to_thread(_page_json, head, items), media_type="application/json")
+async def _page(context: ApiContext, after: int, limit: int, wait_s: float) -> FeedPage:
+    """Return the page after `after`, as soon as there is a result on it or `wait_s` are over."""
+    store = context.store
+    if wait_s == 0 or after != store.last_seq:
+        page = await _page_now(context, after, limit)
+        if wait_s == 0 or after != page.last_seq:
+            return page
+    with suppress(TimeoutError):
+        async with asyncio.timeout(wait_s):
+            await store.wait_beyond(after)
+    await context.waking.turn()
+    return await _page_now(context, after, limit)
 
 
-def _page_json(head: Mapping[str, Any], items: Sequence[Record]) -> bytes:
-    # record by record: a thousand in one call would hold the interpreter's lock for a tenth of a second
-    members = [f"{_json(name)}:{_json(value)}" for name, value in head.items()]
-    records = [_json(completed(record)) for record in items]
-    members.append(f'"items":[{",".join(records)}]')
-    return f"{{{','.join(members)}}}".encode()
+async def _page_now(context: ApiContext, after: int, limit: int) -> FeedPage:
+    """Return the page after `after`, the same to all who ask for it at this moment."""
+    store = context.store
 
+    async def make() -> FeedPage:
+        if is_big:
+            return await context.reading.run(read, store.path, feed_page, store.instance_id, after, limit)
+        return await store.read(feed_page, store.instance_id, after, limit)
 
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    is_big = min(limit, store.last_seq - after) > MAX_SMALL
+    question = ("results", after, limit, store.last_seq)
+    return await context.shared.get(question, make, keep_s=0 if is_big else KEEP_S)

@@ -1,0 +1,54 @@
+"""Pages of results as finished JSON, made on a connection to the store, in whichever process or thread."""
+
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from service.results.fields import completed
+from service.store import ParticleFilter, Record
+from service.store.reads import particles, results_after
+
+
+@dataclass(frozen=True, slots=True)
+class FeedPage:
+    """A page of the feed, and what decides whether it is the answer."""
+
+    first_seq: int
+    last_seq: int
+    next_after: int
+    content: bytes
+
+
+def feed_page(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
+    """Return the page of up to `limit` results after `after`."""
+    page = results_after(connection, after, limit)
+    next_after = page.items[-1]["seq"] if page.items else after
+    head = {
+        "instance_id": instance_id,
+        "first_seq": page.first_seq,
+        "last_seq": page.last_seq,
+        "next_after": next_after,
+    }
+    return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, page.items))
+
+
+def particles_page(
+    connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int, limit: int
+) -> bytes:
+    """Return the page of the newest `limit` results that fit and are older than `before_seq`."""
+    records = particles(connection, wanted, before_seq, limit + 1)
+    items = records[:limit]
+    return _page_json({"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}, items)
+
+
+def _page_json(head: Mapping[str, Any], items: Sequence[Record]) -> bytes:
+    members = [f"{_json(name)}:{_json(value)}" for name, value in head.items()]
+    records = [_json(completed(record)) for record in items]
+    members.append(f'"items":[{",".join(records)}]')
+    return f"{{{','.join(members)}}}".encode()
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

@@ -1,0 +1,90 @@
+"""What clients ask for and takes long is made in a process of its own, with a lower priority than the workers.
+
+It starts with the first such request. When it dies, the request is tried once more in a new one; the daemon, its loop
+and its interpreter's lock have no part in it but to pass on the bytes.
+"""
+
+import asyncio
+import logging
+import os
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol, TypeVar
+
+from service.errors import ServiceError
+from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
+from service.processing.worker_process import WarmUp
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+DEADLINE_S = 30.0
+"""Longest time for one answer: a page of a thousand takes 0.3 s of an idle core, but none may be idle for long."""
+MAX_WAITING = 64
+"""Requests that wait for the process; more are told to come again."""
+PROCESS_NAME = "stonefall-read"
+"""Name of the process in `ps` and `top`."""
+
+
+class BusyError(ServiceError):
+    """Too many requests wait for the process, or it cannot make this answer now; the same may be asked again."""
+
+
+class Reading(Protocol):
+    """A place where what blocks is done for a request."""
+
+    async def run(self, function: Callable[..., T], *arguments: object) -> T:
+        """Return `function(*arguments)`, all of which can be pickled; what it raises is raised here."""
+        ...
+
+
+def lower_priority(context: None) -> tuple[WarmUp, ...]:
+    """Give this process a lower priority than the workers."""
+    os.nice(12)
+    return ()
+
+
+class ReaderProcess:
+    """Runs one request at a time in the process `stonefall-read`; implements `Reading`."""
+
+    def __init__(self) -> None:
+        self._pool = _pool()
+        self._turn = asyncio.Lock()
+        self._n_waiting = 0
+
+    async def run(self, function: Callable[..., T], *arguments: object) -> T:
+        """Return `function(*arguments)`.
+
+        Raises
+        ------
+        BusyError
+            `MAX_WAITING` requests wait already, or the process died or took too long twice.
+        """
+        if self._n_waiting >= MAX_WAITING:
+            raise BusyError("too many other requests are waiting: try again in 2 s")
+        self._n_waiting += 1
+        try:
+            async with self._turn:
+                if not self._pool.pids:
+                    await self._pool.start()
+                return await self._pool.run(_call, partial(function, *arguments))
+        except (JobLostError, WorkerStartError) as err:
+            log.error("a request was given up: %s", err)
+            self.close()
+            self._pool = _pool()
+            raise BusyError("this could not be made now: try again in 2 s") from err
+        finally:
+            self._n_waiting -= 1
+
+    def close(self) -> None:
+        """Kill the process."""
+        self._pool.close()
+
+
+def _pool() -> WorkerPool:
+    return WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=None, name=PROCESS_NAME)
+
+
+def _call(job: Callable[[], T]) -> T:
+    return job()

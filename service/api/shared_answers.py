@@ -1,0 +1,31 @@
+"""Equal requests at about the same time share one answer: a result wakes hundreds of long polls that ask the same."""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Hashable
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class SharedAnswers:
+    """The answers that are being made, or were made a moment ago, by their question."""
+
+    def __init__(self) -> None:
+        self._answers: dict[Hashable, asyncio.Task[Any]] = {}
+
+    async def get(
+        self, question: Hashable, make: Callable[[], Coroutine[Any, Any, T]], *, keep_s: float
+    ) -> T:
+        """Return what `make` returns; whoever asks the same until `keep_s` after that gets it as well."""
+        answer = self._answers.get(question)
+        if answer is None:
+            answer = self._answers[question] = asyncio.create_task(make())
+            answer.add_done_callback(lambda done: self._forget(question, done, keep_s))
+        return await asyncio.shield(answer)  # others may wait for it
+
+    def _forget(self, question: Hashable, answer: "asyncio.Task[Any]", keep_s: float) -> None:
+        failed = answer.cancelled() or answer.exception() is not None
+        if failed or keep_s == 0:
+            del self._answers[question]
+        else:
+            asyncio.get_running_loop().call_later(keep_s, self._answers.pop, question)

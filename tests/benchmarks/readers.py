@@ -1,0 +1,308 @@
+"""Run the daemon on a recording, without clients and beside two crowds of them, and compare how late results are.
+
+Run: .venv/bin/python tests/benchmarks/readers.py [--seconds 30] [--rate 4] [--size-mm 25] [--recording DIR]
+     [--phases calm,polls,pages,calm]
+
+The crowds: 200 long polls that ask again at once; 4 clients in a closed loop, each with a page of 1000 results and five
+previews in turn; and, as `cheap`, 16 clients in a closed loop with single results and a kept preview. They run on this
+machine, with the lowest priority, because a plant's clients are other machines. The store holds 1000 stones before.
+Times are from the exposure to the durable result. Exits with 1 if a stone is lost, or if the 99th percentile beside a
+crowd is more than 1.5 times that of the calm phase before.
+"""
+
+import argparse
+import asyncio
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from sustained import DRAIN_S, LOOK_S, RIG, Watched
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.daemon_process import DaemonProcess, descendants_of, process_name
+from support.rest import add
+from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
+from support.usage import cpu_s
+
+from drivers.files.recording import open_recording
+from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
+from service.results.fields import STORED_FIELDS
+from service.store import open_store
+
+SEED = 12
+MAX_RATIO = 1.5
+N_BEFORE = 1000
+"""Results in the store before the run: a page of the greatest size."""
+WARM_UP_S = 10.0
+SETTLE_S = 3.0
+"""Between two phases, once no stone waits any more; stones of that time are in none."""
+CLIENTS = {"polls": 200, "pages": 4, "cheap": 16}
+"""Number of clients of each crowd."""
+Paths = Generator[str, bytes, None]
+"""What a client asks for, one after the other, sent the answer of each."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Phase:
+    """Figures of one phase."""
+
+    name: str
+    latency_ms: list[float]
+    lost: int
+    answers: str
+    cores: dict[str, float]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=30, help="length of each phase")
+    parser.add_argument("--rate", type=float, default=4, help="stones a second")
+    parser.add_argument("--size-mm", type=float, default=25)
+    parser.add_argument("--recording", type=Path, help="stones are rendered here, or taken from here")
+    parser.add_argument("--phases", default="calm,polls,calm,pages,calm,cheap")
+    parser.add_argument("--client", nargs=3, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.client:
+        crowd, url, seconds = arguments.client
+        asyncio.run(be(crowd, url, float(seconds)))
+        return 0
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
+        folder = Path(name)
+        stones = arguments.recording or folder / "stones"
+        if not stones.exists():
+            write_stones(stones, "angular", size_mm=arguments.size_mm, n_stones=10, n_empty=1, seed=SEED)
+        due_s = write_paced(folder / "recording", open_recording(stones), arguments.rate)
+        apart_ms = 1000 * min(due_s[1], ROUND_GAP_S)
+        daemon = DaemonProcess(
+            folder,
+            folder / "recording",
+            rig=RIG.format(window_ms=0.4 * apart_ms, dead_time_ms=0.9 * apart_ms),
+            voxels=256,
+            spool=spool,
+        )
+        phases = run(daemon, due_s, arguments)
+    return report(phases, arguments)
+
+
+def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]:
+    """Fill the store, then let stones fall through all phases."""
+    state = daemon.folder / "state"
+    with daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 5)
+        daemon.stop()
+    asyncio.run(fill(state))
+    daemon.heard.clear()
+    watched, is_over = Watched(), threading.Event()
+    spans, cores, answers = [], [], []
+    with daemon:
+        daemon.hear("READY=1")
+        with closing(sqlite3.connect(f"file:{state / 'results.sqlite'}?mode=ro", uri=True)) as connection:
+            (session,) = connection.execute("SELECT max(session) FROM sessions").fetchone()
+            (n_before,) = connection.execute(
+                "SELECT max(trigger) FROM triggers WHERE session < ?", (session,)
+            ).fetchone()
+        watching = threading.Thread(target=watched.look, args=(state / "results.sqlite", is_over))
+        watching.start()
+        try:
+            time.sleep(WARM_UP_S)
+            for name in arguments.phases.split(","):
+                begin_s, before = time.monotonic(), usage(daemon)
+                answers.append(crowd_of(name, daemon, arguments.seconds))
+                spans.append((begin_s, time.monotonic()))
+                cores.append(cores_between(before, usage(daemon), spans[-1][1] - begin_s))
+                daemon.wait_for("/accounting", lambda now: now["in_progress"] <= 1, timeout_s=DRAIN_S)
+                time.sleep(SETTLE_S)
+            daemon.put("/acquisition", {"state": "disarmed"})
+            daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=DRAIN_S)
+        finally:
+            time.sleep(10 * LOOK_S)
+            is_over.set()
+            watching.join()
+    with closing(sqlite3.connect(state / "results.sqlite")) as connection:
+        rows = connection.execute(
+            "SELECT seq, trigger, record ->> 'outcome' FROM results WHERE session = ? ORDER BY seq",
+            (session,),
+        ).fetchall()
+    triggered_s = trigger_times_s(watched, n_before, due_s)
+    stones = [
+        (triggered_s[trigger - n_before - 1], watched.results_s[seq], outcome)
+        for seq, trigger, outcome in rows
+    ]
+    return [
+        Phase(
+            name=name,
+            latency_ms=[
+                1000 * (ended_s - begun_s) - TRIGGER_DELAY_NS / 1e6
+                for begun_s, ended_s, outcome in stones
+                if begin_s <= begun_s < end_s and outcome != "lost"
+            ],
+            lost=sum(outcome == "lost" and begin_s <= begun_s < end_s for begun_s, _, outcome in stones),
+            answers=said,
+            cores=busy,
+        )
+        for name, (begin_s, end_s), said, busy in zip(
+            arguments.phases.split(","), spans, answers, cores, strict=True
+        )
+    ]
+
+
+async def fill(state: Path) -> None:
+    """Store the first measured stone again and again, with its mesh."""
+    with closing(sqlite3.connect(state / "results.sqlite")) as connection:
+        texts = connection.execute("SELECT record FROM results").fetchall()
+    records = [json.loads(text) for (text,) in texts]
+    record = next(each for each in records if each["outcome"] == "measured")
+    mesh = state / "particles" / record["id"] / "mesh.ply"
+    with open_store(state, keep_raw=0) as store:
+        session = await store.begin_session(
+            {"calibration_id": record["calibration_id"], "is_simulated": True}
+        )
+        for number in range(N_BEFORE):
+            copy = Path(shutil.copy(mesh, state / "copy.ply"))
+            fields = {name: value for name, value in record.items() if name not in STORED_FIELDS}
+            await add(store, session, number, fields, {"mesh.ply": copy})
+
+
+def trigger_times_s(watched: Watched, n_before: int, due_s: np.ndarray) -> np.ndarray:
+    """Return when each trigger came: no later than the next ones less the scheduled time between."""
+    seen_s = np.array([at_s for number, at_s in sorted(watched.triggers_s.items()) if number > n_before])
+    round_of, position = np.divmod(np.arange(len(seen_s)), len(due_s) - 1)
+    schedule_s = round_of * due_s[-1] + due_s[position]
+    return np.asarray(np.minimum.accumulate((seen_s - schedule_s)[::-1])[::-1] + schedule_s)
+
+
+def crowd_of(name: str, daemon: DaemonProcess, seconds: float) -> str:
+    """Have the crowd ask for so long; return what it got."""
+    if name not in CLIENTS:
+        time.sleep(seconds)
+        return "-"
+    command = [sys.executable, __file__, "--client", name, daemon.url(""), str(seconds)]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def usage(daemon: DaemonProcess) -> dict[int, tuple[str, float]]:
+    """Return name and processor time of the daemon and of its processes."""
+    pids = [daemon.process.pid, *descendants_of(daemon.process.pid)]
+    return {pid: (process_name(pid), cpu_s([pid])) for pid in pids}
+
+
+def cores_between(
+    before: dict[int, tuple[str, float]], after: dict[int, tuple[str, float]], span_s: float
+) -> dict[str, float]:
+    cores: dict[str, float] = {}
+    for pid, (name, seconds) in after.items():
+        cores[name] = cores.get(name, 0.0) + (seconds - before.get(pid, (name, 0.0))[1]) / span_s
+    return cores
+
+
+def report(phases: list[Phase], arguments: Any) -> int:
+    table = Table(
+        *("", "stones", "lost", "p50 ms", "p95", "p99", "p99 by calm", "answers", "cores"),
+        title=f"{arguments.rate:g} stones a second of {arguments.size_mm:g} mm, {arguments.seconds:g} s each;"
+        f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+    )
+    calm_ms, problems = float("nan"), []
+    for phase in phases:
+        p50, p95, p99 = np.quantile(phase.latency_ms or [np.nan], [0.5, 0.95, 0.99])
+        calm_ms = p99 if phase.name == "calm" else calm_ms
+        if phase.lost or p99 > MAX_RATIO * calm_ms:
+            problems.append(f"{phase.name}: {phase.lost} lost, p99 {p99 / calm_ms:.2f} times as long")
+        busy = ", ".join(f"{name} {used:.2f}" for name, used in phase.cores.items() if used >= 0.01)
+        figures = (f"{p50:.0f}", f"{p95:.0f}", f"{p99:.0f}", f"{p99 / calm_ms:.2f}")
+        n_stones = len(phase.latency_ms) + phase.lost
+        table.add_row(phase.name, str(n_stones), str(phase.lost), *figures, phase.answers, busy)
+    Console(width=None if sys.stdout.isatty() else 150).print(table)
+    for problem in problems:
+        Console(stderr=True).print(f"FAILED: {problem}")
+    return int(any(problems))
+
+
+async def be(crowd: str, url: str, seconds: float) -> None:
+    """Be a crowd of clients in a closed loop; print how many answers of which status they got, and how much."""
+    os.nice(19)
+    statuses: dict[int, int] = {}
+    n_bytes = 0
+    longest_s = 0.0
+
+    async def client(number: int) -> None:
+        nonlocal n_bytes, longest_s
+        reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
+        try:
+            paths = PATHS[crowd](number)
+            path = next(paths)
+            while True:
+                began_s = time.monotonic()
+                status, content = await ask(reader, writer, urlsplit(url).path + path)
+                longest_s = max(longest_s, time.monotonic() - began_s)
+                statuses[status] = statuses.get(status, 0) + 1
+                n_bytes += len(content)
+                path = paths.send(content)
+        finally:
+            writer.close()
+
+    try:
+        async with asyncio.timeout(seconds), asyncio.TaskGroup() as clients:
+            for number in range(CLIENTS[crowd]):
+                clients.create_task(client(number))
+    except TimeoutError:
+        pass
+    counts = ", ".join(f"{n} x {status}" for status, n in sorted(statuses.items()))
+    sys.stdout.write(f"{counts}, {n_bytes / 1e6:.0f} MB, within {longest_s:.1f} s\n")
+
+
+async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, path: str) -> tuple[int, bytes]:
+    """Return status and body of the answer."""
+    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    head = (await reader.readuntil(b"\r\n\r\n")).decode()
+    fields = dict(line.lower().split(": ", 1) for line in head.splitlines()[1:] if line)
+    return int(head.split()[1]), await reader.readexactly(int(fields["content-length"]))
+
+
+def long_polls(number: int) -> Paths:
+    after = json.loads((yield "/results?after=0&limit=1"))["last_seq"]
+    while True:
+        after = json.loads((yield f"/results?after={after}&limit=100&wait_s=30"))["next_after"]
+
+
+def big_pages(number: int) -> Paths:
+    for turn in count():
+        if turn % 2:
+            yield f"/results?after={turn % 7}&limit=1000"
+        else:
+            yield "/particles?limit=1000"
+        for preview in range(5):
+            yield f"/particles/{10 + (turn * 20 + number * 5 + preview) % N_BEFORE}/preview.png"
+
+
+def cheap_answers(number: int) -> Paths:
+    while True:
+        yield f"/particles/{10 + number}"
+        yield "/particles/10/preview.png"
+        yield "/results?after=100&limit=1"
+
+
+PATHS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers}
+"""Paths that a client of each crowd asks for, one after the other."""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,35 @@
+"""Readers cost the daemon nothing: their answers are made in a process whose death nobody sees."""
+
+import os
+import signal
+from pathlib import Path
+from urllib.request import urlopen
+
+from support.daemon_process import DaemonProcess, descendants_of, process_name
+from support.small_recording import write_small_recording
+
+N_STONES = 6
+
+
+def readers_of(daemon: DaemonProcess) -> list[int]:
+    return [pid for pid in descendants_of(daemon.process.pid) if process_name(pid) == "stonefall-read"]
+
+
+def test_the_reading_process_is_killed_and_every_answer_comes(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "recording", n_stones=N_STONES)
+    with DaemonProcess(tmp_path, tmp_path / "recording") as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda found: found["measured"] == N_STONES)
+        killed = set()
+        for seq in range(1, N_STONES + 1):
+            with urlopen(daemon.url(f"/particles/{seq}/preview.png")) as answer:  # noqa: S310 - http, our own
+                assert answer.read().startswith(b"\x89PNG")
+            (reader,) = readers_of(daemon)
+            assert os.getpriority(os.PRIO_PROCESS, reader) > os.getpriority(
+                os.PRIO_PROCESS, daemon.worker_pids()[0]
+            )
+            os.kill(reader, signal.SIGKILL)
+            killed.add(reader)
+        assert len(killed) == N_STONES
+        assert daemon.stop() == 0
+    assert "Traceback" not in daemon.log
