@@ -8,7 +8,7 @@ from urllib.request import urlopen
 from support.daemon_process import DaemonProcess, descendants_of, process_name
 from support.small_recording import write_small_recording
 
-N_STONES = 6
+N_STONES = 3
 
 
 def readers_of(daemon: DaemonProcess) -> list[int]:
