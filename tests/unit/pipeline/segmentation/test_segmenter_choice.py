@@ -321,10 +321,11 @@ def test_a_sphere_is_as_large_as_ever(shadowed: FrameBundle, built_in: ChoosingS
     background = rendered.background() if is_known else {}
     result = measure_bundle(shadowed, rendered.rig(), background, built_in, PipelineParameters())
     assert result.rejection is None
-    assert result.quality is Quality.GOOD
+    views = result.silhouettes
+    shows_several = any(view.status is ViewStatus.MULTIPLE for view in views.values())  # of dust
+    assert result.quality is (Quality.REDUCED if shows_several else Quality.GOOD)
     assert result.measurement is not None
     assert result.measurement.equivalent_diameter_mm == pytest.approx(15.0, abs=0.03)
-    views = result.silhouettes
     flagged = {camera for camera, seen in views.items() if seen.fallback is not None}
     by_network = {camera for camera, seen in views.items() if seen.found_by == "network"}
     assert by_network <= flagged
