@@ -26,6 +26,8 @@ class LossCause(StrEnum):
     """It no longer knows this process: it was restarted, or its heartbeat ended."""
     WRONG_SETTINGS = "wrong_settings"
     """It is not set as configured, or cannot be."""
+    PROCESS_ENDED = "process_ended"
+    """The process that the cameras' library runs in has died, and with it the control of all cameras."""
     OTHER = "other"
 
 

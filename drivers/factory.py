@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.cameras.aravis import AravisCamera
+from drivers.camera_process.camera import RemoteCamera
+from drivers.camera_process.process import CameraProcess
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.cameras.host_trigger import ActionKeys, ActionTrigger, SoftwareTrigger
 from drivers.faulty.camera import FaultyCamera
@@ -60,6 +61,8 @@ class Devices:
     """Plays the recording, in replay; the paces `stepped` and `fast` need its permits."""
     is_simulated: bool = False
     """Whether the images are synthetic."""
+    close: Callable[[], None] = lambda: None
+    """To be called at the end, when all devices are closed; may take as long as a camera takes to close."""
 
 
 def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
@@ -86,14 +89,15 @@ def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
 
 
 def _live_devices(backend: AravisBackend) -> Devices:
-    cameras = {settings.id: AravisCamera(settings) for settings in backend.cameras}
+    process = CameraProcess()
+    cameras = {settings.id: RemoteCamera(settings, process) for settings in backend.cameras}
     gate = _gate(backend.gate)
     match backend.fired_by:
         case "software":
             gate = FiringGate(gate, SoftwareTrigger([camera.software_trigger for camera in cameras.values()]))
         case ActionKeys() as keys:
             gate = FiringGate(gate, ActionTrigger(keys, backend.interfaces))
-    return Devices(cameras=cameras, gate=gate, is_simulated=backend.is_simulated)
+    return Devices(cameras=cameras, gate=gate, is_simulated=backend.is_simulated, close=process.close)
 
 
 def _gate(device: GateDevice) -> LightGate:

@@ -23,12 +23,15 @@ ACK_REQUIRED = 0x01
 SCHEDULED = 0x80
 """Flag of an action command: it carries the time at which to act."""
 DISCOVERY, DISCOVERY_ACK = 0x02, 0x03
+WRITE_REGISTER = 0x82
 READ_MEMORY, READ_MEMORY_ACK = 0x84, 0x85
 ACTION, ACTION_ACK = 0x100, 0x101
 HEADER = struct.Struct(">BBHHH")
 """Header of a command: key, flags, command, bytes that follow, request id."""
 ACK_HEADER = struct.Struct(">HHHH")
 """Header of an acknowledgement: status, command, bytes that follow, request id."""
+CONTROL_PRIVILEGE = 0xA00
+"""Bootstrap register of every camera: its control privilege, 0 when no application has it."""
 DISCOVERY_BYTES = 0xF8
 """Size of a discovery acknowledgement's body: a copy of the device's first registers."""
 
@@ -107,6 +110,20 @@ def local_addresses() -> list[str]:
         request = _IFCONF.pack(len(room), room.buffer_info()[0])
         used, _ = _IFCONF.unpack(fcntl.ioctl(any_socket, _SIOCGIFCONF, request))
     return [socket.inet_ntoa(packed) for (packed,) in _IFREQ.iter_unpack(room[:used])]
+
+
+def release_control(cameras: Sequence[str], sockets: Sequence[tuple[str, int]]) -> None:
+    """Have cameras forget a dead process, which had these sockets: otherwise they wait until its heartbeat ends.
+
+    Control belongs to the address and port that took it (GigE Vision 2.0, 10.4), whoever has them now; what others
+    write is refused. Nothing is acknowledged; a socket that somebody else has got meanwhile is left out.
+    """
+    command = HEADER.pack(KEY, 0, WRITE_REGISTER, 8, 0xFFFF) + struct.pack(">II", CONTROL_PRIVILEGE, 0)
+    for local in sockets:
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as dead:
+            dead.bind(local)
+            for camera in cameras:
+                dead.sendto(command, (camera, GVCP_PORT))
 
 
 def action_command(

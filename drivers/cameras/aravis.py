@@ -15,7 +15,7 @@ from drivers import gvcp
 from drivers.cameras.aravis_library import aravis_errors, cleared_tracebacks, load_aravis
 from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
-from drivers.cameras.frame_reader import FrameReader, Memory, new_buffer
+from drivers.cameras.frame_reader import Allocate, FrameReader, Memory, allocate, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
 from drivers.cameras.stream_filter import max_packet_number, stream_program
 from drivers.cameras.stream_socket import prepare_socket
@@ -31,18 +31,22 @@ FRAME_RETENTION_US = 250_000
 POLLED_FEATURES = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
 """Features that `examine` reports where the camera has them."""
 
-_LINK_SPEED, _HEARTBEAT_MS, _CONTROL_PRIVILEGE, _STREAM_PORT = 0x670, 0x938, 0xA00, 0xD00
-"""Bootstrap registers of every camera: link speed in Mbit/s; heartbeat timeout in ms; privilege, 0 when no application
-has control; the stream's port on the host, 0 without a stream."""
+_LINK_SPEED, _HEARTBEAT_MS, _STREAM_PORT = 0x670, 0x938, 0xD00
+"""Bootstrap registers of every camera: link speed in Mbit/s; heartbeat timeout in ms; the stream's port on the host, 0
+without a stream."""
 _CONTROL = 0x2
 """Value of the control privilege: its owner may write, others may read."""
 
 
 class AravisCamera:
-    """A GigE camera, found by serial number, address or user name; its settings are read back when it is examined."""
+    """A GigE camera, found by serial number, address or user name; its settings are read back when it is examined.
 
-    def __init__(self, settings: GigeCameraSettings) -> None:
+    `allocate` has memory for all its buffers whenever it is opened.
+    """
+
+    def __init__(self, settings: GigeCameraSettings, allocate: Allocate = allocate) -> None:
         self._settings = settings
+        self._allocate = allocate
         self._control = threading.RLock()
         self._device: gvcp.DiscoveredCamera | None = None  # as it was found the last time
         self._camera: Any = None  # the only lasting reference to Aravis' object, see `cleared_tracebacks`
@@ -60,6 +64,11 @@ class AravisCamera:
     @property
     def id(self) -> CameraId:
         return self._settings.id
+
+    @property
+    def address(self) -> str | None:
+        """Where it was found the last time."""
+        return None if self._device is None else self._device.address
 
     def open(self) -> None:
         """Find the camera, take control, write all settings and read them back, prepare the stream.
@@ -221,7 +230,7 @@ class AravisCamera:
         except (LookupError, OSError) as err:
             raise CameraUnavailableError(self.id, f"cannot prepare its stream's socket: {err}") from err
         self._warnings = tuple(self._opening_warnings())
-        make_buffer = partial(new_buffer, aravis, payload_bytes, self._memory)
+        make_buffer = partial(new_buffer, aravis, payload_bytes, self._memory, self._allocate)
         for _ in range(settings.n_buffers):
             self._stream.push_buffer(make_buffer())
         self._reader = FrameReader(
@@ -249,7 +258,7 @@ class AravisCamera:
 
     def _require_control(self) -> None:
         """Raise `CameraUnavailableError` if the camera was restarted, or another application controls it."""
-        is_known = not self._control_lost.is_set() and self._register(_CONTROL_PRIVILEGE) != 0
+        is_known = not self._control_lost.is_set() and self._register(gvcp.CONTROL_PRIVILEGE) != 0
         if not is_known or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
             raise CameraUnavailableError(
                 self.id,
@@ -258,7 +267,7 @@ class AravisCamera:
             )
         try:
             with aravis_errors(self.id, "keep it"):  # only the application in control may write this register
-                self._camera.get_device().write_register(_CONTROL_PRIVILEGE, _CONTROL)
+                self._camera.get_device().write_register(gvcp.CONTROL_PRIVILEGE, _CONTROL)
         except CameraUnavailableError as err:
             problem = f"control was lost: {err.problem}"
             raise CameraUnavailableError(self.id, problem, LossCause.CONTROL_LOST) from err

@@ -27,9 +27,20 @@ OLDEST_NS = 1_000_000_000
 """Greatest age of a frame; it would be exceeded if the wall clock were set after its leader arrived."""
 
 
-def new_buffer(aravis: Any, n_bytes: int, memory: Memory) -> Any:
-    """Return an `aravis.Buffer` of `n_bytes` that receives into a new array, which is added to `memory`."""
-    pixels = np.empty(n_bytes, np.uint8)
+Allocate = Callable[[int], NDArray[np.uint8] | None]
+"""Returns an array (N,) of so many bytes or more to receive into, None when there is none at present."""
+
+
+def allocate(n_bytes: int) -> NDArray[np.uint8]:
+    """Return a new array (N,)."""
+    return np.empty(n_bytes, np.uint8)
+
+
+def new_buffer(aravis: Any, n_bytes: int, memory: Memory, allocate: Allocate) -> Any | None:
+    """Return an `aravis.Buffer` of `n_bytes` that receives into an array, which is added to `memory`."""
+    pixels = allocate(n_bytes)
+    if pixels is None:
+        return None
     buffer = aravis.Buffer.new(n_bytes, pixels.ctypes.data)
     memory[hash(buffer)] = pixels
     return buffer
@@ -44,7 +55,7 @@ class FrameReader:
         stream: Any,
         *,
         memory: Memory,
-        make_buffer: Callable[[], Any],
+        make_buffer: Callable[[], Any | None],
         image_size_px: tuple[int, int],
         control_lost: threading.Event,
     ) -> None:
@@ -87,8 +98,11 @@ class FrameReader:
             if buffer is not None:
                 event = self._event(buffer)
                 if isinstance(event, Frame):
-                    del self._memory[hash(buffer)]  # now the image of the frame
-                    buffer = self._make_buffer()
+                    if (empty := self._make_buffer()) is None:
+                        event = self._lost("no memory: earlier images are still held", buffer)
+                    else:
+                        del self._memory[hash(buffer)]  # now the image of the frame
+                        buffer = empty
                 self._stream.push_buffer(buffer)
                 if not self._is_stopping.is_set():
                     sink.deliver(event)

@@ -7,7 +7,7 @@ frames; the default buffer loses two frames in three (measured).
 import os
 import socket
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,18 +39,33 @@ def prepare_socket(local: tuple[str, int], wanted_bytes: int, program: Sequence[
         return stream.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
+def udp_sockets() -> list[tuple[str, int]]:
+    """Return the local IPv4 addresses and ports of this process's UDP sockets."""
+    found = []
+    for own in _own_sockets():
+        with own:
+            found.append(own.getsockname())
+    return found
+
+
 def _own_socket(local: tuple[str, int]) -> socket.socket:
     """Return a duplicate of the socket; closing it leaves the stream's own open."""
+    for own in _own_sockets():
+        if own.getsockname() == local:
+            return own
+        own.close()
+    raise LookupError(f"no UDP socket of this process is bound to {local[0]}:{local[1]}")
+
+
+def _own_sockets() -> Iterator[socket.socket]:
+    """Yield duplicates of this process's UDP sockets, which the caller closes."""
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # closed meanwhile by another thread, or no socket
             fd = int(entry.name)
             if not stat.S_ISSOCK(os.fstat(fd).st_mode):
                 continue
             found = socket.socket(fileno=os.dup(fd))
-            if (found.family, found.type) == (
-                socket.AF_INET,
-                socket.SOCK_DGRAM,
-            ) and found.getsockname() == local:
-                return found
-            found.close()
-    raise LookupError(f"no UDP socket of this process is bound to {local[0]}:{local[1]}")
+            if (found.family, found.type) == (socket.AF_INET, socket.SOCK_DGRAM):
+                yield found
+            else:
+                found.close()

@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 
+from drivers.errors import LossCause
 from drivers.interfaces import (
     CameraBack,
     CameraLost,
@@ -87,7 +88,8 @@ class BundleAssembler:
                     insort(self._unmatched, event, key=_received_ns)
             case CameraLost():
                 self._lost_cameras.add(event.camera)
-                self._exposures[event.camera] = ExposureCheck(self._window_ns)  # its clock may begin anew
+                if event.cause is not LossCause.PROCESS_ENDED:  # else it kept its power
+                    self._exposures[event.camera] = ExposureCheck(self._window_ns)  # its clock may begin anew
                 for window in self._open:
                     if event.camera not in window.frames:
                         window.lost.setdefault(event.camera, MissingReason.CAMERA_LOST)

@@ -120,6 +120,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     trouble = await _follow(acquisition, acquiring, recording, count)
     recording.end(EndedBy.STOP)
     await acquiring
+    await asyncio.to_thread(devices.close)
     await recording.closed.wait()
     if trouble is not None:
         raise ServiceError(trouble + _hint_at_daemon(settings.store.dir))

@@ -128,6 +128,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         settings=settings,
         segmentation=segmentation,
         store=store,
+        devices=devices,
         session=session,
         calibrations=calibrations,
         folder=folder,

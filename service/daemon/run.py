@@ -59,6 +59,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             return
         resources.push_async_callback(asyncio.to_thread, store.close)
         daemon = await build(settings, store)
+        resources.push_async_callback(asyncio.to_thread, daemon.devices.close)
         resources.push_async_exit(_end_of_spool(daemon))
         resources.callback(daemon.pool.close)
         resources.push_async_callback(daemon.recordings.close)

@@ -6,6 +6,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from drivers.factory import Devices
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
@@ -47,6 +48,7 @@ class Daemon:
     settings: Settings
     segmentation: SegmenterPlan
     store: Store
+    devices: Devices
     session: int
     calibrations: Calibrations
     folder: Path  # on tmpfs, of this session, for bundles and for the workers' files

@@ -15,6 +15,7 @@ from support.pty_gate import serial_gate
 from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
 from support.sinks import Collector
 
+from drivers.camera_process.process import CameraProcess
 from drivers.errors import CameraUnavailableError, GateUnavailableError
 from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.faulty.faults import FaultPlan
@@ -44,9 +45,10 @@ class Bench:
         assert isinstance(self.witness.next(), Frame)
 
 
-@pytest.fixture(params=[*PLANS, "aravis"])
+@pytest.fixture(params=[*PLANS, "aravis", "aravis in a process of its own"])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    with aravis_bench() if request.param == "aravis" else replayed_bench(tmp_path, request.param) as bench:
+    is_live = request.param.startswith("aravis")
+    with aravis_bench(request.param) if is_live else replayed_bench(tmp_path, request.param) as bench:
         witnessing = bench.cameras[CAMERAS[-1]]
         witnessing.open()
         witnessing.arm(bench.witness)
@@ -66,9 +68,12 @@ def replayed_bench(folder: Path, plan: str) -> Iterator[Bench]:
 
 
 @contextmanager
-def aravis_bench() -> Iterator[Bench]:
-    with gige_rig(CAMERAS) as rig:
+def aravis_bench(where: str) -> Iterator[Bench]:
+    process = None if where == "aravis" else CameraProcess()
+    with gige_rig(CAMERAS, process) as rig:
         yield Bench(rig.cameras, rig.fire, is_counting_on=False)
+    if process is not None:
+        process.close()
 
 
 def replayed_devices(folder: Path, plan: str) -> Devices:

@@ -4,9 +4,11 @@ One daemon for all rows, in the order of the table: whatever a row breaks must b
 `--full` one row of each kind: packets, a camera, all cameras, its counter, and the gate's lines.
 """
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from support.live_rig import LiveRig, eventually, live_rig
@@ -146,6 +148,22 @@ def test_c3_without_any_camera_it_is_the_switch_and_stones_are_counted(live: Liv
     for camera in live.rig.cameras.values():
         camera.replug()
     live.wait_until_whole(30)
+
+
+def test_c3_the_process_of_the_cameras_dies_and_only_stones_meanwhile_have_no_images(live: LiveRig):
+    pid, before = live.daemon.camera_pid(), live.status("c01")["recoveries"]
+    assert "libaravis" not in Path(f"/proc/{live.daemon.process.pid}/maps").read_text()
+    seq = live.last_seq()
+    os.kill(pid, signal.SIGSTOP)
+    live.fall(1)
+    os.kill(pid, signal.SIGKILL)
+    lost = live.wait_for_results(seq, 1)
+    assert [(result["outcome"], result["reason"]) for result in lost] == [("lost", "no_frames")]
+    live.wait_until_whole(30)
+    assert live.status("c01")["recoveries"] == before + 1
+    assert "process of the cameras ended (SIGKILL)" in live.status("c01")["last_error"]
+    assert live.daemon.camera_pid() != pid
+    assert views(live.measure(2)) == [16, 16]
 
 
 @pytest.mark.full

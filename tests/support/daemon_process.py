@@ -167,6 +167,11 @@ class DaemonProcess:
         """Processes of the pool that measures."""
         return [pid for pid in descendants_of(self.process.pid) if process_name(pid) == WORKER_NAME]
 
+    def camera_pid(self) -> int:
+        """The process that the cameras' library runs in."""
+        (pid,) = (pid for pid in descendants_of(self.process.pid) if process_name(pid) == "stonefall-cams")
+        return pid
+
     def signal_workers(self, number: signal.Signals) -> None:
         for pid in self.worker_pids():
             os.kill(pid, number)
@@ -180,7 +185,8 @@ class DaemonProcess:
 def descendants_of(pid: int) -> list[int]:
     """Child processes and theirs, none if the process is gone."""
     try:
-        children = [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        threads = list(Path(f"/proc/{pid}/task").iterdir())  # each has the children that it started
+        children = [int(child) for each in threads for child in (each / "children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
         return []
     return children + [theirs for child in children for theirs in descendants_of(child)]

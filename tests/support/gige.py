@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from support.recordings import SIZE_PX as SMALL_PX
 from support.recordings import tagged_image
 
+from drivers.camera_process.camera import RemoteCamera
+from drivers.camera_process.process import CameraProcess
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import GigeCameraSettings, exposure_features, trigger_features
 from drivers.gige_simulator.camera import CameraDesign, Exposure, ImageSource, SimulatedCamera
+from drivers.interfaces import Camera
 from pipeline.frames import CameraId
 
 PROCESS = os.getpid() % 256
@@ -92,7 +95,7 @@ class GigeRig:
     """The small rig's cameras as simulated GigE cameras, and the drivers to them, not yet opened."""
 
     simulated: Mapping[CameraId, SimulatedCamera]
-    cameras: Mapping[CameraId, AravisCamera]
+    cameras: Mapping[CameraId, Camera]
     _fired_ns: list[int]
 
     def fire(self) -> None:
@@ -103,8 +106,8 @@ class GigeRig:
 
 
 @contextmanager
-def gige_rig(camera_ids: Sequence[CameraId]) -> Iterator[GigeRig]:
-    """Switch the cameras on; afterwards close the drivers and switch them off."""
+def gige_rig(camera_ids: Sequence[CameraId], process: CameraProcess | None = None) -> Iterator[GigeRig]:
+    """Switch the cameras on; afterwards close the drivers, in this process or in that one, and switch them off."""
     fired_ns: list[int] = []
 
     def source(exposure: Exposure) -> NDArray[np.uint8]:
@@ -115,7 +118,10 @@ def gige_rig(camera_ids: Sequence[CameraId]) -> Iterator[GigeRig]:
     ]
     with ExitStack() as stack:
         simulated = {each.id: stack.enter_context(powered(each, source)) for each in designs}
-        cameras = {each.id: AravisCamera(settings_for(each, image_size_px=SMALL_PX)) for each in designs}
+        cameras: dict[CameraId, Camera] = {}
+        for each in designs:
+            settings = settings_for(each, image_size_px=SMALL_PX)
+            cameras[each.id] = RemoteCamera(settings, process) if process else AravisCamera(settings)
         for camera in cameras.values():
             stack.callback(camera.close)
         yield GigeRig(simulated, cameras, fired_ns)

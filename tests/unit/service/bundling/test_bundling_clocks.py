@@ -17,7 +17,8 @@ from support.bundling import (
     trigger,
 )
 
-from drivers.interfaces import DeviceEvent
+from drivers.errors import LossCause
+from drivers.interfaces import CameraBack, CameraLost, DeviceEvent
 from pipeline.frames import CameraId, Frame
 from service.bundling.assembler import BundleAssembler
 
@@ -180,3 +181,19 @@ def test_ids_tell_losses_from_missed_exposures() -> None:
     }
     # A: wraps, loses one in transit, restarts; B: did not see a trigger; C: exposed once too often
     assert checks == {A: (0, 1, 1, 1), B: (1, 0, 0, 1), C: (0, 1, 0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("cause", "is_measured"), [(LossCause.PROCESS_ENDED, True), (LossCause.SILENT, False)]
+)
+def test_a_camera_that_kept_its_power_kept_its_clock(cause: LossCause, is_measured: bool) -> None:
+    """Its first image after another loss proves nothing; the process of the cameras dies without their clocks."""
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [trigger(0, 0), *(frame(camera, 0, DELAY_NS, device_ns=7) for camera in CAMERAS)])
+    for camera in CAMERAS:
+        assembler.feed(CameraLost(camera=camera, received_ns=300 * MS, reason="gone", cause=cause))
+        assembler.feed(CameraBack(camera=camera, received_ns=900 * MS))
+    at_ns = 1000 * MS
+    events = [frame(camera, 1, at_ns + DELAY_NS, frame_id=1, device_ns=7 + at_ns) for camera in CAMERAS]
+    bundles = feed_all(assembler, [trigger(1, at_ns), *events]) + assembler.flush()
+    assert [tags(bundle) for bundle in bundles] == [{1} if is_measured else set()]

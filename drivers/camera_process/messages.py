@@ -1,0 +1,107 @@
+"""What the daemon and the process of the cameras tell one another, over a socket that keeps messages apart."""
+
+import pickle
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drivers.cameras.genicam import GigeCameraSettings
+from drivers.errors import CameraUnavailableError
+from drivers.interfaces import CameraVitals, DeviceEvent
+from pipeline.frames import CameraId
+
+MAX_BYTES = 1 << 16
+"""Of a message; the longest is an error with a traceback."""
+Address = tuple[str, int]
+"""IPv4 address and UDP port."""
+
+
+class Doing(StrEnum):
+    """What a camera can be asked to do, named as the method of `AravisCamera`."""
+
+    OPEN = "open"
+    ARM = "arm"
+    EXAMINE = "examine"
+    SOFTWARE_TRIGGER = "software_trigger"
+    DISARM = "disarm"
+    CLOSE = "close"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """To the process: do something with a camera."""
+
+    number: int
+    settings: GigeCameraSettings
+    doing: Doing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opened:
+    """From the process: a camera is open; the file of the memory that it receives into comes with the message."""
+
+    camera: CameraId
+    memory: int  # its number
+    slot_bytes: int
+    n_slots: int
+    address: str | None  # of the camera
+    sockets: Sequence[Address]  # all of the process; one of them is in control of this camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """From the process: a call is done."""
+
+    number: int
+    result: CameraVitals | CameraUnavailableError | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameHere:
+    """From the process: a `Frame`, its image in a slot of the memory."""
+
+    camera: CameraId
+    memory: int
+    slot: int
+    size_px: tuple[int, int]
+    frame_id: int
+    device_ns: int
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delivered:
+    """From the process: any other event."""
+
+    camera: CameraId
+    event: DeviceEvent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlotsFree:
+    """To the process: nobody looks at these images any more."""
+
+    slots: Sequence[tuple[CameraId, int, int]]  # with the number of the memory
+
+
+Message = Call | Opened | Reply | FrameHere | Delivered | SlotsFree
+
+
+def connection() -> tuple[socket.socket, socket.socket]:
+    """Return both ends of a new connection."""
+    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+
+def send(end: socket.socket, message: Message, files: Sequence[int] = ()) -> None:
+    """Send a message, with open files; raises `OSError` when the other end is gone."""
+    socket.send_fds(end, [pickle.dumps(message)], list(files))
+
+
+def receive(end: socket.socket) -> tuple[Message, list[int]] | None:
+    """Return the next message and its files, to be closed by the caller; None when the other end is gone."""
+    try:
+        data, files, _, _ = socket.recv_fds(end, MAX_BYTES, 1)
+    except ConnectionError:
+        return None
+    return (pickle.loads(data), files) if data else None  # noqa: S301 - from our own process

@@ -1,0 +1,221 @@
+"""The daemon's end of the process that the cameras' library runs in."""
+
+import logging
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+
+from drivers import gvcp
+from drivers.camera_process.frame_memory import MAX_HELD, FilledSlots
+from drivers.camera_process.messages import (
+    Address,
+    Call,
+    Delivered,
+    Doing,
+    FrameHere,
+    Opened,
+    Reply,
+    SlotsFree,
+    connection,
+    receive,
+    send,
+)
+from drivers.cameras.genicam import GigeCameraSettings
+from drivers.errors import CameraUnavailableError, LossCause
+from drivers.interfaces import CameraLost, CameraVitals
+from drivers.outlet import Outlet
+from pipeline.frames import CameraId, Frame
+
+log = logging.getLogger(__name__)
+
+CALL_S = 20.0
+"""Longest call; to close a dead camera takes 8 s. A process that takes longer hangs, and is killed."""
+SERVER = "drivers.camera_process.server"
+STABLE_S = 10.0
+"""A process that lived shorter is not replaced before a camera is opened: its callers wait longer each time."""
+
+Result = CameraVitals | None
+
+
+class CameraProcess:
+    """Starts the process with the first camera that is opened, and again when it has died, until `close`.
+
+    All cameras are lost with it, and those that were armed are told of. Thread-safe.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._outlets: dict[CameraId, Outlet] = {}
+        self._life: _Life | None = None
+        self._is_closed = False
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process, None while there is none."""
+        return None if (life := self._life) is None else life.process.pid
+
+    def register(self, camera: CameraId, outlet: Outlet) -> None:
+        """Deliver a camera's events there."""
+        self._outlets[camera] = outlet
+
+    def call(self, settings: GigeCameraSettings, doing: Doing) -> Result:
+        """Have the process do something with a camera; only to open one starts it.
+
+        Raises
+        ------
+        CameraUnavailableError
+            The camera cannot do it, or the process died or had to be killed meanwhile.
+        """
+        with self._lock:
+            if self._life is None and doing is Doing.OPEN and not self._is_closed:
+                self._start()
+            life = self._life
+            if life is None:
+                raise CameraUnavailableError(settings.id, "is not open")
+            called = life.call(settings, doing)
+        try:
+            return called.result(CALL_S)
+        except TimeoutError:
+            log.error("the process of the cameras hangs camera=%s doing=%s", settings.id, doing)
+            life.process.kill()
+            problem = f"took more than {CALL_S:g} s to {doing}"
+            raise CameraUnavailableError(settings.id, problem, LossCause.PROCESS_ENDED) from None
+
+    def close(self) -> None:
+        """End the process, which closes the cameras that are open."""
+        with self._lock:
+            self._is_closed = True
+            life = self._life
+        if life is not None:
+            life.end.shutdown(socket.SHUT_WR)
+            life.listener.join(CALL_S)
+            life.process.kill()
+            life.listener.join()
+
+    def _start(self) -> None:
+        """Start a process; the lock is held."""
+        here, there = connection()
+        with there:
+            command = [sys.executable, "-P", "-m", SERVER, str(there.fileno())]
+            process = subprocess.Popen(  # noqa: S603 - our own module
+                command, pass_fds=[there.fileno()], stdin=subprocess.DEVNULL
+            )
+        self._life = _Life(process, here, self._listen)
+
+    def _listen(self, life: "_Life") -> None:
+        """Take what the process says until it ends, then start another one."""
+        while (received := receive(life.end)) is not None:
+            message, files = received
+            match message:
+                case FrameHere():
+                    self._outlets[message.camera].deliver(life.frame(message))
+                case Delivered(camera=camera, event=event):
+                    self._outlets[camera].deliver(event)
+                case Opened():
+                    life.opened(message, files[0])
+                case Reply():
+                    life.reply(message)
+            life.return_slots()
+        exit_code = life.process.wait()
+        lived_s = time.monotonic() - life.started_s
+        reason = f"the process of the cameras ended ({_name(exit_code)})"
+        if not self._is_closed:
+            log.error("%s after_s=%.1f", reason, lived_s)
+            gvcp.release_control([*life.addresses], [*life.sockets])
+        with self._lock:
+            self._life = None
+            life.end.close()
+            if not self._is_closed and lived_s >= STABLE_S:
+                self._start()
+        life.fail_calls(reason)
+        for camera, outlet in self._outlets.items():
+            outlet.deliver(
+                CameraLost(
+                    camera=camera,
+                    received_ns=time.monotonic_ns(),
+                    reason=reason,
+                    cause=LossCause.PROCESS_ENDED,
+                )
+            )
+
+
+class _Life:
+    """One process, from its start to its end."""
+
+    def __init__(
+        self, process: "subprocess.Popen[bytes]", end: socket.socket, listen: "Callable[[_Life], None]"
+    ) -> None:
+        self.process = process
+        self.end = end
+        self.started_s = time.monotonic()
+        self.addresses: set[str] = set()
+        self.sockets: set[Address] = set()
+        self._calls: dict[int, tuple[CameraId, Future[Result]]] = {}
+        self._n_calls = 0
+        self._memory: dict[CameraId, tuple[int, FilledSlots]] = {}
+        self._freed: deque[tuple[CameraId, int, int]] = deque()
+        self.listener = threading.Thread(target=listen, args=(self,), name="cameras", daemon=True)
+        self.listener.start()
+
+    def call(self, settings: GigeCameraSettings, doing: Doing) -> Future[Result]:
+        """Call for something, not by two threads at the same time; the call fails with the process."""
+        self._n_calls += 1
+        called: Future[Result] = Future()
+        self._calls[self._n_calls] = settings.id, called
+        with suppress(OSError):  # it has just died
+            send(self.end, Call(number=self._n_calls, settings=settings, doing=doing))
+        return called
+
+    def reply(self, reply: Reply) -> None:
+        """End a call."""
+        _, called = self._calls.pop(reply.number)
+        if isinstance(reply.result, CameraUnavailableError):
+            called.set_exception(reply.result)
+        else:
+            called.set_result(reply.result)
+
+    def fail_calls(self, reason: str) -> None:
+        """Fail all calls under way, once no other can be made."""
+        for camera, called in self._calls.values():
+            called.set_exception(CameraUnavailableError(camera, reason, LossCause.PROCESS_ENDED))
+
+    def opened(self, opened: Opened, file: int) -> None:
+        """See the memory of an open camera."""
+        name, memory, freed = opened.camera, opened.memory, self._freed
+        slots = FilledSlots(
+            file, opened.slot_bytes, opened.n_slots, lambda slot: freed.append((name, memory, slot))
+        )
+        self._memory[name] = memory, slots
+        if opened.address is not None:
+            self.addresses.add(opened.address)
+        self.sockets.update(opened.sockets)
+
+    def frame(self, here: FrameHere) -> Frame:
+        """Return the frame, its image where it is; a copy when many others are held."""
+        _, slots = self._memory[here.camera]
+        see = slots.image if slots.n_held < MAX_HELD else slots.copy
+        return Frame(
+            camera=here.camera,
+            image=see(here.slot, here.size_px),
+            frame_id=here.frame_id,
+            device_ns=here.device_ns,
+            received_ns=here.received_ns,
+        )
+
+    def return_slots(self) -> None:
+        """Tell which images nobody holds any more, also in memory that is used no longer."""
+        freed = [self._freed.popleft() for _ in range(len(self._freed))]
+        if freed:
+            with suppress(OSError):
+                send(self.end, SlotsFree(slots=freed))
+
+
+def _name(exit_code: int) -> str:
+    return signal.Signals(-exit_code).name if exit_code < 0 else f"exit code {exit_code}"
