@@ -8,6 +8,7 @@ from enum import StrEnum
 
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError
+from drivers.gvcp import DiscoveredCamera
 from drivers.interfaces import CameraVitals, DeviceEvent
 from pipeline.frames import CameraId
 
@@ -35,6 +36,7 @@ class Call:
     number: int
     settings: GigeCameraSettings
     doing: Doing
+    last: DiscoveredCamera | None  # as it was found the last time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +47,7 @@ class Opened:
     memory: int  # its number
     slot_bytes: int
     n_slots: int
-    address: str | None  # of the camera
+    found: DiscoveredCamera | None
     sockets: Sequence[Address]  # all of the process; one of them is in control of this camera
 
 

@@ -53,6 +53,7 @@ class CameraProcess:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._outlets: dict[CameraId, Outlet] = {}
+        self._found: dict[CameraId, gvcp.DiscoveredCamera] = {}  # the last time
         self._life: _Life | None = None
         self._is_closed = False
 
@@ -79,7 +80,7 @@ class CameraProcess:
             life = self._life
             if life is None:
                 raise CameraUnavailableError(settings.id, "is not open")
-            called = life.call(settings, doing)
+            called = life.call(settings, doing, self._found.get(settings.id))
         try:
             return called.result(CALL_S)
         except TimeoutError:
@@ -118,8 +119,10 @@ class CameraProcess:
                     self._outlets[message.camera].deliver(life.frame(message))
                 case Delivered(camera=camera, event=event):
                     self._outlets[camera].deliver(event)
-                case Opened():
+                case Opened(camera=camera, found=found):
                     life.opened(message, files[0])
+                    if found is not None:
+                        self._found[camera] = found
                 case Reply():
                     life.reply(message)
             life.return_slots()
@@ -128,7 +131,7 @@ class CameraProcess:
         reason = f"the process of the cameras ended ({_name(exit_code)})"
         if not self._is_closed:
             log.error("%s after_s=%.1f", reason, lived_s)
-            gvcp.release_control([*life.addresses], [*life.sockets])
+            gvcp.release_control([found.address for found in self._found.values()], [*life.sockets])
         with self._lock:
             self._life = None
             life.end.close()
@@ -155,7 +158,6 @@ class _Life:
         self.process = process
         self.end = end
         self.started_s = time.monotonic()
-        self.addresses: set[str] = set()
         self.sockets: set[Address] = set()
         self._calls: dict[int, tuple[CameraId, Future[Result]]] = {}
         self._n_calls = 0
@@ -164,13 +166,15 @@ class _Life:
         self.listener = threading.Thread(target=listen, args=(self,), name="cameras", daemon=True)
         self.listener.start()
 
-    def call(self, settings: GigeCameraSettings, doing: Doing) -> Future[Result]:
+    def call(
+        self, settings: GigeCameraSettings, doing: Doing, last: gvcp.DiscoveredCamera | None
+    ) -> Future[Result]:
         """Call for something, not by two threads at the same time; the call fails with the process."""
         self._n_calls += 1
         called: Future[Result] = Future()
         self._calls[self._n_calls] = settings.id, called
         with suppress(OSError):  # it has just died
-            send(self.end, Call(number=self._n_calls, settings=settings, doing=doing))
+            send(self.end, Call(number=self._n_calls, settings=settings, doing=doing, last=last))
         return called
 
     def reply(self, reply: Reply) -> None:
@@ -193,8 +197,6 @@ class _Life:
             file, opened.slot_bytes, opened.n_slots, lambda slot: freed.append((name, memory, slot))
         )
         self._memory[name] = memory, slots
-        if opened.address is not None:
-            self.addresses.add(opened.address)
         self.sockets.update(opened.sockets)
 
     def frame(self, here: FrameHere) -> Frame:

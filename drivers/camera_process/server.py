@@ -25,7 +25,6 @@ from drivers.camera_process.messages import (
     send,
 )
 from drivers.cameras.aravis import AravisCamera
-from drivers.cameras.genicam import GigeCameraSettings
 from drivers.cameras.stream_socket import udp_sockets
 from drivers.errors import CameraUnavailableError
 from drivers.interfaces import CameraVitals, DeviceEvent
@@ -56,7 +55,7 @@ def serve(end: socket.socket) -> None:
             match received[0]:
                 case Call() as call:
                     if (name := call.settings.id) not in cameras:
-                        cameras[name] = ServedCamera(call.settings, end)
+                        cameras[name] = ServedCamera(call, end)
                     calls.submit(cameras[name].answer, call)
                 case SlotsFree(slots=slots):
                     for name, memory, slot in slots:
@@ -68,9 +67,9 @@ def serve(end: socket.socket) -> None:
 class ServedCamera:
     """A camera with the memory that it receives into, and the sink that tells the daemon of its events."""
 
-    def __init__(self, settings: GigeCameraSettings, end: socket.socket) -> None:
-        self.device = AravisCamera(settings, lambda n_bytes: self._slots.take(n_bytes))
-        self._n_slots = settings.n_buffers + MAX_HELD + ON_THE_WAY
+    def __init__(self, first: Call, end: socket.socket) -> None:
+        self.device = AravisCamera(first.settings, lambda n_bytes: self._slots.take(n_bytes), first.last)
+        self._n_slots = first.settings.n_buffers + MAX_HELD + ON_THE_WAY
         self._end = end
         self._slots = SlotsToFill(self._n_slots)  # those of the latest opening
         self._memory = 0  # their number
@@ -127,7 +126,7 @@ class ServedCamera:
             memory=self._memory,
             slot_bytes=self._slots.slot_bytes,
             n_slots=self._n_slots,
-            address=self.device.address,
+            found=self.device.found,
             sockets=udp_sockets(),
         )
         send(self._end, opened, [self._slots.file.fileno()])

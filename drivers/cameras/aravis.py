@@ -41,14 +41,20 @@ _CONTROL = 0x2
 class AravisCamera:
     """A GigE camera, found by serial number, address or user name; its settings are read back when it is examined.
 
-    `allocate` has memory for all its buffers whenever it is opened.
+    `allocate` has memory for all its buffers whenever it is opened. Where it was found the `last` time it is looked
+    for first.
     """
 
-    def __init__(self, settings: GigeCameraSettings, allocate: Allocate = allocate) -> None:
+    def __init__(
+        self,
+        settings: GigeCameraSettings,
+        allocate: Allocate = allocate,
+        last: gvcp.DiscoveredCamera | None = None,
+    ) -> None:
         self._settings = settings
         self._allocate = allocate
         self._control = threading.RLock()
-        self._device: gvcp.DiscoveredCamera | None = None  # as it was found the last time
+        self._device = last
         self._camera: Any = None  # the only lasting reference to Aravis' object, see `cleared_tracebacks`
         self._stream: Any = None
         self._reader: FrameReader | None = None
@@ -66,9 +72,9 @@ class AravisCamera:
         return self._settings.id
 
     @property
-    def address(self) -> str | None:
-        """Where it was found the last time."""
-        return None if self._device is None else self._device.address
+    def found(self) -> gvcp.DiscoveredCamera | None:
+        """The camera as it was found the last time."""
+        return self._device
 
     def open(self) -> None:
         """Find the camera, take control, write all settings and read them back, prepare the stream.

@@ -24,6 +24,8 @@ BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 5.0)
 Not tenacity or stamina: these retry one call, while this wait ends early when the device is disarmed, and a device that
 is lost soon after it came back continues where its waits were.
 """
+BACK_AT_ONCE = frozenset({LossCause.PROCESS_ENDED})
+"""Causes of a loss that is over when it is told: the next process has been started."""
 EXAMINE_EVERY_S = 5.0
 """Interval between examinations of a healthy device."""
 STABLE_S = 10.0
@@ -153,7 +155,10 @@ class DeviceKeeper:
                 if self.state is DeviceState.LOST:
                     await self.call(self.device.close)
                     self._wake.clear()  # set by the loss itself
-                    if not self._is_ending:
+                    is_there_again = (
+                        failures == 0 and self.loss is not None and self.loss.cause in BACK_AT_ONCE
+                    )
+                    if not self._is_ending and not is_there_again:
                         await self._wait_for_wake(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
             if self.state is DeviceState.ARMED:
                 await self.call(self.device.disarm)
