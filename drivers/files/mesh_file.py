@@ -23,9 +23,12 @@ FACE = np.dtype([("n_corners", "u1"), ("a", "<i4"), ("b", "<i4"), ("c", "<i4")])
 
 def write_mesh(path: Path, vertices_mm: PointsMM, faces: Faces) -> None:
     """Write vertices (N, 3) in single precision and faces (M, 3); neither durable nor atomic."""
+    path.write_bytes(ply_bytes(vertices_mm, faces))
+
+
+def ply_bytes(vertices_mm: PointsMM, faces: Faces) -> bytes:
+    """Return the file that `write_mesh` writes."""
     rows = np.empty(len(faces), FACE)
     rows["n_corners"], (rows["a"], rows["b"], rows["c"]) = 3, faces.T
-    with path.open("wb") as file:
-        file.write(HEADER.format(n_vertices=len(vertices_mm), n_faces=len(faces)).encode("ascii"))
-        vertices_mm.astype("<f4").tofile(file)
-        rows.tofile(file)
+    header = HEADER.format(n_vertices=len(vertices_mm), n_faces=len(faces)).encode("ascii")
+    return header + vertices_mm.astype("<f4").tobytes() + rows.tobytes()

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
+from drivers.files.compact_mesh import read_compact_mesh
 from drivers.files.durable import replacing
+from drivers.files.mesh_file import ply_bytes
 from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
 from drivers.files.silhouette_file import read_silhouettes
@@ -27,7 +29,7 @@ MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 class MeshFormat(StrEnum):
-    """File format of a mesh: PLY (as stored) and STL in mm with z up, GLB in metres with y up."""
+    """File format of a mesh: PLY and STL in mm with z up, GLB in metres with y up."""
 
     PLY = "ply"
     STL = "stl"
@@ -40,10 +42,12 @@ class NotKeptError(Exception):
 
 def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
     """Return the mesh as a file of this format; raise `NotKeptError` without a mesh."""
-    stored = _stored(folder / "mesh.ply")
+    exact = folder / "mesh.ply"
+    if mesh_format is MeshFormat.PLY and exact.exists():
+        return exact.read_bytes()
+    mesh = _mesh(folder)
     if mesh_format is MeshFormat.PLY:
-        return stored.read_bytes()
-    mesh = _mesh(stored)
+        return ply_bytes(mesh.vertices, mesh.faces)
     if mesh_format is MeshFormat.GLB:
         mesh.vertices = mesh.vertices @ MM_Z_UP_TO_M_Y_UP.T
     exported = BytesIO()
@@ -56,7 +60,7 @@ def preview_png(folder: Path) -> bytes:
     kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
     if kept.exists():
         return kept.read_bytes()
-    mesh = _mesh(_stored(folder / "mesh.ply"))
+    mesh = _mesh(folder)
     image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
     png = encode_png(image_rgb[..., ::-1])
     with suppress(OSError), replacing(kept) as unfinished:  # a full disk costs the next request the same time
@@ -108,9 +112,16 @@ def _stored(path: Path) -> Path:
     return path
 
 
-def _mesh(path: Path) -> "trimesh.Trimesh":
+def _mesh(folder: Path) -> "trimesh.Trimesh":
+    """Return the mesh, whether it was stored compact or exact."""
+    path = folder / "mesh.ply" if (folder / "mesh.ply").exists() else _stored(folder / "mesh.sfmesh")
     try:
-        mesh = parse_mesh(path)
+        if path.suffix == ".ply":
+            mesh = parse_mesh(path)
+        else:
+            import trimesh  # here: with its dependencies it takes a second
+
+            mesh = trimesh.Trimesh(*read_compact_mesh(path), process=False)
     except RecordingError as err:
         raise NotKeptError(f"{path.name} {err.problem}") from err
     if mesh.faces.size == 0 or not np.isfinite(mesh.vertices).all():

@@ -35,8 +35,7 @@ from service.configuration.segmentation_settings import SegmentationSettings, pl
 from service.errors import UsageError
 from service.processing.background_files import write_background
 from service.processing.measure_job import (
-    MESH,
-    SILHOUETTES,
+    RESULT_FILES,
     MeasureJob,
     RigFile,
     WorkerContext,
@@ -112,6 +111,7 @@ def worker_context() -> WorkerContext:
         parameters=PipelineParameters(),
         is_simulated=True,
         segmentation=plan_segmenter(SegmentationSettings()),
+        compact_meshes=True,
     )
 
 
@@ -231,7 +231,6 @@ async def _measured_and_stored(state: Path, job: MeasureJob, bundle: FrameBundle
         await store.record_triggers(session, {bundle.name: bundle.trigger})
         start_s, start_cpu_s = time.perf_counter(), time.process_time()
         record = measure(job).record
-        await store.finish(
-            session, bundle.name, record, {name: job.out_dir / name for name in (MESH, SILHOUETTES)}
-        )
+        files = {name: path for name in RESULT_FILES if (path := job.out_dir / name).exists()}
+        await store.finish(session, bundle.name, record, files)
         return 1000 * (time.perf_counter() - start_s), 1000 * (time.process_time() - start_cpu_s)

@@ -19,6 +19,7 @@ import cv2
 from numba.core import event
 from threadpoolctl import threadpool_limits
 
+from drivers.files.compact_mesh import write_compact_mesh
 from drivers.files.mesh_file import write_mesh
 from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig
@@ -41,8 +42,8 @@ from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmen
 from service.processing.worker_process import WarmUp, worker_boundary
 from service.results.record import optics_record, result_record
 
-MESH, SILHOUETTES = "mesh.ply", "silhouettes.tiff"
-"""Files of a result."""
+MESH, COMPACT_MESH, SILHOUETTES = RESULT_FILES = ("mesh.ply", "mesh.sfmesh", "silhouettes.tiff")
+"""Files of a result; a worker that crashed may have left others."""
 GC_THRESHOLD = 20_000
 """New objects between two garbage collections: with Python's default, they take 9 % of the compiler's time."""
 
@@ -55,6 +56,7 @@ class WorkerContext:
     is_simulated: bool
     speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
     segmentation: SegmenterPlan = CLASSICAL
+    compact_meshes: bool = False  # instead of PLY
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +193,7 @@ def this_worker() -> Worker:
 
 
 def measure(job: MeasureJob) -> MeasuredBundle:
-    """Measure one bundle; return its record, and write `mesh.ply` and `silhouettes.tiff`.
+    """Measure one bundle; return its record, and write its mesh and `silhouettes.tiff`.
 
     Raises
     ------
@@ -221,7 +223,7 @@ def measure(job: MeasureJob) -> MeasuredBundle:
             result = measure_bundle(
                 bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage, mapper
             )
-        _write_files(job, result)
+        _write_files(job, result, compact_mesh=worker.context.compact_meshes)
         on_stage("write")
     timings_ms["total"] = round(sum(timings_ms.values()), 2)
     record = result_record(
@@ -255,8 +257,10 @@ def view_mapper(n_threads: int) -> Iterator[ViewMapper]:
         yield threads.map
 
 
-def _write_files(job: MeasureJob, result: ParticleResult) -> None:
-    if result.mesh is not None:
+def _write_files(job: MeasureJob, result: ParticleResult, *, compact_mesh: bool) -> None:
+    if result.mesh is not None and compact_mesh:
+        write_compact_mesh(job.out_dir / COMPACT_MESH, result.mesh.vertices_mm, result.mesh.faces)
+    elif result.mesh is not None:
         write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces)
     if job.save_silhouettes:
         seen = result.silhouettes

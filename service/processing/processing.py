@@ -20,8 +20,7 @@ from service.processing.background_keeping import KeptBackground
 from service.processing.background_versions import BackgroundVersions, LearntBackground
 from service.processing.left_bundles import BACKGROUND, job_folder
 from service.processing.measure_job import (
-    MESH,
-    SILHOUETTES,
+    RESULT_FILES,
     LearnJob,
     MeasuredBundle,
     MeasureJob,
@@ -112,10 +111,6 @@ class _Measured:
     bundle: MeasuredBundle
     folder: Path
     keep_drop: KeepDrop | None
-
-
-RESULT_FILES = (MESH, SILHOUETTES)
-"""Files that the store takes from a worker's folder; a worker that crashed may have left others."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,7 +130,7 @@ async def test_its_death_costs_one_retry_then_an_answer_to_come_again(
 
 async def test_what_it_raises_is_raised_here(tmp_path: Path, reading: ReaderProcess) -> None:
     pid = await reading.run(os.getpid)
-    with pytest.raises(NotKeptError, match=r"mesh\.ply was not kept"):
+    with pytest.raises(NotKeptError, match=r"mesh\.sfmesh was not kept"):
         await reading.run(preview_png, tmp_path)
     with pytest.raises(StoreError, match="nowhere"):
         await reading.run(read, tmp_path / "nowhere", results_after, 0, 1)

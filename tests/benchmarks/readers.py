@@ -38,6 +38,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import DaemonProcess, descendants_of, process_name
 from support.rest import add
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
+from support.stores import folder_of
 from support.usage import cpu_s
 
 from drivers.files.recording import open_recording
@@ -171,15 +172,15 @@ async def fill(state: Path) -> None:
         texts = connection.execute("SELECT record FROM results").fetchall()
     records = [json.loads(text) for (text,) in texts]
     record = next(each for each in records if each["outcome"] == "measured")
-    mesh = state / "particles" / record["id"] / "mesh.ply"
+    mesh = folder_of(state, record["id"]) / "mesh.sfmesh"
     with open_store(state, keep_raw=0) as store:
         session = await store.begin_session(
             {"calibration_id": record["calibration_id"], "is_simulated": True}
         )
         for number in range(N_BEFORE):
-            copy = Path(shutil.copy(mesh, state / "copy.ply"))
+            copy = Path(shutil.copy(mesh, state / "copy.sfmesh"))
             fields = {name: value for name, value in record.items() if name not in STORED_FIELDS}
-            await add(store, session, number, fields, {"mesh.ply": copy})
+            await add(store, session, number, fields, {"mesh.sfmesh": copy})
 
 
 def trigger_times_s(watched: Watched, n_before: int, due_s: np.ndarray) -> np.ndarray:
