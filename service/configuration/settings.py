@@ -6,7 +6,7 @@ folder of the file. The calibration is not configuration but a measured result i
 
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -30,6 +30,7 @@ from service.errors import SettingsError, VolumeModelError
 from service.health.optical_watch import OpticalParameters
 from service.recording.recordings import RecordingsSettings
 from service.store import KEEP_RAW
+from service.store.retention import RetentionLimits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,13 +61,15 @@ class SpoolSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreSettings:
-    """Folder of the store, which images it keeps, and how often its database is copied."""
+    """Folder of the store, what it keeps, and how often its database is copied."""
 
     dir: ConfiguredPath
     keep_raw: int = KEEP_RAW  # number of the newest stones whose frames are kept
     save_silhouettes: bool = True
     backup_every_h: float = 1.0  # hours between two copies of the database in dir/backups; 0: none
     keep_backups: int = 4
+    exact_meshes: bool = False  # PLY in single precision instead of compact meshes
+    retention: RetentionLimits = field(default_factory=RetentionLimits)
 
     def __post_init__(self) -> None:
         if self.keep_raw < 0:

@@ -21,6 +21,7 @@ from service.configuration.settings import Settings
 from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import Daemon, Watches
 from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import RigWatch
@@ -138,6 +139,12 @@ async def build(settings: Settings, store: Store) -> Daemon:
         recordings=recordings,
         archive=archive,
         backing_up=BackingUp(store, every_h=settings.store.backup_every_h, keep=settings.store.keep_backups),
+        retaining=Retaining(
+            store,
+            recordings,
+            settings.store.retention,
+            is_clock_sure=lambda: watches.loop.clock_step_s() is None,
+        ),
         acquisition=acquisition,
         processing=processing,
         heartbeats=heartbeats,
@@ -186,6 +193,7 @@ def _build_pool(settings: Settings, source: RecordingSource, segmentation: Segme
             is_simulated=source.is_simulated,
             speed_at_gate_mm_s=source.fall.speed_at_gate_mm_s,
             segmentation=segmentation,
+            compact_meshes=not settings.store.exact_meshes,
         ),
     )
 

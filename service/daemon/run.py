@@ -72,6 +72,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 _watching(daemon, tasks, manager, requests),
                 _archiving(daemon, tasks, requests),
                 _backing_up(daemon, tasks),
+                _retaining(daemon, tasks),
                 _processing(daemon, tasks, requests),
                 _calibrating(daemon, tasks),
                 _acquiring(daemon, tasks, manager, requests),
@@ -169,6 +170,14 @@ async def _backing_up(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator
     backing_up = tasks.create_task(daemon.backing_up.run())
     yield
     backing_up.cancel()
+
+
+@asynccontextmanager
+async def _retaining(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    """Remove what need not be kept; what is half removed at the end is removed at the next start."""
+    retaining = tasks.create_task(daemon.retaining.run())
+    yield
+    retaining.cancel()
 
 
 @asynccontextmanager

@@ -14,6 +14,7 @@ from service.configuration.settings import Settings
 from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.retaining import Retaining
 from service.health.assessment import Facts, assess
 from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import CameraScore, RigWatch
@@ -58,6 +59,7 @@ class Daemon:
     recordings: Recordings
     archive: RawArchive
     backing_up: BackingUp
+    retaining: Retaining
     acquisition: Acquisition
     processing: Processing
     heartbeats: Heartbeats
@@ -111,6 +113,7 @@ class Daemon:
                 store_trouble=_text(self.store.trouble),
                 store_incidents=self.store.incidents,
                 backup_trouble=self.backing_up.trouble,
+                retention=self.retaining.facts,
                 free_bytes=_free_bytes(self.settings.store.dir),
                 recording_trouble=self.recordings.trouble,
                 left_out=self.archive.left_out,

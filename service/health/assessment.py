@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from pipeline.views.quality import ViewsParameters
 from service.health.optical_watch import OpticalFinding, Severity
+from service.health.retention_checks import disk_days, retention
 from service.health.rig_watch import Suspicion
 from service.status import (
     AcquisitionState,
@@ -21,6 +22,7 @@ from service.status import (
     HealthCheck,
     Ne107,
 )
+from service.store.retention import RetentionFacts
 
 LOW_DISK_BYTES = 1 << 30
 """Free space on the store's file system below which health warns; below a tenth of it, the check fails."""
@@ -64,6 +66,7 @@ class Facts:
     store_trouble: str | None = None  # why nothing can be written now, with the remedy
     store_incidents: Sequence[str] = ()  # what was moved aside at a start, see `service.store.history`
     backup_trouble: str | None = None  # why the last backup failed
+    retention: RetentionFacts | None = None  # what the store takes, and what was removed
     free_bytes: int | None  # on the store's file system, None if that does not answer
     recording_trouble: str | None = None  # why a recording ended early
     left_out: int = 0  # results whose frames were not archived
@@ -349,6 +352,8 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "calibration": _calibration,
     "store": _store,
     "disk": _disk,
+    "disk_days": lambda facts: disk_days(facts.retention),
+    "retention": lambda facts: retention(facts.retention),
     "backup": _backup,
     "recording": _recording,
     "archive": _archive,

@@ -20,6 +20,7 @@ from drivers.errors import RecordingError
 from drivers.files.bundle_file import Compression, read_bundle, read_header, write_bundle
 from drivers.files.durable import copy_past_cache, replacing, sync
 from pipeline.frames import CameraId, FrameBundle
+from service.errors import StoreError
 from service.processing.worker_pool import JobLostError, WorkerPool
 from service.processing.worker_process import WarmUp, worker_boundary
 
@@ -38,7 +39,7 @@ PROCESS_NAME = "stonefall-keep"
 class RawFolder(Protocol):
     """The place of raw frames in the store."""
 
-    def raw_path(self, seq: int) -> Path: ...
+    async def raw_path(self, seq: int) -> Path: ...
 
     async def drop_old_raw(self, seq: int) -> None: ...
 
@@ -90,7 +91,7 @@ def keep_frames(job: KeepJob) -> str | None:
 def _write(job: KeepJob, bundle: FrameBundle | None) -> None:
     """Write the bundle compressed, or copy its file if no bundle is given."""
     if not job.out_path.parent.exists():  # the result has no other files
-        job.out_path.parent.mkdir()
+        job.out_path.parent.mkdir(parents=True)
         sync(job.out_path.parent.parent)
     if bundle is not None:
         with ThreadPoolExecutor(1, "compress", _run_when_idle) as thread:
@@ -157,12 +158,13 @@ class RawArchive:
                 if pool.pids == []:
                     await pool.start()
                 try:
-                    job = KeepJob(path, self._camera_ids, self._folder.raw_path(seq), self._compression())
+                    out_path = await self._folder.raw_path(seq)
+                    job = KeepJob(path, self._camera_ids, out_path, self._compression())
                     if (problem := await pool.run(keep_frames, job)) is None:
                         await self._folder.drop_old_raw(seq)
                     else:
                         self._leave_out(seq, problem)
-                except (JobLostError, RecordingError) as err:
+                except (JobLostError, RecordingError, StoreError) as err:
                     self._leave_out(seq, str(err))
                 await self._on_done(path)
         finally:

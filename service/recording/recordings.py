@@ -6,7 +6,6 @@ are kept for longer, because a recording without them cannot be measured.
 
 import asyncio
 import logging
-import re
 import shutil
 from collections import deque
 from collections.abc import Mapping
@@ -15,13 +14,16 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import RecordingError
 from drivers.files.bundle_file import Compression
-from drivers.files.durable import read_json
-from drivers.files.recording import UNKNOWN_UTC
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.errors import ServiceError
+from service.recording.kept_recordings import (
+    RECORDING_NAME,
+    recording_in,
+    recordings_in,
+    remove_recording,
+)
 from service.recording.live_recording import (
     EndedBy,
     LiveRecording,
@@ -32,8 +34,6 @@ from service.recording.live_recording import (
 
 log = logging.getLogger(__name__)
 
-RECORDING_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-"""Pattern of the name of a recording, which is the name of a folder and part of a URL."""
 KEPT_BACKGROUNDS = 5
 """Newest exposures of the empty rig that are kept in memory for the next recording."""
 CLOSE_S = 10.0
@@ -81,7 +81,7 @@ class RecordingPlan:
 
 
 class Refusal(StrEnum):
-    """Why a recording is not started."""
+    """Why a recording is not started, or not deleted."""
 
     EXISTS = "recording-exists"
     RUNNING = "recording-running"
@@ -89,7 +89,7 @@ class Refusal(StrEnum):
 
 
 class RecordingRefusedError(ServiceError):
-    """A recording cannot be started now."""
+    """A recording cannot be started or deleted now."""
 
     def __init__(self, refusal: Refusal, detail: str) -> None:
         super().__init__(detail)
@@ -220,11 +220,31 @@ class Recordings:
         """Return the status of a recording, None when there is none of that name."""
         if self._live is not None and self._live.path.name == name:
             return self._live.status()
-        return await asyncio.to_thread(_recording_in, self._folder, name) or self._failed.get(name)
+        return await asyncio.to_thread(recording_in, self._folder, name) or self._failed.get(name)
+
+    async def delete(self, name: str) -> bool:
+        """Delete a recording; return whether there was one of that name.
+
+        Raises
+        ------
+        RecordingRefusedError
+            It is under way.
+        """
+        if self._live is not None and self._live.path.name == name:
+            raise RecordingRefusedError(Refusal.RUNNING, f"recording {name} is under way: stop it first")
+        has_failed = self._failed.pop(name, None) is not None
+        if await asyncio.to_thread(recording_in, self._folder, name) is None:
+            return has_failed
+        await asyncio.to_thread(remove_recording, self._folder, name)
+        return True
+
+    def path(self, name: str) -> Path:
+        """Return the folder of a recording that is complete."""
+        return self._folder / name
 
     async def all(self) -> list[RecordingStatus]:
         """Return all recordings, sorted by name: on the disk, under way, and those that failed since the start."""
-        kept = await asyncio.to_thread(_recordings_in, self._folder)
+        kept = await asyncio.to_thread(recordings_in, self._folder)
         known = {status.name: status for status in [*self._failed.values(), *kept]}
         if self._live is not None:
             known[self._live.path.name] = self._live.status()
@@ -268,36 +288,3 @@ async def _end(live: LiveRecording) -> None:
             await live.closed.wait()
     except TimeoutError:
         log.error("the disk is too slow: a recording may stay incomplete recording=%s", live.path.name)
-
-
-def _recordings_in(folder: Path) -> list[RecordingStatus]:
-    return [status for path in folder.iterdir() if (status := _recording_in(folder, path.name))]
-
-
-def _recording_in(folder: Path, name: str) -> RecordingStatus | None:
-    path = folder / name
-    return _status_of(path) if RECORDING_NAME.fullmatch(name) and path.exists() else None
-
-
-def _status_of(path: Path) -> RecordingStatus:
-    sizes = [file.stat().st_size for file in (path / "bundles").glob("*.tiff")]
-    document: Any = {}
-    reason = None
-    try:
-        document = read_json(path / "recording.json")
-    except RecordingError as err:
-        reason = f"recording.json {err.problem}"
-    if not isinstance(document, dict) or not isinstance(document.get("made_by", {}), dict):
-        document, reason = {}, "recording.json is damaged"
-    made_by = document.get("made_by", {})
-    ended_by = made_by.get("ended_by")
-    return RecordingStatus(
-        name=path.name,
-        state=RecordingState.FAILED if reason else RecordingState.COMPLETE,
-        created_at=str(document.get("created_at", UNKNOWN_UTC)),
-        bundles=len(sizes),
-        bytes=sum(sizes),
-        ended_by=ended_by if isinstance(ended_by, str) else None,
-        reason=reason,
-        made_by=made_by,
-    )

@@ -209,6 +209,14 @@ class Result(BaseModel):
     is_replay: bool | None = Field(
         default=None, description="True when no stone fell: a recording was played, or the rig is simulated"
     )
+    files_removed: Literal["age", "space"] | None = Field(
+        default=None,
+        description="Why mesh, silhouettes and images were removed by `[store.retention]`; null when they were not",
+    )
+    is_pinned: bool = Field(
+        default=False, description="True when result and files are kept whatever their age"
+    )
+    pin_reason: str | None = Field(default=None, description="Why it is pinned; null when it is not")
 
 
 MEASURED_FIELDS = tuple(
@@ -216,7 +224,16 @@ MEASURED_FIELDS = tuple(
 )
 """Fields that are null unless the outcome is `measured`."""
 
-STORED_FIELDS = ("seq", "id", "session", "recorded_at", "is_replay")
+STORED_FIELDS = (
+    "seq",
+    "id",
+    "session",
+    "recorded_at",
+    "is_replay",
+    "files_removed",
+    "is_pinned",
+    "pin_reason",
+)
 """Fields that a result gets when it becomes durable; `results.jsonl` lacks them."""
 
 EMPTY: Mapping[str, Any] = {

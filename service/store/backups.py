@@ -16,6 +16,7 @@ from drivers.files.durable import replacing, sync
 from service.errors import StoreError
 from service.store import history, schema
 from service.store.lock import lock_store
+from service.store.trouble import Cause, trouble_of
 
 BACKUPS = "backups"
 PAGES, PAUSE_S = 1000, 0.01
@@ -58,7 +59,10 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
             if not go_on():
                 raise StoreError(f"no backup of {path}: the daemon stops")
     except (sqlite3.Error, OSError) as err:
-        raise StoreError(f"no backup of {path} to {target}: {err}") from err
+        trouble = trouble_of(err)
+        is_damaged = trouble is not None and trouble.cause is Cause.DAMAGED
+        kind = DamagedStoreError if is_damaged else StoreError
+        raise kind(f"no backup of {path} to {target}: {err}") from err
 
 
 def prune(state_dir: Path, keep: int) -> None:

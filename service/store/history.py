@@ -8,15 +8,18 @@ what no longer belongs to the history is moved to `aside/<time>-<why>/`, with a 
 
 import logging
 import os
+import re
+import shutil
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.files.durable import sync
 from service.store import schema
+from service.store.particle_files import particle_id
 from service.store.trouble import Cause, trouble_of
 
 log = logging.getLogger(__name__)
@@ -30,6 +33,8 @@ DATABASE, PARTICLES, ASIDE, ACKNOWLEDGED, NOTE = (
 )
 CHECK_S = 10.0
 """Longest check of the database at the start, half a million results; every backup is checked to the end."""
+NEWEST_DAYS = 3
+"""Folders of days that are searched at each start for results that the database lacks."""
 
 
 def open_history(state_dir: Path) -> None:
@@ -56,6 +61,7 @@ def open_history(state_dir: Path) -> None:
         if loss := _find_loss(connection, state_dir, is_new=is_new):
             folder = folder or aside_folder(state_dir, "lost-rows")
             begin_anew(connection, state_dir, folder, loss)
+        _drop_unfinished(connection, state_dir)
 
 
 def find_damage(path: Path, go_on: Callable[[], bool] = lambda: True) -> str | None:
@@ -86,31 +92,39 @@ def begin_anew(
 ) -> None:
     """Give the history a new identity and numbers beyond all that were seen; move folders without a result away."""
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
-    in_folders = max((seq for _, seq in _particles(state_dir)), default=0)
+    in_folders = max((seq for _, seq in particle_folders(state_dir)), default=0)
     highest = max(last_seq, acknowledged(state_dir)[1], in_folders, beyond)
     explain(folder, f"{why} The feed goes on after {highest}, with a new instance_id.")
     instance_id = schema.new_instance()
     # first of all: what is moved away is evidence that these numbers were given
     connection.execute("UPDATE store SET instance_id = ?, last_seq = ?", (instance_id, highest))
     acknowledge(state_dir, instance_id, highest)
-    strays = [name for name, _ in _particles(state_dir) if not _has_result(connection, name)]
-    for name in strays:
-        (folder / PARTICLES).mkdir(exist_ok=True)
-        (state_dir / PARTICLES / name).rename(folder / PARTICLES / name)
-    if strays:
-        explain(folder, f"{len(strays)} folders of particles without a result were moved here.")
+    strays = [path for path, _ in particle_folders(state_dir) if not _has_result(connection, path.name)]
+    move_particles(strays, folder)
+
+
+def move_particles(paths: Sequence[Path], folder: Path) -> None:
+    """Move folders of particles without a result into `folder`, side by side."""
+    if not paths:
+        return
+    (folder / PARTICLES).mkdir(exist_ok=True)
+    for path in paths:
+        path.rename(folder / PARTICLES / path.name)
+    explain(folder, f"{len(paths)} folders of particles without a result were moved here.")
 
 
 def take_back(connection: sqlite3.Connection, state_dir: Path) -> int:
     """Move folders of particles that have a result again back from `aside`; return how many these were."""
-    found = [
-        path
-        for path in (state_dir / ASIDE).glob(f"*/{PARTICLES}/*")
-        if _has_result(connection, path.name) and not (state_dir / PARTICLES / path.name).exists()
-    ]
-    for path in found:
-        path.rename(state_dir / PARTICLES / path.name)
-    return len(found)
+    n_back = 0
+    for path in (state_dir / ASIDE).glob(f"*/{PARTICLES}/*"):
+        row = connection.execute(
+            "SELECT folder FROM files JOIN results USING (seq) WHERE id = ? AND removed IS NULL", (path.name,)
+        ).fetchone()
+        if row is not None and not (target := state_dir / PARTICLES / row[0]).exists():
+            target.parent.mkdir(exist_ok=True)
+            path.rename(target)
+            n_back += 1
+    return n_back
 
 
 def move_database(path: Path, folder: Path) -> None:
@@ -174,12 +188,13 @@ def _find_loss(connection: sqlite3.Connection, state_dir: Path, *, is_new: bool)
     instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
     noted_id, noted_seq = acknowledged(state_dir)
     if is_new:
-        in_folders = max((seq for _, seq in _particles(state_dir)), default=0)
+        in_folders = max((seq for _, seq in particle_folders(state_dir)), default=0)
         seen = max(noted_seq, in_folders)
         return f"There were results up to {seen} without a database." if seen else None
     if noted_id not in (None, instance_id):
         return f"The database is of another history than the results acknowledged up to {noted_seq}."
-    own = (seq for name, seq in _particles(state_dir) if name.startswith(instance_id[:8]))
+    newest = particle_folders(state_dir, newest_days=NEWEST_DAYS)
+    own = (seq for path, seq in newest if path.name.startswith(instance_id[:8]))
     # a crash leaves the folder of the next result, without its row
     seen = max(noted_seq, max(own, default=0) - 1)
     if seen > last_seq:
@@ -191,10 +206,35 @@ def _has_result(connection: sqlite3.Connection, name: str) -> bool:
     return connection.execute("SELECT 1 FROM results WHERE id = ?", (name,)).fetchone() is not None
 
 
-def _particles(state_dir: Path) -> Iterator[tuple[str, int]]:
-    """Yield the folders of particles by name, each with its number."""
+def particle_folders(state_dir: Path, newest_days: int | None = None) -> Iterator[tuple[Path, int]]:
+    """Yield the folders of particles, each with its number: side by side as once, and those of the (newest) days."""
+    days = []
     with os.scandir(state_dir / PARTICLES) as entries:
         for entry in entries:
-            number = entry.name.rpartition("-")[2]
-            if number.isdigit():
-                yield entry.name, int(number)
+            if _is_day(entry.name):
+                days.append(Path(entry.path))
+            elif (seq := _seq_of(entry.name)) is not None:
+                yield Path(entry.path), seq
+    for day in sorted(days, reverse=True)[:newest_days]:
+        with suppress(FileNotFoundError), os.scandir(day) as entries:  # retention removed the last of it
+            for entry in entries:
+                if (seq := _seq_of(entry.name)) is not None:
+                    yield Path(entry.path), seq
+
+
+def _is_day(name: str) -> bool:
+    return re.fullmatch(r"\d{4}-\d\d-\d\d", name) is not None
+
+
+def _seq_of(name: str) -> int | None:
+    number = name.rpartition("-")[2]
+    return int(number) if number.isdigit() else None
+
+
+def _drop_unfinished(connection: sqlite3.Connection, state_dir: Path) -> None:
+    """Remove the folder of the next result, which a crash left on whichever day without its row."""
+    instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
+    name = particle_id(instance_id, last_seq + 1)
+    particles_dir = state_dir / PARTICLES
+    for path in (particles_dir / name, *particles_dir.glob(f"????-??-??/{name}")):
+        shutil.rmtree(path, ignore_errors=True)

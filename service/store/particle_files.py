@@ -1,13 +1,13 @@
-"""The files of a particle, `particles/<id>/`: durable before the row that names them.
+"""The files of a particle, `particles/<day>/<id>/`: durable before the row that names them.
 
-A crash between the two leaves a folder without a row: it is invisible, and removed when its number is given to
-the next result. Raw frames are large, so only those of the newest results are kept.
+A crash between the two leaves a folder without a row: it is invisible, and removed at the next start, or when its
+number is given to the next result. Raw frames are large, so only those of the newest results are kept.
 """
 
 import logging
 import os
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -23,6 +23,11 @@ def particle_id(instance_id: str, seq: int) -> str:
     return f"{instance_id[:8]}-{seq:08d}"
 
 
+def particle_folder(name: str, recorded_at: str) -> str:
+    """Return where the files of a particle are, below `particles`: a folder a day, each for itself of bearable size."""
+    return f"{recorded_at[:10]}/{name}"
+
+
 def drop_raw(folder: Path) -> None:
     """Remove the raw frames of a particle, and the unfinished file of a daemon that was killed while it wrote them."""
     finished = folder / RAW
@@ -30,26 +35,27 @@ def drop_raw(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def keep_files(folder: Path, files: Mapping[str, Path]) -> Collection[str]:
-    """Copy or link `files`, by their names in `folder`, into it, durably; return the names of those that were there.
+def keep_files(folder: Path, files: Mapping[str, Path]) -> Mapping[str, int]:
+    """Copy or link `files`, by their names in `folder`, into it, durably; return the sizes of those that were there.
 
     Sources on tmpfs may have been deleted, which is no reason to lose the result. The others stay until `drop_sources`,
     so that a transaction that fails afterwards can be repeated.
     """
     shutil.rmtree(folder, ignore_errors=True)
     if not files:
-        return ()
-    folder.mkdir()
-    kept = []
+        return {}
+    new_day = () if folder.parent.exists() else (folder.parent.parent,)
+    folder.mkdir(parents=True)
+    kept = {}
     for name, source in files.items():
         try:
             _link_or_copy(source, folder / name)
         except FileNotFoundError:
             log.error("a file of a result is gone: %s", source)
         else:
-            kept.append(name)
+            kept[name] = (folder / name).stat().st_size
     # in parallel: one flush of the device serves all of them
-    written = [*(folder / name for name in kept), folder, folder.parent]
+    written = [*(folder / name for name in kept), folder, folder.parent, *new_day]
     with ThreadPoolExecutor(len(written), thread_name_prefix="sync") as threads:
         list(threads.map(sync, written))
     return kept

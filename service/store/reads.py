@@ -35,6 +35,11 @@ class ParticleFilter:
     until: str | None = None  # captured before
 
 
+RECORDS = (
+    "SELECT record, removed, pins.reason FROM results LEFT JOIN files USING (seq) LEFT JOIN pins USING (seq)"
+)
+
+
 def open_triggers(connection: sqlite3.Connection, live_session: int | None) -> list[tuple[int, str]]:
     """Return session and bundle of the open triggers of sessions other than `live_session`, in their order."""
     return connection.execute(
@@ -62,21 +67,24 @@ def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
 
 def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:
     """Return up to `limit` results after `seq`, in order."""
-    (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
-    (first_seq,) = connection.execute("SELECT coalesce(min(seq), ?) FROM results", (last_seq + 1,)).fetchone()
-    rows = connection.execute(
-        "SELECT record FROM results WHERE seq > ? ORDER BY seq LIMIT ?", (seq, limit)
-    ).fetchall()
-    return ResultPage(
-        first_seq=first_seq, last_seq=last_seq, items=[json.loads(record) for (record,) in rows]
-    )
+    last_seq, first_seq = connection.execute(
+        "SELECT last_seq, coalesce((SELECT min(seq) FROM results WHERE seq >= first_seq), last_seq + 1) FROM store"
+    ).fetchone()
+    rows = connection.execute(f"{RECORDS} WHERE seq > ? ORDER BY seq LIMIT ?", (seq, limit)).fetchall()
+    return ResultPage(first_seq=first_seq, last_seq=last_seq, items=[_record(*row) for row in rows])
 
 
 def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
     """Return the result with this id (text) or this seq (number), None if there is none."""
     column = "seq" if isinstance(key, int) else "id"
-    row = connection.execute(f"SELECT record FROM results WHERE {column} = ?", (key,)).fetchone()  # noqa: S608 - one of two names above
-    return json.loads(row[0]) if row else None
+    row = connection.execute(f"{RECORDS} WHERE {column} = ?", (key,)).fetchone()
+    return _record(*row) if row else None
+
+
+def folder(connection: sqlite3.Connection, seq: int) -> str | None:
+    """Return where the files of a result are, below `particles`; None if it never had any."""
+    row = connection.execute("SELECT folder FROM files WHERE seq = ?", (seq,)).fetchone()
+    return row[0] if row else None
 
 
 def particles(
@@ -95,12 +103,22 @@ def particles(
     }
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
-        "SELECT record FROM results WHERE seq IN ("  # noqa: S608 - conditions are keys of the table above
+        f"{RECORDS} WHERE seq IN ("  # noqa: S608 - conditions are keys of the table above
         f"SELECT seq FROM listed WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?"
         ") ORDER BY seq DESC",
         (*given.values(), limit),
     ).fetchall()
-    return [json.loads(record) for (record,) in rows]
+    return [_record(*row) for row in rows]
+
+
+def _record(text: str, removed: str | None, pin_reason: str | None) -> Record:
+    """Return the record as it was stored, with what has happened to it since."""
+    record: Record = json.loads(text)
+    return record | {
+        "files_removed": removed,
+        "is_pinned": pin_reason is not None,
+        "pin_reason": pin_reason,
+    }
 
 
 def accounting(connection: sqlite3.Connection, session: int | None) -> Accounting:
@@ -108,7 +126,9 @@ def accounting(connection: sqlite3.Connection, session: int | None) -> Accountin
 
     Triggers are counted where they were recorded and outcomes where they are served, so the balance is a check.
     """
-    condition, given = ("TRUE", ()) if session is None else ("session = ?", (session,))
+    condition, given = (
+        ("TRUE", ()) if session is None else ("session = ?", (session,))
+    )  # and of those removed
     states = dict(
         connection.execute(
             f"SELECT state, count(*) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
@@ -118,19 +138,22 @@ def accounting(connection: sqlite3.Connection, session: int | None) -> Accountin
     outcomes: dict[str, int] = {}
     reasons: dict[str, int] = {}
     qualities: dict[str, int] = {}
-    for outcome, reason, quality, count in connection.execute(
-        f"SELECT outcome, reason, quality, count(*) FROM listed WHERE {condition}"  # noqa: S608 - as above
-        " GROUP BY outcome, reason, quality",
-        given,
+    n_removed = 0
+    for outcome, reason, quality, count, removed in connection.execute(
+        f"SELECT outcome, reason, quality, count(*), 0 FROM listed WHERE {condition}"  # noqa: S608 - as above
+        " GROUP BY outcome, reason, quality UNION ALL"
+        f" SELECT outcome, reason, quality, n, n FROM removed_results WHERE {condition}",
+        given + given,
     ):
         outcomes[outcome] = outcomes.get(outcome, 0) + count
+        n_removed += removed
         if outcome == Outcome.MEASURED:
             qualities[quality] = qualities.get(quality, 0) + count
         else:
             reasons[reason] = reasons.get(reason, 0) + count
     backgrounds = states.pop("background", 0)
     return Accounting(
-        triggers=sum(states.values()),
+        triggers=sum(states.values()) + n_removed,
         measured=outcomes.get(Outcome.MEASURED, 0),
         rejected=outcomes.get(Outcome.REJECTED, 0),
         lost=outcomes.get(Outcome.LOST, 0),

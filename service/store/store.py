@@ -23,7 +23,7 @@ from service.results.fields import LossReason
 from service.store import backups, history, reads, writes
 from service.store.accounting import Accounting
 from service.store.lock import lock_store
-from service.store.particle_files import RAW, drop_raw, particle_id
+from service.store.particle_files import RAW, drop_raw
 from service.store.schema import connect_reader, read
 from service.store.trouble import Cause, StoreTrouble, trouble_of
 from service.store.writer import StoreWriter
@@ -71,7 +71,7 @@ class Store:
 
     def __init__(self, state_dir: Path, lock: int, writer: StoreWriter, keep_raw: int) -> None:
         self.particles_dir = state_dir / history.PARTICLES
-        self._state_dir = state_dir
+        self.dir = state_dir
         self.path = state_dir / history.DATABASE
         self._lock = lock  # held until the process ends or `close`
         self._writer = writer
@@ -105,10 +105,15 @@ class Store:
         """Why the store is held: nothing can be written, or the database is damaged; None when it is not."""
         return self._writer.trouble
 
+    def require_writable(self) -> None:
+        """Raise `StoreError` while the store is held: a client is told so instead of waiting."""
+        if (trouble := self.trouble) is not None:
+            raise StoreError(str(trouble))
+
     @property
     def incidents(self) -> list[str]:
         """What was moved aside at a start, because the database was damaged or had lost results."""
-        return history.incidents(self._state_dir)
+        return history.incidents(self.dir)
 
     @property
     def instance_id(self) -> str:
@@ -130,7 +135,7 @@ class Store:
 
         Its `calibration_id` and `is_simulated` go into the records of triggers that a crash leaves open.
         """
-        self._session = await self._write(writes.begin_session, info)
+        self._session = await self.write(writes.begin_session, info)
         return self._session
 
     async def note_calibration(self, session: int, calibration_id: str) -> None:
@@ -161,20 +166,25 @@ class Store:
     ) -> int:
         """End a trigger with `record` and return the result's `seq`.
 
-        `files` (by name, such as `mesh.ply`) are moved to `particles/<id>/` first. A second outcome for the same
+        `files` (by name, such as `mesh.ply`) are moved to a folder of `particles` first. A second outcome for the same
         trigger changes nothing, and the `seq` of the first is returned. Waits as long as the store is held.
         """
-        return await self._write(writes.finish, self.particles_dir, session, bundle, record, files or {})
+        return await self.write(writes.finish, self.particles_dir, session, bundle, record, files or {})
 
-    def raw_path(self, seq: int) -> Path:
+    async def folder(self, seq: int) -> Path:
+        """Return where the files of a result are, or would be; it need not exist."""
+        folder = await self.read(reads.folder, seq)
+        return self.particles_dir / (folder or str(seq))
+
+    async def raw_path(self, seq: int) -> Path:
         """Return where to write the raw frames of a new result; call `drop_old_raw` afterwards."""
-        return self.particles_dir / particle_id(self._instance_id, seq) / RAW
+        return await self.folder(seq) / RAW
 
     async def drop_old_raw(self, seq: int) -> None:
         """Remove the raw frames of a result unless it is among the newest `keep_raw`."""
         if seq <= self._last_seq - self._keep_raw:
             with suppress(OSError):  # a disk that is read-only now
-                await asyncio.to_thread(drop_raw, self.raw_path(seq).parent)
+                await asyncio.to_thread(drop_raw, await self.folder(seq))
 
     async def back_up(self, keep: int) -> Path:
         """Copy the database, check the copy and keep the newest `keep` of them; return the new one.
@@ -184,18 +194,18 @@ class Store:
         StoreError
             There is no room, or the database is damaged, for which the store is held from now on.
         """
-        target = backups.backup_path(self._state_dir)
+        target = backups.backup_path(self.dir)
         try:
-            await asyncio.to_thread(backups.back_up, self._state_dir, target, lambda: not self._released)
+            await asyncio.to_thread(backups.back_up, self.dir, target, lambda: not self._released)
         except backups.DamagedStoreError as err:
             self._writer.hold(StoreTrouble(Cause.DAMAGED, str(err)))
             raise
-        await asyncio.to_thread(backups.prune, self._state_dir, keep)
+        await asyncio.to_thread(backups.prune, self.dir, keep)
         return target
 
     def last_backup(self) -> Path | None:
         """Return the newest copy of the database that was made by `back_up`, None if there is none."""
-        return max(backups.backups_in(self._state_dir), default=None)
+        return max(backups.backups_in(self.dir), default=None)
 
     async def open_triggers(self) -> list[tuple[int, str]]:
         """Return session and bundle of every trigger that an earlier session left open, in their order."""
@@ -205,7 +215,7 @@ class Store:
         self, reason: LossReason, detail: str, but: Collection[tuple[int, str]] = frozenset()
     ) -> int:
         """End as `lost` every trigger that an earlier session left open, `but` some; return how many these were."""
-        return await self._write(writes.lose_open, self.particles_dir, self._session, reason, detail, but)
+        return await self.write(writes.lose_open, self.particles_dir, self._session, reason, detail, but)
 
     async def accounting(self, session: int | None = None) -> Accounting:
         """Return the counts of one session, or of the whole history."""
@@ -239,9 +249,10 @@ class Store:
         self._committed.set()
         self._committed = asyncio.Event()
 
-    async def _write(
+    async def write(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> T:
+        """Return `work(connection, ...)`, one transaction in the thread that writes; waits while the store is held."""
         return await asyncio.shield(self._submit(lambda connection: work(connection, *args, **kwargs)))
 
     async def _write_soon(
@@ -277,7 +288,7 @@ class Store:
             (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
             if last_seq != self._last_seq:
                 self._last_seq = last_seq
-                history.acknowledge(self._state_dir, self._instance_id, last_seq)
+                history.acknowledge(self.dir, self._instance_id, last_seq)
             first_kept = last_seq - self._keep_raw + 1
             if first_kept > self._first_raw:
                 writes.drop_old_raw(connection, self.particles_dir, self._first_raw, first_kept)

@@ -14,9 +14,9 @@ from typing import Any
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.errors import StoreError
-from service.results.fields import LossReason
+from service.results.fields import LossReason, Outcome
 from service.results.record import lost_record
-from service.store.particle_files import drop_raw, drop_sources, keep_files, particle_id
+from service.store.particle_files import drop_raw, drop_sources, keep_files, particle_folder, particle_id
 from service.store.schema import transaction
 
 IS_REPLAY = (
@@ -62,11 +62,13 @@ def note_calibration(connection: sqlite3.Connection, session: int, calibration_i
 
 
 def drop_old_raw(connection: sqlite3.Connection, particles_dir: Path, first: int, end: int) -> None:
-    """Remove the raw frames of the results from `first` to before `end`, and note that at times."""
-    # by their ids: results from before a restore have others than this history gives now
-    rows = connection.execute("SELECT id FROM results WHERE seq >= ? AND seq < ?", (first, end)).fetchall()
-    for (name,) in rows:
-        drop_raw(particles_dir / name)
+    """Remove the raw frames of the results from `first` to before `end` but pinned ones, and note that at times."""
+    rows = connection.execute(
+        "SELECT folder FROM files WHERE seq >= ? AND seq < ? AND seq NOT IN (SELECT seq FROM pins)",
+        (first, end),
+    ).fetchall()
+    for (folder,) in rows:
+        drop_raw(particles_dir / folder)
     if end // NOTE_EVERY > first // NOTE_EVERY:
         with transaction(connection):
             connection.execute("UPDATE store SET first_raw = ?", (end,))
@@ -198,7 +200,9 @@ def _end(
         "UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq, instance_id"
     ).fetchone()
     name = particle_id(instance_id, seq)
-    kept = keep_files(particles_dir / name, files)
+    recorded_at = utc_now()
+    folder = particle_folder(name, recorded_at)
+    kept = keep_files(particles_dir / folder, files)
     identity = {
         "seq": seq,
         "id": name,
@@ -207,9 +211,9 @@ def _end(
         "sequence": sequence,
         "kind": kind,
         "captured_at": captured_at,
-        "recorded_at": utc_now(),
-        # relative to the state directory, and likewise to the base path of the REST interface
-        "mesh": f"particles/{name}/mesh.ply" if "mesh.ply" in kept else None,
+        "recorded_at": recorded_at,
+        # relative to the base path of the REST interface, which makes PLY of a compact one
+        "mesh": f"particles/{name}/mesh.ply" if any(file.startswith("mesh.") for file in kept) else None,
         "is_replay": bool(is_replay),
     }
     stored = identity | dict(record) | identity  # first for the order of the keys, last for the values
@@ -217,5 +221,9 @@ def _end(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
         (seq, name, trigger, session, json.dumps(stored, allow_nan=False)),
     )
+    if record["outcome"] != Outcome.LOST:
+        connection.execute(
+            "INSERT INTO files (seq, folder, bytes) VALUES (?, ?, ?)", (seq, folder, sum(kept.values()))
+        )
     connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record["outcome"], trigger))
     return int(seq)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from support.daemon_process import PATIENCE_S, DaemonProcess, is_running
 from support.small_recording import write_small_recording
+from support.stores import folder_of
 
 from drivers.files.recording import open_recording, playback_order
 from drivers.files.rig_file import read_rig
@@ -21,6 +22,7 @@ from pipeline.carving import CarvingParameters
 from pipeline.frames import BundleKind
 from pipeline.particle import PipelineParameters
 from service.processing.measure_job import (
+    COMPACT_MESH,
     LearnJob,
     MeasureJob,
     RigFile,
@@ -58,6 +60,7 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
     context = WorkerContext(
         parameters=PipelineParameters(carving=CarvingParameters(n=64)),
         is_simulated=True,
+        compact_meshes=True,
     )
     rig = RigFile(path / "rig.json", read_rig(path / "rig.json").calibration_id)
     background: Path | None = None
@@ -83,14 +86,14 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
                 out_dir=out / header.name,
             )
             record = worker.submit(measure, job).result().record
-            records.append(record | {"mesh": (job.out_dir / record["mesh"]).read_bytes()})
+            records.append(record | {"mesh": (job.out_dir / COMPACT_MESH).read_bytes()})
     return records
 
 
 def assert_same_results(folder: Path, results: list[dict[str, Any]], offline: list[dict[str, Any]]) -> None:
     """Bit for bit the same records and meshes, times of processing apart."""
     for result, record in zip(results, offline, strict=True):
-        mesh = (folder / "state" / result["mesh"]).read_bytes()
+        mesh = (folder_of(folder / "state", result["id"]) / COMPACT_MESH).read_bytes()
         kept = {key: value for key, value in record.items() if key != "timings_ms"}
         assert {key: (result | {"mesh": mesh})[key] for key in kept} == kept
 

@@ -3,12 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.daemon_process import DaemonProcess
-from support.quick_and_full import first_quick
 from support.small_recording import write_small_recording
+from support.stores import folder_of
 from typer.testing import CliRunner
 
+from drivers.files.compact_mesh import STEP_MM, read_compact_mesh
+from drivers.files.mesh_parsing import parse_mesh
 from service.cli import build_app
 from service.results.fields import MEASURED_FIELDS
 
@@ -45,9 +48,11 @@ def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize("slots", first_quick([3, 1]))
-def test_daemon_equals_offline(tmp_path: Path, recording: Path, offline: Path, slots: int) -> None:
-    with DaemonProcess(tmp_path, recording, slots=slots) as daemon:
+@pytest.mark.parametrize(("slots", "exact_meshes"), [(3, "false"), (1, "true")])
+def test_daemon_equals_offline(
+    tmp_path: Path, recording: Path, offline: Path, slots: int, exact_meshes: str
+) -> None:
+    with DaemonProcess(tmp_path, recording, slots=slots, store=f"exact_meshes = {exact_meshes}") as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda counts: counts["triggers"] == 5 and not counts["in_progress"])
         live = daemon.get("/results?after=0")["items"]
@@ -62,5 +67,12 @@ def test_daemon_equals_offline(tmp_path: Path, recording: Path, offline: Path, s
     for ours, other in zip(live, theirs, strict=True):
         assert {key: ours[key] for key in COMPARED} == {key: other[key] for key in COMPARED}
         if ours["mesh"] is not None:
-            kept = tmp_path / "state" / ours["mesh"]
-            assert kept.read_bytes() == (offline / other["mesh"]).read_bytes()
+            folder, exact = folder_of(tmp_path / "state", ours["id"]), offline / other["mesh"]
+            if exact_meshes == "true":
+                assert (folder / "mesh.ply").read_bytes() == exact.read_bytes()
+                continue
+            vertices_mm, faces = read_compact_mesh(folder / "mesh.sfmesh")
+            mesh = parse_mesh(exact)
+            np.testing.assert_array_equal(faces, mesh.faces)
+            np.testing.assert_allclose(vertices_mm, mesh.vertices, rtol=0, atol=0.51 * STEP_MM)
+            assert 4 * (folder / "mesh.sfmesh").stat().st_size < exact.stat().st_size

@@ -129,7 +129,7 @@ def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
         assert health["checks"]["store"]["status"] == "warn"
         assert "The database was damaged" in detail_of_store(health)
         assert daemon.stop() == 0
-    assert len(list(tmp_path.glob("state/aside/*/particles/*/mesh.ply"))) == 6
+    assert len(list(tmp_path.glob("state/aside/*/particles/*/mesh.sfmesh"))) == 6
 
 
 def test_damage_that_shows_while_it_runs_is_an_alarm_and_no_end(recording: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from support.daemon_process import DaemonProcess
 from support.live_rig import LiveRig, eventually, live_rig, live_section, simulated_rig
 from support.quick_and_full import first_quick
 from support.small_recording import write_odd_recording, write_small_recording
+from support.stores import folder_of
 
 from drivers.files.recording import Recording, open_recording, playback_order, read_bundle
 from pipeline.frames import BundleKind
@@ -48,7 +49,7 @@ class Run:
         }
 
     def folder_of(self, result: dict[str, Any]) -> Path:
-        return self.daemon.folder / "state/particles" / result["id"]
+        return folder_of(self.daemon.folder / "state", result["id"])
 
 
 @pytest.fixture(scope="module")

@@ -31,6 +31,7 @@ dir = "{spool}"
 max_bundles = {max_bundles}
 [store]
 dir = "state"
+retention.min_free_gb = 0.0
 {store}
 [segmentation]
 {segmentation}

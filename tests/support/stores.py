@@ -8,6 +8,11 @@ import pytest
 from service.store import Store, open_store
 
 
+def folder_of(state_dir: Path, name: str) -> Path:
+    """Return the folder of a particle's files."""
+    return next(state_dir.glob(f"particles/*/{name}"))
+
+
 @pytest.fixture
 def state_dir(tmp_path: Path) -> Path:
     return tmp_path / "state"

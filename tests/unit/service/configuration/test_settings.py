@@ -93,6 +93,15 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (MINIMAL + "[workers]\nslots = 0", ["workers: slots must be in 1..256, not 0"]),
         (MINIMAL + "[bundling]\nwindow_ms = 150", ["bundling: dead_time_ms must exceed twice window_ms"]),
         (MINIMAL + "keep_raw = -1", ["store: keep_raw must not be negative, not -1"]),
+        (
+            MINIMAL + "[store.retention]\nfiles_days = -1",
+            ["store.retention: files_days must be in 0..36500, not -1"],
+        ),
+        (
+            MINIMAL + "[store.retention]\nfiles_days = 9\nresults_days = 3",
+            ["store.retention: files_days must not exceed results_days, 3, not 9"],
+        ),
+        (MINIMAL + "[store.retention]\nmax_gb = 9", ["store.retention.max_gb: "]),
         (MINIMAL.replace('dir = "spool"', ""), ["spool.dir: "]),
         (MINIMAL.replace("[rig]", "[rig]\nspeed = 0.0"), ["rig: speed must be in"]),
         (MINIMAL.replace("[rig]", '[rig]\npace = "fast"\nspeed = 2.0'), ["rig: speed scales"]),

@@ -8,6 +8,7 @@ from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, a
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
 from service.status import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
+from service.store.retention import RetentionFacts, StoreUse
 
 
 def cameras(lost: int = 0) -> list[CameraStatus]:
@@ -58,6 +59,8 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "gate",
         "progress",
         "quarantine",
+        "disk_days",
+        "retention",
         "queue",
         "workers",
         "background",
@@ -276,3 +279,21 @@ def test_what_was_moved_aside_and_a_failed_backup_stay_alarms_until_they_are_see
 
 def test_a_disk_that_does_not_answer_fails():
     assert assess(replace(HEALTHY, free_bytes=None)).checks["disk"].status is CheckStatus.FAIL
+
+
+def test_few_days_left_and_results_removed_unread_ask_for_maintenance():
+    use = StoreUse(files_bytes=40 * 10**9, results_bytes=3 * 10**9, days_left=20.04)
+    facts = RetentionFacts(use=use, warn_days=7.0, recordings_bytes=10**9)
+    health = assess(replace(HEALTHY, retention=facts))
+    assert (health.ne107, health.checks["disk_days"].observed_value) == (Ne107.GOOD, 20.0)
+    assert "meshes and silhouettes take 40.0 GB, results 3.0 GB, recordings 1.0 GB" in str(
+        health.checks["disk_days"].detail
+    )
+    unknown = assess(replace(HEALTHY, retention=replace(facts, use=replace(use, days_left=None))))
+    assert (unknown.ne107, unknown.checks["disk_days"].observed_value) == (Ne107.GOOD, None)
+    short = replace(facts, use=replace(use, days_left=6.9), overrun=("mes",), trouble="not permitted")
+    health = assess(replace(HEALTHY, retention=short))
+    assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
+    days, retention = health.reasons
+    assert "make room, or set limits in [store.retention]" in days
+    assert retention.startswith("retention: not permitted; results were removed that mes had not read")

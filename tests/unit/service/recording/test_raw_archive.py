@@ -19,7 +19,7 @@ class Folder:
         self.path = path
         self.dropped: list[int] = []
 
-    def raw_path(self, seq: int) -> Path:
+    async def raw_path(self, seq: int) -> Path:
         return self.path / f"{seq}" / "bundle.tiff"
 
     async def drop_old_raw(self, seq: int) -> None:
@@ -48,7 +48,7 @@ async def test_frames_are_kept_beside_their_results_and_the_files_given_back(tmp
     assert done == files
     assert folder.dropped == [1, 3]
     for seq in (1, 3):
-        kept = await asyncio.to_thread(read_bundle, folder.raw_path(seq), CAMERAS)
+        kept = await asyncio.to_thread(read_bundle, await folder.raw_path(seq), CAMERAS)
         assert_same_bundle(kept, bundles[seq - 1])
     assert archive.left_out == 1
 
@@ -73,7 +73,7 @@ async def test_they_are_compressed_while_no_others_wait_unless_they_come_in_a_ru
         await asyncio.to_thread(overwrite_bundle, path, make_bundle(seq), CAMERAS)
     assert all(archive.take(path, seq) for seq, path in enumerate(files[:2], start=1))
     await archive.run()
-    assert [compression(folder.raw_path(seq)) for seq in (1, 2, 3)] == expected
+    assert [compression(await folder.raw_path(seq)) for seq in (1, 2, 3)] == expected
 
 
 @pytest.mark.parametrize(

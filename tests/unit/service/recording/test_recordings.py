@@ -162,7 +162,7 @@ async def test_one_recording_is_found_without_the_others(tmp_path: Path, monkeyp
         (tmp_path / name).mkdir()
     (tmp_path.parent / "c").mkdir(exist_ok=True)
     looked_at = []
-    monkeypatch.setattr("service.recording.recordings._status_of", looked_at.append)
+    monkeypatch.setattr("service.recording.kept_recordings._status_of", looked_at.append)
     recordings = opened(tmp_path)
     for name in ("a", "d", "../c", "*"):
         await recordings.find(name)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from support.rest import add, measured, particle_files
+from support.stores import folder_of
 from typer.testing import CliRunner
 
 from service.cli import build_app
@@ -104,7 +105,7 @@ async def test_a_restored_backup_is_a_new_history_and_nothing_is_deleted(
         for seq in (1, 2):
             record = await store.particle(seq)
             assert record is not None
-            assert (state_dir / record["mesh"]).exists()
+            assert (folder_of(state_dir, record["id"]) / "mesh.ply").exists()
         session = await store.begin_session({})
         assert await add_with_files(store, session, 4, tmp_path) == 4
         assert len(store.incidents) == 1
@@ -121,12 +122,12 @@ async def test_particles_that_were_moved_aside_come_back_with_their_results(
         backup = await store.back_up(keep=4)
     (state_dir / "results.sqlite").write_bytes(b"\xa5" * 10_000)
     with await asyncio.to_thread(open_store, state_dir) as store:
-        assert not any(store.particles_dir.iterdir())
+        assert not any(store.particles_dir.glob("*/*"))
     await asyncio.to_thread(restore, backup, state_dir)
     with await asyncio.to_thread(open_store, state_dir) as store:
         record = await store.particle(1)
         assert record is not None
-        assert (state_dir / record["mesh"]).exists()
+        assert (folder_of(state_dir, record["id"]) / "mesh.ply").exists()
 
 
 @pytest.mark.parametrize("content", [b"this is a diary " * 1000, b"", None])

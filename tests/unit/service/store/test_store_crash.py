@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from support.store_process import run_until_killed
+from support.stores import folder_of
 
 from service.store import open_store
 
@@ -24,7 +25,7 @@ async def test_kill_9_loses_nothing_acknowledged(state_dir: Path) -> None:
     assert sorted(by_seq) == list(range(1, len(items) + 1))
     assert {seq: by_seq[seq]["n"] for seq in acknowledged} == acknowledged
     for seq, n in acknowledged.items():
-        mesh = state_dir / by_seq[seq]["mesh"]
+        mesh = folder_of(state_dir, by_seq[seq]["id"]) / "mesh.ply"
         assert mesh.read_bytes() == b"mesh %d" % n
     assert counts.is_balanced
     assert counts.in_progress == 0

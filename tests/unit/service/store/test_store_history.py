@@ -41,7 +41,7 @@ async def test_an_older_copy_in_the_place_of_the_database_begins_a_new_history(
     before = await add_measured(state_dir, 3, with_files=with_files)
     shutil.copy(state_dir / "results.sqlite", tmp_path)
     await add_measured(state_dir, 4, with_files=with_files)
-    folders = {path.name for path in (state_dir / "particles").iterdir()}
+    folders = {path.name for path in (state_dir / "particles").glob("*/*")}
     shutil.copy(tmp_path / "results.sqlite", state_dir)
     with await asyncio.to_thread(open_store, state_dir) as store:
         assert store.instance_id != before
@@ -50,7 +50,7 @@ async def test_an_older_copy_in_the_place_of_the_database_begins_a_new_history(
         assert store.last_seq >= 7
         assert [item["seq"] for item in (await store.results_after(0, 10)).items] == [1, 2, 3]
         assert await next_seq(store) == 8
-        kept = {path.name for path in (state_dir / "particles").iterdir()}
+        kept = {path.name for path in (state_dir / "particles").glob("*/*")}
         moved = {path.name for path in (state_dir / "aside").glob("*/particles/*")}
         assert kept | moved == folders
         assert len(moved) == (4 if with_files else 0)
@@ -80,9 +80,9 @@ async def test_a_kill_is_no_reason_for_a_new_history(state_dir: Path) -> None:
     await asyncio.to_thread(run_until_killed, state_dir, 5)
     with await asyncio.to_thread(open_store, state_dir) as store:
         before = store.instance_id
-        leftover = store.raw_path(store.last_seq + 1).parent
+        leftover = store.particles_dir / "2026-03-01" / f"{before[:8]}-{store.last_seq + 1:08d}"
         assert store.incidents == []
-    leftover.mkdir(exist_ok=True)  # what a kill between files and row leaves
+    leftover.mkdir(parents=True)  # what a kill between files and row leaves
     with await asyncio.to_thread(open_store, state_dir) as store:
         assert (store.instance_id, store.incidents) == (before, [])
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 from support.rest import add, measured, particle_files, rejected, trigger
+from support.stores import folder_of
 
+from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, GateCount, rfc3339
 from service.errors import StoreError
 from service.results.fields import Result
@@ -49,7 +51,7 @@ async def test_files_move_to_the_particle(
     await add(store, session, 1, measured(), files)
     record = await store.particle(1)
     assert record is not None
-    folder = state_dir / "particles" / record["id"]
+    folder = folder_of(state_dir, record["id"])
     assert record["mesh"] == f"particles/{record['id']}/mesh.ply"
     assert {path.name: path.read_bytes() for path in folder.rglob("*.*")} == content
     assert not any(path.exists() for path in files.values())
@@ -64,7 +66,7 @@ async def test_a_failed_write_changes_nothing_and_can_be_repeated(
     assert await seqs(store) == []
     assert (await store.accounting()).in_progress == 1
     assert await store.finish(session, "00000001", measured(), files) == 1
-    (folder,) = (state_dir / "particles").iterdir()
+    folder = folder_of(state_dir, "*")
     assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes.tiff"]
 
 
@@ -74,7 +76,7 @@ async def test_a_file_that_was_deleted_is_left_out_of_its_result(
     files = particle_files(tmp_path / "out")
     await asyncio.to_thread(files["mesh.ply"].unlink)
     await add(store, session, 1, measured(), files)
-    (folder,) = (state_dir / "particles").iterdir()
+    folder = folder_of(state_dir, "*")
     assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "silhouettes.tiff"]
     record = await store.particle(1)
     assert record is not None
@@ -125,7 +127,7 @@ async def add_raw(store: Store, session: int, sequence: int, folder: Path) -> in
 
 
 def seqs_with_raw(state_dir: Path) -> list[int]:
-    return sorted(int(path.parent.name[-8:]) for path in (state_dir / "particles").glob("*/bundle.tiff"))
+    return sorted(int(path.parent.name[-8:]) for path in (state_dir / "particles").glob("*/*/bundle.tiff"))
 
 
 async def test_only_the_newest_raw_frames_are_kept(state_dir: Path, tmp_path: Path) -> None:
@@ -155,10 +157,10 @@ async def test_a_start_does_not_look_for_what_was_removed(state_dir: Path, tmp_p
         session = await store.begin_session({})
         for sequence in range(n):
             await add_raw(store, session, sequence, tmp_path)
-        newest = store.raw_path(n)
+        newest = await store.raw_path(n)
         unfinished = newest.with_name("bundle.tiff.tmp")  # of a daemon that was killed
         await asyncio.to_thread(unfinished.touch)
-        again = store.raw_path(1)
+        again = await store.raw_path(1)
         await asyncio.to_thread(again.touch)
     with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
         session = await store.begin_session({})
@@ -176,7 +178,10 @@ async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
         await add(store, session, 2, rejected("empty"))
     database = sqlite3.connect(state_dir / "results.sqlite")
     database.executescript(
-        """DROP TRIGGER list_result; DROP TRIGGER unlist_result; DROP TABLE listed;
+        """DROP TABLE files; DROP TABLE pins; DROP TABLE consumers;
+        DROP TRIGGER count_removed; DROP TABLE removed_results;
+        ALTER TABLE store DROP COLUMN first_seq; ALTER TABLE store DROP COLUMN files_bytes;
+        DROP TRIGGER list_result; DROP TRIGGER unlist_result; DROP TABLE listed;
         ALTER TABLE store DROP COLUMN first_raw;
         CREATE INDEX results_by_outcome ON results (session, outcome, reason, quality);
         CREATE INDEX results_by_time ON results (captured_at);
@@ -210,14 +215,19 @@ def test_the_folder_of_the_particles_is_durable_from_the_beginning(
     assert synced == [{state_dir, state_dir / "particles"}]
 
 
-async def test_what_a_crash_left_under_the_next_number_is_removed(
-    store: Store, session: int, state_dir: Path
-) -> None:
-    stale = state_dir / "particles" / f"{store.instance_id[:8]}-00000001" / "mesh.ply"
-    stale.parent.mkdir(parents=True)
-    stale.write_bytes(b"of another stone")
-    await add(store, session, 1, rejected("empty"))
-    assert not stale.exists()
+async def test_what_a_crash_left_under_the_next_number_is_removed(state_dir: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        name = f"{store.instance_id[:8]}-00000001"
+    stale = [state_dir / "particles" / day / name / "mesh.ply" for day in ("", "2026-03-01", utc_now()[:10])]
+    for path in stale:
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"of another stone")
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        assert not any(path.exists() for path in stale)
+        stale[-1].parent.mkdir()  # by a write that is repeated
+        stale[-1].touch()
+        await add(store, await store.begin_session({}), 1, rejected("empty"))
+        assert not stale[-1].exists()
 
 
 async def test_a_cancelled_caller_loses_no_outcome_and_wakes_readers(store: Store, session: int) -> None:

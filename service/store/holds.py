@@ -1,0 +1,84 @@
+"""What retention must not take: pinned results, and for a time what a consumer has not read."""
+
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.files.times import utc_now
+from service.errors import ServiceError
+from service.store.schema import transaction
+
+MAX_CONSUMERS = 100
+
+
+class TooManyConsumersError(ServiceError):
+    """There are `MAX_CONSUMERS` already."""
+
+
+class CursorError(ServiceError):
+    """The feed does not have the place where a cursor is to be parked; `ends` are its first and its last number."""
+
+    def __init__(self, after: int, first_seq: int, last_seq: int) -> None:
+        super().__init__(f"results {first_seq} to {last_seq} are kept: a cursor cannot be at {after}")
+        self.is_ahead = after > last_seq
+        self.ends: dict[str, Any] = {"first_seq": first_seq, "last_seq": last_seq}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Consumer:
+    """A named client of the feed."""
+
+    name: str
+    after: int  # last result that it has
+    moved_at: str  # RFC 3339
+    unread: int
+    is_overrun: bool  # results that it has not read were removed
+
+
+def pin(connection: sqlite3.Connection, seq: int, reason: str | None) -> None:
+    """Pin a result for this reason, or no longer for None; one that was removed meanwhile stays so."""
+    with transaction(connection):
+        connection.execute("DELETE FROM pins WHERE seq = ?", (seq,))
+        if reason is not None:
+            connection.execute(
+                "INSERT INTO pins SELECT seq, ? FROM results WHERE seq = ?",
+                (reason, seq),
+            )
+
+
+def park(connection: sqlite3.Connection, name: str, after: int) -> Consumer:
+    """Note that a consumer has read up to `after`; return the consumer.
+
+    Raises
+    ------
+    CursorError
+        The feed is not there yet, or no longer.
+    TooManyConsumersError
+    """
+    with transaction(connection):
+        first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
+        if not first_seq - 1 <= after <= last_seq:
+            raise CursorError(after, first_seq, last_seq)
+        connection.execute("INSERT OR REPLACE INTO consumers VALUES (?, ?, ?)", (name, after, utc_now()))
+        (n,) = connection.execute("SELECT count(*) FROM consumers").fetchone()
+        if n > MAX_CONSUMERS:
+            raise TooManyConsumersError(f"there are {MAX_CONSUMERS} consumers: delete one of them")
+    return next(consumer for consumer in consumers(connection) if consumer.name == name)
+
+
+def consumers(connection: sqlite3.Connection) -> list[Consumer]:
+    """Return all consumers, by name."""
+    rows = connection.execute(
+        "SELECT name, after_seq, moved_at, last_seq - after_seq, after_seq < first_seq - 1"
+        " FROM consumers, store ORDER BY name"
+    )
+    return [
+        Consumer(name=name, after=after, moved_at=moved_at, unread=unread, is_overrun=bool(is_overrun))
+        for name, after, moved_at, unread, is_overrun in rows
+    ]
+
+
+def forget(connection: sqlite3.Connection, name: str) -> bool:
+    """Delete a consumer; return whether there was one."""
+    with transaction(connection):
+        return connection.execute("DELETE FROM consumers WHERE name = ?", (name,)).rowcount > 0

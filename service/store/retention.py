@@ -1,0 +1,241 @@
+"""What is kept, and for how long: of each stone first its files are removed, and long afterwards its numbers.
+
+The oldest go first, a few at a time. The row says so durably before the files are touched, so a kill in between
+leaves nothing in doubt. Pinned results stay. Results that a consumer has not read yet stay for `consumer_days` longer.
+"""
+
+import sqlite3
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from datetime import datetime, timedelta
+from enum import StrEnum
+
+from pipeline.frames import rfc3339
+from service.store.schema import transaction
+
+STEP = 20
+"""Results whose files, or rows, are removed at a time."""
+LOOK = 50
+"""Oldest results that are looked at for it."""
+MOST = {"days": 36_500, "gb": 1_000_000, "percent": 100}
+FIRST_TIME = "2020"
+"""Earlier times are of a clock that was not set, or unknown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetentionLimits:
+    """How much is kept, each limit for itself; 0: no limit."""
+
+    files_days: float = 0.0  # age of meshes, silhouettes, frames and pictures
+    max_files_gb: float = 0.0  # size of meshes and silhouettes
+    min_free_gb: float = 2.0  # free disk space, for which files are removed,
+    min_free_percent: float = 0.0  # ... the same as a share of the disk
+    results_days: float = 0.0  # age of results, without which the feed begins later
+    consumer_days: float = 7.0  # how much longer results are kept for a consumer that has not read them
+    recordings_days: float = 0.0  # age of recordings
+    warn_days: float = 7.0  # health warns when the disk has room for less than this
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            most = MOST[field.name.rpartition("_")[2]]
+            if not 0 <= value <= most:
+                raise ValueError(f"{field.name} must be in 0..{most}, not {value:g}")
+        if 0 < self.results_days < self.files_days:
+            raise ValueError(
+                f"files_days must not exceed results_days, {self.results_days:g}, not {self.files_days:g}"
+            )
+
+    @property
+    def files_age_days(self) -> float:
+        """Age at which files are removed: at the latest with their results; 0: never."""
+        return self.files_days or self.results_days
+
+
+@dataclass(frozen=True, slots=True)
+class Disk:
+    """Size and free space of the file system of the store."""
+
+    total_bytes: int
+    free_bytes: int
+
+    def spare_bytes(self, limits: RetentionLimits) -> float:
+        """Return the free space beyond what is to stay free; negative when too little is."""
+        reserve_bytes = max(1e9 * limits.min_free_gb, limits.min_free_percent / 100 * self.total_bytes)
+        return self.free_bytes - reserve_bytes
+
+
+class Removed(StrEnum):
+    """Why files of a result were removed."""
+
+    AGE = "age"
+    SPACE = "space"
+
+
+def mark_files(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> int:
+    """Mark the oldest files that are due as removed; return of how many results."""
+    with transaction(connection):
+        rows = connection.execute(
+            "SELECT seq, bytes, json_extract(record, '$.recorded_at') FROM files JOIN results USING (seq)"
+            " WHERE removed IS NULL AND seq NOT IN (SELECT seq FROM pins) ORDER BY seq LIMIT ?",
+            (LOOK,),
+        ).fetchall()
+        n_old = _n_older((row[2] for row in rows), limits.files_age_days, now)
+        excess_bytes = _excess_bytes(connection, limits, disk)
+        due = []
+        for number, (seq, size, _) in enumerate(rows[:STEP]):
+            if number >= n_old and excess_bytes <= 0:
+                break
+            due.append((Removed.AGE if number < n_old else Removed.SPACE, seq))
+            excess_bytes -= size
+        connection.executemany("UPDATE files SET removed = ? WHERE seq = ?", due)
+    return len(due)
+
+
+def files_going(connection: sqlite3.Connection) -> list[tuple[int, str]]:
+    """Return number and folder of some results whose files are to be removed from the disk."""
+    return connection.execute(
+        "SELECT seq, folder FROM files WHERE removed IS NOT NULL AND bytes IS NOT NULL ORDER BY seq LIMIT ?",
+        (STEP,),
+    ).fetchall()
+
+
+def note_gone(connection: sqlite3.Connection, seqs: Iterable[int]) -> None:
+    """Record that the files of these results are gone from the disk."""
+    with transaction(connection):
+        connection.executemany("UPDATE files SET bytes = NULL WHERE seq = ?", ((seq,) for seq in seqs))
+
+
+def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now: datetime) -> int:
+    """Remove the oldest results that are due from the feed, and return how many.
+
+    The newest result stays. A pinned one leaves the feed, which has no gaps, and is found by its id as before.
+    """
+    with transaction(connection):
+        rows = connection.execute(
+            "SELECT seq, json_extract(record, '$.recorded_at') FROM results, store"
+            " WHERE seq >= first_seq AND seq < last_seq ORDER BY seq LIMIT ?",
+            (LOOK,),
+        ).fetchall()
+        (read_by_all,) = connection.execute("SELECT min(after_seq) FROM consumers").fetchone()
+        n_read = sum(read_by_all is None or seq <= read_by_all for seq, _ in rows)
+        times = [recorded_at for _, recorded_at in rows]
+        n_due = min(_n_older(times, limits.results_days, now), n_read)
+        if limits.results_days:  # also if nobody reads them
+            n_due = max(n_due, _n_older(times, limits.results_days + limits.consumer_days, now))
+        due = rows[: min(n_due, STEP)]
+        if due:
+            connection.execute("UPDATE store SET first_seq = ?", (due[-1][0] + 1,))
+        # the newest trigger stays, so that its number is not given again; files go before their row
+        connection.execute(
+            "DELETE FROM results WHERE seq IN (SELECT seq FROM results, store WHERE seq < first_seq"
+            " AND seq NOT IN (SELECT seq FROM pins) AND trigger < (SELECT max(trigger) FROM triggers)"
+            " AND NOT EXISTS (SELECT 1 FROM files WHERE files.seq = results.seq AND bytes IS NOT NULL) LIMIT ?)",
+            (STEP,),
+        )
+    return len(due)
+
+
+def is_older(time: str, days: float, now: datetime) -> bool:
+    """Return whether a time is so many days ago; never for 0 days, and not if it is unknown."""
+    return _n_older([time], days, now) == 1
+
+
+def _n_older(times: Iterable[str], days: float, now: datetime) -> int:
+    """Return how many of the first times are so many days ago; unknown ones count if a later one is, too."""
+    if days == 0:
+        return 0
+    limit, n_older = rfc3339(now - timedelta(days=days)), 0
+    for number, time in enumerate(times, start=1):
+        if time >= limit:
+            break
+        if time > FIRST_TIME:
+            n_older = number
+    return n_older
+
+
+def _excess_bytes(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk) -> float:
+    """Return how many bytes of files are too many, those that are being removed not counted."""
+    (going_bytes,) = connection.execute(
+        "SELECT total(bytes) FROM files WHERE removed IS NOT NULL AND bytes IS NOT NULL"
+    ).fetchone()
+    (files_bytes,) = connection.execute("SELECT files_bytes FROM store").fetchone()
+    beyond_bytes = files_bytes - 1e9 * limits.max_files_gb if limits.max_files_gb else 0.0
+    return float(max(beyond_bytes, -disk.spare_bytes(limits)) - going_bytes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoreUse:
+    """What the store takes of its disk."""
+
+    files_bytes: int
+    results_bytes: int
+    days_left: float | None
+    """Days until the free space is used up at the rate of the last day; None if that is unknown, or it never is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetentionFacts:
+    """What health is to know of retention; nothing is known before the first look."""
+
+    use: StoreUse | None = None
+    recordings_bytes: int = 0
+    warn_days: float
+    overrun: tuple[str, ...] = ()  # consumers whose unread results were removed
+    trouble: str | None = None  # why nothing can be removed
+
+
+def store_use(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> StoreUse:
+    """Return what the store takes, and how long the disk suffices for the results of days like the last one."""
+    first_seq, last_seq, files_bytes = connection.execute(
+        "SELECT first_seq, last_seq, files_bytes FROM store"
+    ).fetchone()
+    results_bytes = _used_bytes(connection)
+    n, oldest, first_recent = connection.execute(
+        "SELECT count(*), min(captured_at), min(seq) FROM listed WHERE captured_at BETWEEN ? AND ?",
+        (rfc3339(now - timedelta(days=1)), rfc3339(now)),
+    ).fetchone()
+    days_left = None
+    if n and (days := (now - datetime.fromisoformat(oldest)) / timedelta(days=1)) >= 1 / 24:
+        (recent_bytes,) = connection.execute(
+            "SELECT coalesce(avg(bytes), 0) * count(*) FROM files WHERE seq >= ?", (first_recent,)
+        ).fetchone()
+        row_bytes = results_bytes / (last_seq - first_seq + 1)
+        most_bytes = [limits.max_files_gb * 1e9, limits.files_age_days * recent_bytes / days]
+        most_files_bytes = min((most for most in most_bytes if most), default=float("inf"))
+        most_results_bytes = limits.results_days * n / days * row_bytes or float("inf")
+        growths = [
+            (recent_bytes / days, most_files_bytes - files_bytes),
+            (n / days * row_bytes, most_results_bytes - results_bytes),
+        ]
+        days_left = days_until_full(disk.spare_bytes(limits), growths)
+    return StoreUse(files_bytes=files_bytes, results_bytes=results_bytes, days_left=days_left)
+
+
+def days_until_full(spare_bytes: float, growths: Sequence[tuple[float, float]]) -> float | None:
+    """Return when the space is used up, None if never.
+
+    Parameters
+    ----------
+    growths
+        Each with its bytes a day, and the bytes after which it ends.
+    """
+    days = 0.0
+    growing = [(rate, room) for rate, room in growths if rate > 0 and room > 0]
+    while growing:
+        total_rate = sum(rate for rate, _ in growing)
+        step_days = min(room / rate for rate, room in growing)
+        if spare_bytes <= total_rate * step_days:
+            return days + max(spare_bytes, 0.0) / total_rate
+        days += step_days
+        spare_bytes -= total_rate * step_days
+        growing = [(rate, left) for rate, room in growing if (left := room - rate * step_days) > 0]
+    return None
+
+
+def _used_bytes(connection: sqlite3.Connection) -> int:
+    page_bytes, n, n_free = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("page_size", "page_count", "freelist_count")
+    )
+    return int(page_bytes * (n - n_free))
