@@ -19,9 +19,11 @@ from service.api.routes import (
     acquisition,
     calibrations,
     cameras,
+    consumers,
     health,
     particle_files,
     particles,
+    pins,
     recordings,
     results,
     verifications,
@@ -60,7 +62,7 @@ def build_routes() -> FastAPI:
         generate_unique_id_function=lambda route: route.name,
     )
     # each route of these names its scope: live and ready need no key, others another scope than `read`
-    for module in (health, acquisition, recordings, calibrations, verifications):
+    for module in (health, acquisition, recordings, calibrations, verifications, consumers, pins):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
     for module in (results, particles, particle_files, cameras, accounting):

@@ -177,7 +177,7 @@ async def test_a_long_poll_lives_as_long_as_it_asks_for(
     await add(store, session, 1, measured())
     async with asyncio.timeout(PATIENCE_S):
         assert (await poll.reader.readline()).startswith(b"HTTP/1.1 200")
-        await poll.reader.readuntil(b'"is_replay":true}]}')
+        await poll.reader.readuntil(b'"pin_reason":null}]}')
     poll.send(LIVE)  # the same connection serves the next request
     assert (await poll.reader.readline()).startswith(b"HTTP/1.1 200")
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from support.rest import BOX_MM, GREY, add, measured, particle_files, rejected
+from support.stores import folder_of
 
 from service.api.routes.particles import ParticlesPage
 from service.results.fields import Result
@@ -135,7 +136,7 @@ async def test_preview_is_rendered_once(client: httpx.AsyncClient, store: Store,
     assert image.shape == (480, 480, 3)
     blue, _, red = image[240, 240].astype(int)
     assert red > blue  # a warm grey: the channels are not swapped
-    kept = store.particles_dir / particle_id / "preview-480.png"
+    kept = folder_of(store.dir, particle_id) / "preview-480.png"
     assert kept.read_bytes() == answer.content
     kept.write_bytes(b"kept")
     assert (await client.get(f"/particles/{particle_id}/preview.png")).content == b"kept"
@@ -167,7 +168,7 @@ async def test_what_was_not_kept_says_why(
     await add(store, session, 2, measured(), files)
     missing = (await client.get("/particles/2/views/c03.png")).json()
     assert "the view is missing: lost" in missing["detail"]
-    archive = store.particles_dir / f"{store.instance_id[:8]}-00000002" / "bundle.tiff"
+    archive = folder_of(store.dir, f"{store.instance_id[:8]}-00000002") / "bundle.tiff"
     archive.write_bytes(archive.read_bytes()[:100])
     damaged = await client.get("/particles/2/views/c01.png")
     assert (damaged.status_code, damaged.json()["type"]) == (404, "urn:stonefall:problem:not-kept")
@@ -178,7 +179,7 @@ async def test_what_was_not_kept_says_why(
 async def test_a_damaged_mesh_is_not_kept(
     client: httpx.AsyncClient, store: Store, particle_id: str, damage: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = store.particles_dir / particle_id / "mesh.ply"
+    path = folder_of(store.dir, particle_id) / "mesh.ply"
     whole = path.read_bytes()
     head, corner = whole.index(b"end_header\n") + 11, np.array([77], "<i4").tobytes()
     content = {

@@ -1,7 +1,7 @@
 """The files of one particle: mesh, preview, views and silhouettes.
 
-They never change: content negotiation and caching go as far as immutable files need them (RFC 9110, sections 12.5.1
-and 13).
+They never change but by being removed: content negotiation and caching go as far as immutable files need them
+(RFC 9110, sections 12.5.1 and 13).
 """
 
 from collections.abc import Callable, Sequence
@@ -36,14 +36,16 @@ CACHE_FOREVER = "private, max-age=31536000, immutable"
 
 Responses = dict[int | str, dict[str, Any]]
 NOT_MODIFIED: Responses = {304: {"description": "Unchanged: the client has this file already"}}
-IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404)}
+IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)}
 MESH: Responses = {
     200: {"content": {media_type: {} for media_type in MEDIA_TYPES.values()}},
     **NOT_MODIFIED,
 }
 
 
-@router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(404, 406)})
+@router.get(
+    "/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(404, 406, 410)}
+)
 async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> Response:
     """Return the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up."""
     formats = list(MEDIA_TYPES)
@@ -61,7 +63,7 @@ async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> 
 @router.get(
     "/{particle_id}/mesh.{mesh_format}",
     response_class=Response,
-    responses={**MESH, **problem_responses(404)},
+    responses={**MESH, **problem_responses(404, 410)},
 )
 async def mesh_file(
     context: Context, request: Request, particle_id: ParticleKey, mesh_format: MeshFormat
@@ -138,14 +140,19 @@ async def _file(
     *choice: str,
 ) -> Response:
     """Answer with `load(folder, *choice)`, which the client may cache for ever; 304 when it has it."""
+    members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
+    if (removed := record["files_removed"]) is not None:
+        detail = (
+            f"mesh and images of particle {record['id']} were removed for {removed}, its numbers are kept"
+        )
+        raise Problem(410, "files-removed", detail, files_removed=removed, **members)
     etag = f'"{record["id"]}.{name}"'
     headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER}
     if has_version(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     try:
-        content = await context.reading.run(load, context.store.particles_dir / record["id"], *choice)
+        content = await context.reading.run(load, await context.store.folder(record["seq"]), *choice)
     except NotKeptError as err:
-        members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
         raise Problem(
             404, "not-kept", f"particle {record['id']} ({record['outcome']}): {err}", **members
         ) from err

@@ -1,14 +1,16 @@
-"""Record bundles of images while measuring."""
+"""Record bundles of images while measuring; fetch and delete recordings."""
 
 from dataclasses import asdict
 from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Depends, Path, Response
+from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import Problem, existing, problem_responses
+from service.api.recording_tar import members_of, tar_bytes, tar_pieces
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.recording.live_recording import RecordingState
@@ -94,6 +96,43 @@ async def start_recording(context: Context, wanted: RecordingRequest, response: 
         raise Problem(STATUS_OF_REFUSAL[err.refusal], err.refusal, str(err)) from err
     response.headers["Location"] = f"{BASE}/recordings/{status.name}"
     return asdict(status)
+
+
+@router.get(
+    "/{name}.tar",
+    response_class=StreamingResponse,
+    dependencies=[Depends(require(Scope.READ))],
+    responses={200: {"content": {"application/x-tar": {}}}, **problem_responses(404, 409)},
+)
+async def download_recording(context: Context, name: RecordingName) -> StreamingResponse:
+    """Return all files of a recording as one tar file; 409 while it is under way."""
+    recordings = context.control.recordings
+    if existing(await recordings.find(name), "recording", repr(name)).state is RecordingState.RECORDING:
+        raise Problem(409, Refusal.RUNNING, f"recording {name} is under way: stop it first")
+    members = await context.reading.run(members_of, recordings.path(name))
+    return StreamingResponse(
+        tar_pieces(context.reading, members),
+        media_type="application/x-tar",
+        headers={
+            "Content-Length": str(tar_bytes(members)),
+            "Content-Disposition": f'attachment; filename="{name}.tar"',
+        },
+    )
+
+
+@router.delete(
+    "/{name}",
+    status_code=204,
+    response_class=Response,
+    dependencies=[Depends(require(Scope.OPERATE))],
+    responses=problem_responses(404, 409),
+)
+async def delete_recording(context: Context, name: RecordingName) -> None:
+    """Delete a recording and all its files; 409 while it is under way."""
+    try:
+        existing(await context.control.recordings.delete(name) or None, "recording", repr(name))
+    except RecordingRefusedError as err:
+        raise Problem(STATUS_OF_REFUSAL[err.refusal], err.refusal, str(err)) from err
 
 
 @router.get(

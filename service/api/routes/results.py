@@ -55,7 +55,10 @@ async def results(
     if after > page.last_seq:
         raise Problem(409, "cursor-ahead", f"the newest result is {page.last_seq}, not {after}", **ends)
     if after < page.first_seq - 1:
-        raise Problem(410, "cursor-expired", f"the oldest result kept is {page.first_seq}", **ends)
+        detail = (
+            f"results {after + 1} to {page.first_seq - 1} were removed: go on with after={page.first_seq - 1}"
+        )
+        raise Problem(410, "cursor-expired", detail, **ends)
     return Response(page.content, media_type="application/json")
 
 
