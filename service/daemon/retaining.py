@@ -18,18 +18,17 @@ from service.errors import StoreError
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import Recordings
 from service.store import Store
+from service.store.disk_use import RetentionFacts, store_use
 from service.store.holds import consumers
 from service.store.retention import (
     STEP,
     Disk,
-    RetentionFacts,
     RetentionLimits,
     files_going,
     is_older,
     mark_files,
     note_gone,
     remove_results,
-    store_use,
 )
 from service.store.sweep import sweep
 

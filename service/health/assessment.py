@@ -22,7 +22,7 @@ from service.status import (
     HealthCheck,
     Ne107,
 )
-from service.store.retention import RetentionFacts
+from service.store.disk_use import RetentionFacts
 
 LOW_DISK_BYTES = 1 << 30
 """Free space on the store's file system below which health warns; below a tenth of it, the check fails."""

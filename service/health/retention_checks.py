@@ -1,7 +1,7 @@
 """Health of what the store keeps: how long its disk suffices, and whether something was removed unread."""
 
 from service.status import CheckStatus, HealthCheck
-from service.store.retention import RetentionFacts
+from service.store.disk_use import RetentionFacts
 
 
 def disk_days(facts: RetentionFacts | None) -> HealthCheck:

@@ -8,7 +8,7 @@ from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, a
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
 from service.status import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
-from service.store.retention import RetentionFacts, StoreUse
+from service.store.disk_use import RetentionFacts, StoreUse
 
 
 def cameras(lost: int = 0) -> list[CameraStatus]:

@@ -9,19 +9,18 @@ import pytest
 from support.rest import add, measured, particle_files, rejected
 
 from service.store import Store
+from service.store.disk_use import days_until_full, store_use
 from service.store.holds import consumers, park, pin
 from service.store.reads import accounting
 from service.store.retention import (
     STEP,
     Disk,
     RetentionLimits,
-    days_until_full,
     files_going,
     is_older,
     mark_files,
     note_gone,
     remove_results,
-    store_use,
 )
 
 WIDE = Disk(total_bytes=10**12, free_bytes=10**11)
