@@ -24,7 +24,7 @@ Memory = dict[int, NDArray[np.uint8]]
 LATEST_LOSS_NS = 500_000_000
 """A loss is reported at most so long after its leader; an older time stamp is a leftover of the buffer."""
 OLDEST_NS = 1_000_000_000
-"""Greatest age of a frame; it would be exceeded if the wall clock were set after its leader arrived."""
+"""Greatest age of a frame; it is exceeded only if the wall clock was set after its leader arrived."""
 
 
 Allocate = Callable[[int], NDArray[np.uint8] | None]
@@ -152,6 +152,9 @@ class FrameReader:
 
 
 def _monotonic_ns(wall_ns: int) -> int:
-    """Return the time of the monotonic clock at `wall_ns`, a recent time of the wall clock."""
-    now_ns = time.monotonic_ns()
-    return now_ns - min(max(time.time_ns() - wall_ns, 0), OLDEST_NS)
+    """Return the time of the monotonic clock at `wall_ns`, a recent time of the wall clock.
+
+    If that was set in between the answer is now, a few ms too late.
+    """
+    now_ns, age_ns = time.monotonic_ns(), time.time_ns() - wall_ns
+    return now_ns - (age_ns if 0 <= age_ns <= OLDEST_NS else 0)

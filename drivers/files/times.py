@@ -4,6 +4,9 @@ from datetime import UTC, datetime, timedelta
 
 from pipeline.frames import rfc3339
 
+EARLIEST = datetime(2026, 1, 1, tzinfo=UTC)
+"""No stone was measured before: a clock that says so has not been set since a host without a battery started."""
+
 
 def utc_now(timespec: str = "milliseconds") -> str:
     """Return the present time."""
@@ -13,3 +16,8 @@ def utc_now(timespec: str = "milliseconds") -> str:
 def utc_ago(age_ns: int) -> str:
     """Return the time `age_ns` before now, in milliseconds: the date of an event whose age a monotonic clock gives."""
     return rfc3339(datetime.now(UTC) - timedelta(microseconds=age_ns / 1000))
+
+
+def is_of_unset_clock(utc: str) -> bool:
+    """Return whether a time (RFC 3339 in UTC) is that of a clock that had not been set since the host started."""
+    return utc < rfc3339(EARLIEST)

@@ -4,6 +4,8 @@ import asyncio
 import time
 from collections import deque
 
+from drivers.files.times import EARLIEST
+
 PERIOD_S = 0.02
 WINDOW_S = 60.0
 """Time over which the longest delay is reported."""
@@ -30,7 +32,8 @@ class LoopWatch:
             self._record(now_s, now_s - due_s)
             moved_s = time.time() - time.monotonic() - offset_s
             offset_s += moved_s
-            if abs(moved_s) > STEP_S:
+            was_set = time.time() - moved_s > EARLIEST.timestamp()
+            if abs(moved_s) > STEP_S and was_set:  # else results say themselves that their times are wrong
                 self._step_at_s, self._step_s = now_s, moved_s
 
     def worst_ms(self) -> float:

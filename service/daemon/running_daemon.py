@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from drivers.factory import Devices
+from drivers.files.times import is_of_unset_clock, utc_now
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
 from service.calibration.calibrations import Calibrations
@@ -104,6 +105,7 @@ class Daemon:
                 quarantined=self.quarantine.bundles(),
                 loop_ms=self.watches.loop.worst_ms(),
                 clock_step_s=self.watches.loop.clock_step_s(),
+                clock_is_unset=is_of_unset_clock(utc_now()),
                 late=self.late(),
                 has_background=self.processing.has_background,
                 has_network=self.segmentation.model is not None,

@@ -54,6 +54,7 @@ class Facts:
     late: Sequence[str]  # parts without progress, see `service.daemon.heartbeats`
     loop_ms: float  # longest delay of the event loop within a minute
     clock_step_s: float | None  # by which the wall clock was set lately
+    clock_is_unset: bool = False  # since the host started, as one without a battery
 
     has_background: bool
     has_network: bool = False  # which needs no background
@@ -113,6 +114,7 @@ def _ne107(facts: Facts, usable: int, *, has_failed: bool, is_clean: bool) -> Ne
     if (
         usable < facts.views.reduced
         or facts.clock_step_s is not None
+        or facts.clock_is_unset
         or not facts.has_background
         or any(suspicion.is_dropped for suspicion in facts.suspicions)
         or any(finding.severity is Severity.OUT_OF_SPECIFICATION for finding in facts.optical_findings)
@@ -180,14 +182,16 @@ def _loop(facts: Facts) -> HealthCheck:
 
 
 def _clock(facts: Facts) -> HealthCheck:
-    step_s = facts.clock_step_s
+    step_s, problem = facts.clock_step_s, None
+    if facts.clock_is_unset:
+        problem = (
+            "the wall clock was not set since the host started: give it a time server, or timedatectl set-time;"
+            " until then results are marked time_is_doubtful"
+        )
+    elif step_s is not None:
+        problem = f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt"
     return HealthCheck(
-        status=_status(warn=step_s is not None),
-        observed_value=step_s,
-        observed_unit="s",
-        detail=None
-        if step_s is None
-        else f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt",
+        status=_status(warn=problem is not None), observed_value=step_s, observed_unit="s", detail=problem
     )
 
 

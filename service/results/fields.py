@@ -114,6 +114,10 @@ class Result(BaseModel):
     kind: Literal["particle", "ball"] = Field(description="What was exposed")
     captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
+    time_is_doubtful: bool | None = Field(
+        default=None,
+        description="True when the host's clock was not set: `captured_at` or `recorded_at` is before 2026",
+    )
     outcome: Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST]
     reason: str | None = Field(default=None, description="Why rejected or lost, one word; null when measured")
     detail: str | None = Field(default=None, description="The reason for people")
@@ -229,6 +233,7 @@ STORED_FIELDS = (
     "id",
     "session",
     "recorded_at",
+    "time_is_doubtful",
     "is_replay",
     "files_removed",
     "is_pinned",

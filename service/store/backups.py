@@ -65,9 +65,10 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
         raise kind(f"no backup of {path} to {target}: {err}") from err
 
 
-def prune(state_dir: Path, keep: int) -> None:
-    """Remove all copies but the newest `keep`."""
-    for path in backups_in(state_dir)[:-keep]:
+def prune(state_dir: Path, keep: int, made: Path) -> None:
+    """Remove all copies but `keep`: the one just `made`, whatever the clock says, and the newest others."""
+    others = [path for path in reversed(backups_in(state_dir)) if path != made]
+    for path in others[keep - 1 :]:
         path.unlink()
 
 

@@ -200,7 +200,7 @@ class Store:
         except backups.DamagedStoreError as err:
             self._writer.hold(StoreTrouble(Cause.DAMAGED, str(err)))
             raise
-        await asyncio.to_thread(backups.prune, self.dir, keep)
+        await asyncio.to_thread(backups.prune, self.dir, keep, target)
         return target
 
     def last_backup(self) -> Path | None:

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.files.times import utc_now
+from drivers.files.times import is_of_unset_clock, utc_now
 from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.errors import StoreError
 from service.results.fields import LossReason, Outcome
@@ -212,6 +212,7 @@ def _end(
         "kind": kind,
         "captured_at": captured_at,
         "recorded_at": recorded_at,
+        "time_is_doubtful": is_of_unset_clock(min(captured_at, recorded_at)),
         # relative to the base path of the REST interface, which makes PLY of a compact one
         "mesh": f"particles/{name}/mesh.ply" if any(file.startswith("mesh.") for file in kept) else None,
         "is_replay": bool(is_replay),

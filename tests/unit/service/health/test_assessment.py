@@ -138,6 +138,13 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             True,
             "clock: the wall clock was set by -3600.0 s: times of results are in doubt",
         ),
+        (
+            {"clock_is_unset": True},
+            Ne107.OUT_OF_SPECIFICATION,
+            True,
+            "clock: the wall clock was not set since the host started: give it a time server, or timedatectl set-time;"
+            " until then results are marked time_is_doubtful",
+        ),
         ({"waiting": 9}, Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting"),
         ({"waiting": 16}, Ne107.FAILURE, False, "queue: 16 of 16 waiting"),
         (

@@ -60,6 +60,17 @@ async def test_the_newest_backups_are_kept(store: Store, session: int, state_dir
     assert store.last_backup() == made
 
 
+async def test_a_backup_made_by_a_clock_that_was_set_back_is_kept(
+    store: Store, session: int, state_dir: Path
+) -> None:
+    (state_dir / "backups").mkdir()
+    later = [f"results-2999010{day}T000000Z.sqlite" for day in (1, 2, 3)]
+    for name in later:
+        (state_dir / "backups" / name).touch()
+    made = await store.back_up(keep=2)
+    assert [path.name for path in backups_in(state_dir)] == [made.name, later[-1]]
+
+
 async def test_a_damaged_database_replaces_no_backup_and_holds_the_store(
     store: Store, session: int, state_dir: Path
 ) -> None:

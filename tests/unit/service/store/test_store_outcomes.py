@@ -15,7 +15,7 @@ from pipeline.frames import BundleKind, GateCount, rfc3339
 from service.errors import StoreError
 from service.results.fields import Result
 from service.results.version import ALGORITHM_VERSION
-from service.store import ParticleFilter, Store, open_store
+from service.store import ParticleFilter, Store, open_store, writes
 from service.store.writes import NOTE_EVERY
 
 
@@ -358,3 +358,17 @@ async def test_results_of_a_replay_are_marked_and_never_beside_those_of_stones_t
             with pytest.raises(StoreError, match=r"choose another store\.dir"):
                 await store.begin_session(other)
             assert await store.begin_session(info) == session + 1
+
+
+async def test_results_by_a_clock_that_was_not_set_are_marked_and_stay_so(
+    state_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(open_store(state_dir)) as store:
+        session = await store.begin_session({})
+        with monkeypatch.context() as at_boot:
+            at_boot.setattr(writes, "utc_now", lambda: "1970-01-01T00:00:42.000Z")
+            await add(store, session, 1, measured(), {})
+        await add(store, session, 2, measured(), {})
+    with closing(open_store(state_dir)) as store:
+        records = (await store.results_after(0, 10)).items
+        assert [record["time_is_doubtful"] for record in records] == [True, False]
