@@ -1,6 +1,7 @@
 """Turn the bytes of a serial gate into events, without port or thread; every loss is an event."""
 
 import logging
+from collections import deque
 from dataclasses import astuple, dataclass, replace
 
 from drivers.gates.edge_counter import EdgeCounter, Step
@@ -25,6 +26,10 @@ log = logging.getLogger(__name__)
 
 BITS_A_BYTE = 10
 """8N1: with start and stop bit."""
+LATE_NS = 200_000_000
+"""Delay of a line above which it is counted as late; from 0.3 s on its stone's frames wait for it no longer."""
+RECENT_NS = 60_000_000_000
+"""Time for which late lines and a restart are reported."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -40,6 +45,7 @@ class GateCounters:
     repeated: int = 0  # lines
     missed: int = 0  # edges counted by the gate and never announced
     restarts: int = 0  # of the gate
+    late: int = 0  # lines
 
 
 class GateListener:
@@ -58,6 +64,8 @@ class GateListener:
         self._edge: Edge | None = None
         self._ignored: int | None = None
         self._blocked_since_ns: int | None = None
+        self._late_lines: deque[tuple[int, int]] = deque(maxlen=256)  # time and delay
+        self._restarted_ns: int | None = None
         self._counters = GateCounters()
         self._is_recognised = True
         self.identity: Identity | None = None
@@ -85,6 +93,23 @@ class GateListener:
     def blocked_s(self, now_ns: int) -> float:
         """Return for how long the beam has been closed, in s, by the gate's statuses."""
         return 0.0 if self._blocked_since_ns is None else (now_ns - self._blocked_since_ns) / 1e9
+
+    def troubles(self, now_ns: int) -> list[str]:
+        """Return what went wrong within the last minute, with the remedy."""
+        found = []
+        late_ns = [late_ns for at_ns, late_ns in self._late_lines if now_ns - at_ns < RECENT_NS]
+        if late_ns:
+            found.append(
+                f"{len(late_ns)} lines within the last minute came up to {max(late_ns) / 1e6:.0f} ms late"
+                f" ({self._counters.late} since the start): look at the load of this machine, and at the latency of"
+                " the serial converter"
+            )
+        if self._restarted_ns is not None and now_ns - self._restarted_ns < RECENT_NS:
+            found.append(
+                "was restarted within the last minute, and counts anew: stones that it had not announced may be"
+                " unknown: check its power supply"
+            )
+        return found
 
     def hear(self, data: bytes, read_ns: int) -> list[DeviceEvent]:
         """Return the events of what was read at `read_ns`; damaged data is counted as garbage and never raises."""
@@ -135,7 +160,7 @@ class GateListener:
             return [TriggersIgnored(received_ns=latest_ns, count=1, reason="repeated")]
         events = self._account(step, latest_ns)
         device_ns = record.device_us * 1000
-        received_ns = self._clock.host_ns(device_ns, latest_ns)
+        received_ns = self._dated(device_ns, latest_ns)
         if isinstance(record, TestPulse):
             self._counters.test_pulses += 1
             kind = BundleKind.BACKGROUND
@@ -149,7 +174,7 @@ class GateListener:
 
     def _take_status(self, status: Status, latest_ns: int) -> list[DeviceEvent]:
         events = self._account(self._counter.status(status.last_sequence, status.device_us), latest_ns)
-        self._clock.host_ns(status.device_us * 1000, latest_ns)
+        self._dated(status.device_us * 1000, latest_ns)
         if self._ignored is not None and (count := (status.ignored - self._ignored) % SEQUENCES):
             self._counters.ignored += count
             events.append(TriggersIgnored(received_ns=latest_ns, count=count, reason="bounce"))
@@ -161,6 +186,14 @@ class GateListener:
         self.n_statuses += 1
         return events
 
+    def _dated(self, device_ns: int, latest_ns: int) -> int:
+        """Return the host's time of a line, and note how late it came."""
+        host_ns = self._clock.host_ns(device_ns, latest_ns)
+        if latest_ns - host_ns > LATE_NS:
+            self._counters.late += 1
+            self._late_lines.append((latest_ns, latest_ns - host_ns))
+        return host_ns
+
     def _begin_anew(self, *, ignored: int | None) -> None:
         """Forget the state of another gate, or of this one before it was restarted."""
         self._clock.restart()
@@ -171,6 +204,7 @@ class GateListener:
     def _account(self, step: Step, latest_ns: int) -> list[DeviceEvent]:
         if step.has_restarted:
             self._counters.restarts += 1
+            self._restarted_ns = latest_ns
             self._begin_anew(ignored=None if step.missed is None else 0)
             missed = "an unknown number" if step.missed is None else step.missed
             log.warning("light gate was restarted, stones missed: %s; check its power supply", missed)

@@ -82,14 +82,15 @@ class SerialGate:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What works but needs attention, with the remedy; never blocks."""
+        now_ns = time.monotonic_ns()
         with self._heard:
-            blocked_s = self._listener.blocked_s(time.monotonic_ns())
-        if blocked_s < self._settings.blocked_s:
-            return ()
-        return (
-            f"light gate {self._settings.port}: the beam has been closed for {blocked_s:.0f} s: "
-            "remove what blocks it, clean and align sensor and light",
-        )
+            blocked_s, found = self._listener.blocked_s(now_ns), self._listener.troubles(now_ns)
+        if blocked_s >= self._settings.blocked_s:
+            found.append(
+                f"the beam has been closed for {blocked_s:.0f} s: "
+                "remove what blocks it, clean and align sensor and light"
+            )
+        return tuple(f"light gate {self._settings.port}: {problem}" for problem in found)
 
     def resume(self, count: GateCount, n_known: int) -> None:
         """Go on from the count of an earlier process that was killed while the gate was armed."""

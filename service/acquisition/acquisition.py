@@ -17,10 +17,11 @@ from typing import Protocol
 from drivers.factory import Devices
 from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
-from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded
+from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
 from pipeline.frames import BundleKind, FrameBundle, GateCount, Trigger
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
+from service.acquisition.gate_watch import GateWatch
 from service.acquisition.rig_cameras import RigCameras
 from service.bundling.assembler import BundleAssembler
 from service.bundling.counters import BundlingCounters
@@ -96,6 +97,7 @@ class Acquisition:
         self._last_stone_s: float | None = None
         self.cameras = RigCameras(devices.cameras, clock=devices.clock, is_live=devices.belt is None)
         self.gate = DeviceKeeper("light gate", devices.gate)
+        self._gate_watch = GateWatch(bundling)
         self.counters = BundlingCounters()
         """Counts since the rig was last armed."""
         self._inbox: EventInbox | None = None
@@ -146,7 +148,7 @@ class Acquisition:
             cameras=len(self.cameras.ids),
             gate=self.gate.state,
             gate_error=self.gate.last_error if self.gate.state is DeviceState.LOST else None,
-            gate_warnings=self._devices.gate.warnings,
+            gate_warnings=(*self._devices.gate.warnings, *self._gate_watch.warnings(now_s)),
             last_stone_age_s=None if self._last_stone_s is None else round(now_s - self._last_stone_s, 3),
             triggers=counters.triggers,
             orphans=counters.orphans,
@@ -246,9 +248,15 @@ class Acquisition:
             bundles = assembler.advance(now_ns)
         else:
             event = self.cameras.refuse_repeated(event)
-            if isinstance(event, Trigger) and not assembler.has_orphan_of(event):
-                count = None if assembler.has_gap else event.gate_count
-                (event,) = await self._record([event], count)
+            match event:
+                case Trigger() if assembler.has_orphan_of(event):
+                    self._gate_watch.note_late(time.monotonic())
+                case Trigger():
+                    count = None if assembler.has_gap else event.gate_count
+                    (event,) = await self._record([event], count)
+                case TriggersLost():
+                    log.warning("stones without an announcement count=%d: %s", event.count, event.reason)
+                    self._gate_watch.note_gap(event, time.monotonic())
             self.cameras.track(event)
             bundles = assembler.feed(event)
         await self._hand_over(bundles)
@@ -293,6 +301,8 @@ class Acquisition:
                     level, "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
                 )
             self.cameras.check_bundle(bundle)
+            if self.gate.state is not DeviceState.LOST:
+                self._gate_watch.note_bundle(bundle, time.monotonic())
             self._on_bundle(bundle)
             self._on_progress()
 

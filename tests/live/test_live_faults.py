@@ -242,11 +242,14 @@ def test_d1_a_bounce_is_merged_and_a_double_is_one_stone(live: LiveRig):
 def test_d2_a_stone_that_the_gate_does_not_announce_is_measured_all_the_same(live: LiveRig):
     before = live.acquisition()
     live.rig.gate.faults.uncounted = 1.0
-    results = live.measure(2)
+    results = live.measure(3)
     assert all_measured(results)
-    assert views(results) == [16, 16]
+    assert views(results) == [16, 16, 16]
     assert all(result["bundle"].endswith("-orphan") for result in results)
-    assert live.acquisition()["orphans"] == before["orphans"] + 2
+    assert live.acquisition()["orphans"] == before["orphans"] + 3
+    gate = live.daemon.get("/health")["checks"]["gate"]
+    assert gate["status"] == "warn"
+    assert "not announced" in gate["detail"] or "the gate says nothing" in gate["detail"]
 
 
 @pytest.mark.full
@@ -259,6 +262,7 @@ def test_d2_a_lost_line_is_an_orphan_and_a_gap(live: LiveRig):
     assert all_measured(stones(results))
     assert live.acquisition()["orphans"] >= before["orphans"] + 1
     eventually(lambda: live.acquisition()["triggers_lost"] >= before["triggers_lost"] + 1, "the gap is told")
+    assert "its counter went on by" in live.daemon.get("/health")["checks"]["gate"]["detail"]
     assert live.acquisition()["unseen"] == before["unseen"]
 
 

@@ -247,6 +247,20 @@ class TestCounter:
         assert (step.sequence, step.missed, step.has_restarted) == (71, 1, False)
 
 
+def test_lines_that_come_late_are_told_for_a_minute() -> None:
+    wire = Wire()
+    for number in range(1, 4):
+        wire.status(1000 * number, 0)
+    wire.edge(1, 3500, late_ms=120)
+    assert wire.listener.troubles(wire.BOOT_NS + 4000 * MS) == []
+    wire.edge(2, 4500, late_ms=280)
+    wire.edge(3, 5500, late_ms=220)
+    (trouble,) = wire.listener.troubles(wire.BOOT_NS + 6000 * MS)
+    assert trouble.startswith("2 lines within the last minute came up to 280 ms late (2 since the start)")
+    assert "converter" in trouble
+    assert wire.listener.troubles(wire.BOOT_NS + 70_000 * MS) == []
+
+
 def test_a_counter_that_jumps_is_a_warning_and_no_loss(caplog: pytest.LogCaptureFixture) -> None:
     wire = Wire()
     wire.edge(5, 1000)
@@ -254,6 +268,9 @@ def test_a_counter_that_jumps_is_a_warning_and_no_loss(caplog: pytest.LogCapture
     assert isinstance(trigger, Trigger)
     assert trigger.sequence == 6
     assert "an unknown number" in caplog.text
+    (trouble,) = wire.listener.troubles(wire.BOOT_NS + 3000 * MS)
+    assert "was restarted within the last minute" in trouble
+    assert wire.listener.troubles(wire.BOOT_NS + 63_000 * MS) == []
     assert (wire.listener.counters.missed, wire.listener.counters.restarts) == (0, 1)
 
 

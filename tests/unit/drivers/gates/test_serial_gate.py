@@ -310,18 +310,22 @@ def test_a_test_pulse_exposes_the_empty_rig(device: PtyGate, gate: SerialGate, s
 
 def test_a_blocked_beam_is_a_warning(device: PtyGate, settings: SerialGateSettings) -> None:
     gate = SerialGate(replace(settings, blocked_s=0.05))
+
+    def blocked() -> list[str]:  # a busy machine may have others
+        return [warning for warning in gate.warnings if "the beam" in warning]
+
     try:
         gate.open()
-        assert gate.warnings == ()
+        assert blocked() == []
         device.is_blocked = True
         device.status()
-        eventually(lambda: bool(gate.warnings))
-        (warning,) = gate.warnings
+        eventually(lambda: bool(blocked()))
+        (warning,) = blocked()
         assert str(device.link) in warning
         assert "clean and align" in warning
         device.is_blocked = False
         device.status()
-        eventually(lambda: not gate.warnings)
+        eventually(lambda: not blocked())
     finally:
         gate.close()
 

@@ -145,3 +145,35 @@ async def test_the_gates_count_is_noted_when_everything_before_it_is_recorded():
         await bench.until(lambda: bench.n_records == 4)
         assert bench.gate_counts == [counts[0], None, None, counts[2]]
     assert bench.gate_counts[4:] == [None]  # disarmed: nothing is missed
+
+
+async def test_what_the_gate_tells_late_or_not_at_all_is_a_warning() -> None:
+    bench = HandBench()
+    async with armed(bench) as acquisition:
+
+        def warning() -> str:
+            return "; ".join(acquisition.status().gate_warnings)
+
+        fell_ns = []
+        for number in (1, 2, 3):
+            fell_ns.append(bench.now_ns)
+            bench.now_ns += DELAY_NS
+            bench.expose(number)
+            bench.now_ns += DELAY_NS
+            await bench.until(lambda n=number: len(bench.bundles) == n)
+        assert warning().startswith(
+            "the cameras expose and the gate says nothing, 3 stones in a row: look at"
+        )
+        bench.trigger(3, fell_ns[2])
+        await bench.until(lambda: acquisition.counters.triggers_ignored == 1)
+        assert "2 stones within the last minute were not announced" in warning()
+        assert "1 announcements within the last minute came too late for their frames: look at" in warning()
+        assert bench.gate.sink is not None
+        bench.gate.sink.deliver(TriggersLost(received_ns=bench.now_ns, count=3, reason="lines were damaged"))
+        await bench.until(lambda: acquisition.counters.triggers_lost == 3)
+        assert "its counter went on by 3 stones without their lines" in warning()
+        assert "(lines were damaged): look at" in warning()
+        bench.now_ns += 10 * DELAY_NS
+        await bench.until(lambda: len(bench.bundles) == 4)  # two of the three were seen
+        assert [bool(bundle.frames) for bundle in bench.bundles] == [True, True, True, False]
+        assert len({bundle.name for bundle in bench.bundles}) == acquisition.counters.triggers == 4

@@ -1,0 +1,102 @@
+"""Watch what the light gate tells late or not at all: cameras and the gate's own counter show it. Time is an argument.
+
+Each trouble is named, with the remedy, for a minute after it was seen last.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import median
+
+from drivers.interfaces import TriggersLost
+from pipeline.frames import FrameBundle
+from service.bundling.parameters import BundlingParameters
+
+RECENT_S = 60.0
+SILENT_STONES = 3
+"""Stones in a row, seen by the cameras and not announced, from which the gate is taken to be silent."""
+EARLY_STONES = 5
+"""Latest stones over which it is judged whether frames come too early."""
+
+
+@dataclass(slots=True)
+class _Recent:
+    """Stones of one kind of trouble within the last minute."""
+
+    seen: deque[tuple[float, int]] = field(default_factory=deque)
+
+    def add(self, n_stones: int, now_s: float) -> None:
+        self.seen.append((now_s, n_stones))
+        self.count(now_s)
+
+    def count(self, now_s: float) -> int:
+        while self.seen and now_s - self.seen[0][0] > RECENT_S:
+            self.seen.popleft()
+        return sum(n_stones for _, n_stones in self.seen)
+
+
+class GateWatch:
+    """Judges a gate that works by its own account; `warnings` can be read at any time."""
+
+    def __init__(self, bundling: BundlingParameters) -> None:
+        self._bundling = bundling
+        self._unannounced, self._late, self._counted = _Recent(), _Recent(), _Recent()
+        self._counted_why = ""
+        self._n_silent = 0  # stones in a row that were not announced
+        self._early_ms: deque[float] = deque(maxlen=EARLY_STONES)
+
+    def note_bundle(self, bundle: FrameBundle, now_s: float) -> None:
+        """Take a bundle of any trigger; bundles without frames say nothing of the gate, unless it announced them."""
+        trigger = bundle.trigger
+        if not trigger.is_announced:
+            if bundle.frames:
+                self._n_silent += 1
+                self._unannounced.add(1, now_s)
+            return
+        self._n_silent = 0
+        if bundle.frames:
+            delay_ms = (
+                median(frame.received_ns - trigger.received_ns for frame in bundle.frames.values()) / 1e6
+            )
+            self._early_ms.append(self._bundling.expected_delay_ms - delay_ms)
+
+    def note_late(self, now_s: float) -> None:
+        """Take an announcement that came when its stone had become an orphan."""
+        self._n_silent = 0
+        self._late.add(1, now_s)
+
+    def note_gap(self, gap: TriggersLost, now_s: float) -> None:
+        """Take a gap in the gate's own counter."""
+        self._counted.add(gap.count, now_s)
+        self._counted_why = gap.reason
+
+    def warnings(self, now_s: float) -> tuple[str, ...]:
+        """Return what is wrong now, with the remedy."""
+        n_late, n_counted = self._late.count(now_s), self._counted.count(now_s)
+        n_unannounced = self._unannounced.count(now_s) - n_late
+        found = []
+        if n_unannounced >= 1 and self._n_silent >= SILENT_STONES:
+            found.append(
+                f"the cameras expose and the gate says nothing, {self._n_silent} stones in a row:"
+                " look at its line to this machine and at its firmware"
+            )
+        elif n_unannounced >= 1:
+            found.append(
+                f"{n_unannounced} stones within the last minute were not announced, and measured all the same:"
+                " look at the beam, at cable and shield"
+            )
+        if n_late:
+            found.append(
+                f"{n_late} announcements within the last minute came too late for their frames: look at the load"
+                " of this machine, and at the latency of the serial converter"
+            )
+        if n_counted:
+            found.append(
+                f"its counter went on by {n_counted} stones without their lines within the last minute"
+                f" ({self._counted_why}): look at cable, shield, baud rate and power supply"
+            )
+        if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:
+            found.append(
+                f"frames come {median(self._early_ms):.0f} ms before they are expected: the gate's lines arrive late"
+                " (latency of the serial converter), or bundling.expected_delay_ms is too long"
+            )
+        return tuple(found)
