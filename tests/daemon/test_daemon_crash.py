@@ -135,16 +135,29 @@ def kill_fork_server(daemon: DaemonProcess) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def test_a_full_spool_is_named_after_it_was_full(recording: Path, tmp_path: Path) -> None:
+def test_overload_loses_the_newest_whole_is_named_and_ends_by_itself(recording: Path, tmp_path: Path) -> None:
     with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1, max_bundles=2) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)
-        daemon.wait_for("/health", lambda now: "stones lost" in now["checks"]["queue"]["detail"])
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 5)
+        health = daemon.wait_for("/health", lambda now: "stones lost" in now["checks"]["queue"]["detail"])
+        assert (health["checks"]["queue"]["status"], health["ne107"]) == ("fail", "failure")
+        assert daemon.get("/acquisition")["state"] == "armed"  # and what falls is counted
+        measured = daemon.get("/accounting")["measured"]
         daemon.signal_workers(signal.SIGCONT)
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= measured + 5)  # while stones fall
         daemon.put("/acquisition", {"state": "disarmed"})
-        daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+        accounting = daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
         check = daemon.get("/health")["checks"]["queue"]
         assert (check["status"], check["observed_value"]) == ("warn", 0)
         assert "stones lost since the start (2 bundles were waiting)" in check["detail"]
+        results = daemon.results()
+        lost = [result["reason"] == "queue_full" for result in results]
+        first = lost.index(True)
+        assert accounting["is_balanced"]
+        assert accounting["triggers"] == len(outcome_of(results)) == len(lost)
+        # those that were there before the spool was full are measured, and those after it had room again
+        assert {result["outcome"] for result in results[:first]} == {"measured"}
+        assert not all(lost[first:])
         assert daemon.stop() == 0
