@@ -1,13 +1,15 @@
 """Build the devices of a rig from its description; the one module that knows every backend."""
 
+import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from drivers.camera_process.camera import RemoteCamera
 from drivers.camera_process.process import CameraProcess
+from drivers.cameras.finding import are_simulated
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.cameras.host_trigger import ActionKeys, ActionTrigger, SoftwareTrigger
 from drivers.faulty.camera import FaultyCamera
@@ -23,6 +25,8 @@ from drivers.replay.belt import Pace, ReplayBelt
 from drivers.replay.camera import ReplayCamera
 from drivers.replay.gate import ReplayGate
 from pipeline.frames import CameraId
+
+log = logging.getLogger(__name__)
 
 GateDevice = SerialGateSettings | ModemLineSettings | GpioGateSettings
 
@@ -89,15 +93,22 @@ def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
 
 
 def _live_devices(backend: AravisBackend) -> Devices:
+    is_simulated = backend.is_simulated
+    if not is_simulated and are_simulated(backend.cameras):
+        log.warning("the cameras are simulated: so are all results, and they are marked")
+        is_simulated = True
     process = CameraProcess()
-    cameras = {settings.id: RemoteCamera(settings, process) for settings in backend.cameras}
+    cameras = {
+        settings.id: RemoteCamera(replace(settings, may_be_simulated=is_simulated), process)
+        for settings in backend.cameras
+    }
     gate = _gate(backend.gate)
     match backend.fired_by:
         case "software":
             gate = FiringGate(gate, SoftwareTrigger([camera.software_trigger for camera in cameras.values()]))
         case ActionKeys() as keys:
             gate = FiringGate(gate, ActionTrigger(keys, backend.interfaces))
-    return Devices(cameras=cameras, gate=gate, is_simulated=backend.is_simulated, close=process.close)
+    return Devices(cameras=cameras, gate=gate, is_simulated=is_simulated, close=process.close)
 
 
 def _gate(device: GateDevice) -> LightGate:

@@ -1,10 +1,14 @@
 """Find the camera on the network that belongs in a place of the rig."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 from drivers import gvcp
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError, LossCause
+
+SIMULATED_VENDORS = frozenset({"Stonefall", "Aravis"})
+"""Vendors of cameras that are programs: `drivers.gige_simulator`, and Aravis' own fake camera."""
 
 
 def find_camera(
@@ -15,8 +19,34 @@ def find_camera(
     Raises
     ------
     CameraUnavailableError
-        None answers, several match, or the one at the address is another one.
+        None answers, several match, the one at the address is another one, or it is simulated in a rig that is not.
     """
+    found = _find(settings, last)
+    if found.vendor in SIMULATED_VENDORS and not settings.may_be_simulated:
+        raise CameraUnavailableError(
+            settings.id,
+            f"is a simulated camera, {_named(found)}, in a rig that is not simulated: switch it off; if it shall be"
+            " used, set rig.is_simulated = true, which marks all results",
+            LossCause.WRONG_CAMERA,
+        )
+    return found
+
+
+def are_simulated(cameras: Sequence[GigeCameraSettings]) -> bool:
+    """Return whether of these cameras at least one answers now, and all that answer are simulated."""
+    seen = [there for camera in cameras if camera.address and (there := gvcp.probe(camera.address))]
+    if not all(camera.address for camera in cameras):
+        with suppress(OSError):  # an interface that is down: none answers
+            seen += gvcp.discover(cameras[0].interfaces or None)
+    ours = [
+        device
+        for device in seen
+        if any(camera.address in (None, device.address) and _agrees(device, camera) for camera in cameras)
+    ]
+    return bool(ours) and all(device.vendor in SIMULATED_VENDORS for device in ours)
+
+
+def _find(settings: GigeCameraSettings, last: gvcp.DiscoveredCamera | None) -> gvcp.DiscoveredCamera:
     if settings.address:
         there = gvcp.probe(settings.address)
         if there is None:

@@ -10,6 +10,7 @@ from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.feature_access import FeatureAccess
+from drivers.cameras.finding import are_simulated
 from drivers.cameras.genicam import (
     Feature,
     GigeCameraSettings,
@@ -51,6 +52,30 @@ def with_features(*features: Feature) -> GigeCameraSettings:
 
 
 # --- which camera ---
+
+
+@pytest.mark.usefixtures("simulated")
+def test_a_simulated_camera_is_refused_in_a_rig_that_is_not() -> None:
+    problem = refusal(replace(settings_for(design()), may_be_simulated=False))
+    assert "is a simulated camera" in problem
+    assert "rig.is_simulated = true" in problem
+
+
+@pytest.mark.usefixtures("simulated")
+@pytest.mark.parametrize(
+    ("names", "is_so"),
+    [
+        ({}, True),
+        ({"address": None, "serial": serial(2)}, True),
+        ({"serial": "another"}, False),
+        ({"address": f"{NET}.3"}, False),  # where none answers
+        ({"address": None, "serial": "another"}, False),
+    ],
+)
+def test_a_rig_is_simulated_if_all_of_its_cameras_that_answer_are(
+    names: dict[str, str | None], is_so: bool
+) -> None:
+    assert are_simulated([replace(settings_for(design()), **names)]) is is_so
 
 
 @pytest.mark.usefixtures("simulated")

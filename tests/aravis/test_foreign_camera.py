@@ -37,6 +37,7 @@ def test_it_is_opened_set_and_triggered_by_software() -> None:
             *exposure_features(exposure_us=50.0),
         ),
         packet_size_bytes=None,  # it answers no test packet, and keeps what it has
+        may_be_simulated=True,
     )
     camera = AravisCamera(settings)
     camera.open()

@@ -98,6 +98,7 @@ def test_sigterm_measures_what_fell_and_lets_the_cameras_go(tmp_path: Path, reco
             address=camera.address,
             interfaces=("127.0.0.1",),
             image_size_px=camera.image_size_px,
+            may_be_simulated=True,
         )
         successor = AravisCamera(settings)
         successor.open()

@@ -86,6 +86,7 @@ def settings_for(camera: CameraDesign, *, source: str = "Line1", **changes: Any)
             *exposure_features(exposure_us=EXPOSURE_US),
         ),
         packet_size_bytes=1500,
+        may_be_simulated=True,
     )
     return replace(settings, **changes)
 

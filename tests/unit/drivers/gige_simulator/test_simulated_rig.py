@@ -81,6 +81,7 @@ def hosted(rig: SimulatedRig, design: RigDesign, *, source: str = "Line1") -> It
                         *trigger_features(source=source, delay_us=delay_us),
                         *exposure_features(exposure_us=EXPOSURE_US),
                     ),
+                    may_be_simulated=True,
                 )
             )
             stack.callback(camera.close)
