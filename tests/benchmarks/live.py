@@ -6,15 +6,11 @@ Exits with 1 if a stone is missing or lost, the counts of driver and simulator d
 """
 
 import argparse
-import json
 import os
-import socket
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 from typing import Any, get_args
@@ -23,7 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
+from support.daemon_process import DaemonProcess, descendants_of
+from support.simulator_process import SimulatorProcess
 from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
 
@@ -63,43 +60,17 @@ def main() -> int:
             n_empty=N_EMPTY,
             seed=11,
         )
-        command = [
-            STONEFALL, "simulate", folder / "recording", "--json", "--loop", "--start", "manual",
-            "--rate", str(arguments.rate), "--address", ADDRESS,
-            "--gate-link", folder / "gate", "--control", folder / "control",
-        ]  # fmt: skip
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
-            assert simulator.stdout is not None
-            rig = json.loads(simulator.stdout.readline())
-            try:
-                return soak(folder, spool, rig, simulator, arguments)
-            finally:
-                simulator.terminate()
+        with SimulatorProcess(
+            folder, folder / "recording", rate_hz=arguments.rate, address=ADDRESS
+        ) as simulator:
+            return soak(folder, spool, simulator, arguments)
 
 
-def soak(
-    folder: Path, spool: str, rig: dict[str, Any], simulator: "subprocess.Popen[str]", arguments: Any
-) -> int:
-    cameras = "\n".join(
-        f'[[rig.cameras]]\nid = "{each["id"]}"\nserial = "{each["serial"]}"\naddress = "{each["address"]}"'
-        for each in rig["cameras"]
-    )
-    section = f"""[rig]
-backend = "aravis"
-is_simulated = true
-calibration = "{folder}/recording/rig.json"
-interfaces = ["127.0.0.1"]
-[rig.gate.serial]
-port = "{folder}/gate"
-{cameras}
-[empty_rig]
-at_start = 2
-every_s = 0
-"""
+def soak(folder: Path, spool: str, simulator: SimulatorProcess, arguments: Any) -> int:
     with DaemonProcess(
         folder,
         folder,
-        rig=section,
+        rig=simulator.section,
         segmentation=f'segmenter = "{arguments.segmenter}"',
         voxels=256,
         spool=spool,
@@ -109,15 +80,15 @@ every_s = 0
         daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
         daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
         time.sleep(1)
-        control(folder, {"do": "fault", "of": "cameras", "set": {"packet_loss": arguments.loss}})
-        samples = watch(folder, daemon, simulator.pid, arguments.seconds)
-        counted = settle(folder, daemon)
+        simulator.ask({"do": "fault", "of": "cameras", "set": {"packet_loss": arguments.loss}})
+        samples = watch(simulator, daemon, arguments.seconds)
+        counted = settle(simulator, daemon)
         return report(daemon, samples, counted, arguments)
 
 
-def watch(folder: Path, daemon: DaemonProcess, simulator: int, seconds: float) -> list[dict[str, float]]:
+def watch(simulator: SimulatorProcess, daemon: DaemonProcess, seconds: float) -> list[dict[str, float]]:
     samples = []
-    control(folder, {"do": "start"})
+    simulator.ask({"do": "start"})
     begin = time.monotonic()
     while (elapsed_s := time.monotonic() - begin) < seconds:
         time.sleep(POLL_S)
@@ -130,19 +101,19 @@ def watch(folder: Path, daemon: DaemonProcess, simulator: int, seconds: float) -
                 "waiting": health["queue"]["observed_value"],
                 "daemon_cpu_s": cpu_s([daemon.process.pid]),
                 "workers_cpu_s": cpu_s(descendants_of(daemon.process.pid)),
-                "simulator_cpu_s": cpu_s([simulator]),
+                "simulator_cpu_s": cpu_s([simulator.process.pid]),
             }
         )
     return samples
 
 
-def settle(folder: Path, daemon: DaemonProcess) -> dict[str, Any]:
+def settle(simulator: SimulatorProcess, daemon: DaemonProcess) -> dict[str, Any]:
     """Stop the belt, wait until every bundle has its result, and return the simulator's counters."""
-    control(folder, {"do": "stop"})
+    simulator.ask({"do": "stop"})
     time.sleep(2)
     daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=120)
     time.sleep(6)  # until every camera was examined once more
-    return control(folder, {"do": "counters"})
+    return simulator.ask({"do": "counters"})
 
 
 def report(
@@ -230,15 +201,6 @@ def since_exposure_ms(result: dict[str, Any]) -> float:
     """Return the time from the exposure to the written result; both by the clock of this machine."""
     triggered, written = (datetime.fromisoformat(result[name]) for name in ("captured_at", "recorded_at"))
     return (written - triggered).total_seconds() * 1000 - TRIGGER_DELAY_NS / 1e6
-
-
-def control(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
-    with closing(socket.socket(socket.AF_UNIX)) as line:
-        line.connect(str(folder / "control"))
-        line.sendall(json.dumps(request).encode() + b"\n")
-        answer = dict(json.loads(line.makefile().readline()))
-    assert answer["ok"], answer
-    return answer
 
 
 if __name__ == "__main__":

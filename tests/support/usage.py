@@ -20,6 +20,20 @@ def own_mb(pid: int) -> float:
     return sum(map(int, fields)) * 1024 / 1e6
 
 
+def pss_mb(pid: int) -> float:
+    """Resident memory, of what is shared its part (PSS): the sum over processes is what they take together."""
+    (kb,) = re.findall(r"^Pss: +(\d+) kB", Path(f"/proc/{pid}/smaps_rollup").read_text(), re.M)
+    return int(kb) * 1024 / 1e6
+
+
+def n_descriptors(pid: int) -> int:
+    return len(os.listdir(f"/proc/{pid}/fd"))  # noqa: PTH208 - a count
+
+
+def n_threads(pid: int) -> int:
+    return len(os.listdir(f"/proc/{pid}/task"))  # noqa: PTH208 - a count
+
+
 def cpu_s(pids: Iterable[int], *, with_ended_children: bool = False) -> float:
     """Processor time so far, of all their threads."""
     total = 0
