@@ -34,17 +34,28 @@ def max_connections() -> int:
     return max(1, min(MAX_CONNECTIONS, n_descriptors // 4))
 
 
+def max_of_address() -> int:
+    """Return the number of connections of one client address: an eighth of all is left to the others."""
+    return max_connections() - max_connections() // 8
+
+
 class Connection(H11Protocol):
     """uvicorn's connection, with an end for clients that do not get on and for those that are too many."""
 
     def connection_made(self, transport: Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        """Begin; when there are too many, the one that has waited longest without a request has to go."""
+        """Begin; when there are too many, the one that has waited longest without a request has to go.
+
+        Too many of one address make room among themselves.
+        """
         super().connection_made(transport)
         self._began_s = self._read_all_s = self.loop.time()
         self._is_refused = False
         others = [each for each in self.connections if isinstance(each, Connection) and each is not self]
         served = [each for each in others if not each._is_refused]
-        if len(served) < max_connections():
+        own = [each for each in served if each.address == self.address]
+        if len(own) >= max_of_address():
+            served = own
+        elif len(served) < max_connections():
             return
         idle = [each for each in served if not each.is_being_answered]
         if idle:
@@ -53,7 +64,7 @@ class Connection(H11Protocol):
         refused = [each for each in others if each._is_refused]
         if len(refused) >= MAX_REFUSED:
             _oldest(refused).drop()
-        self._refuse()
+        self._refuse(len(served))
 
     def data_received(self, data: bytes) -> None:
         if self._is_refused:
@@ -69,6 +80,11 @@ class Connection(H11Protocol):
     def resume_writing(self) -> None:
         self._read_all_s = self.loop.time()
         super().resume_writing()
+
+    @property
+    def address(self) -> str | None:
+        """Return the address of the client, None if it is gone already."""
+        return None if self.client is None else self.client[0]
 
     @property
     def is_being_answered(self) -> bool:
@@ -93,10 +109,10 @@ class Connection(H11Protocol):
         self.connections.discard(self)  # as uvicorn does, but only in the next round of the loop
         self.transport.abort()
 
-    def _refuse(self) -> None:
+    def _refuse(self, n_answered: int) -> None:
         # not closed: with its request unread that would take the answer from the client, which closes, or is overdue
         self._is_refused = True
-        self.transport.write(_refusal())
+        self.transport.write(_refusal(n_answered))
         self.transport.write_eof()
 
 
@@ -116,9 +132,9 @@ def drop_hindering(connections: Iterable[object], now_s: float) -> None:
 
 
 @cache
-def _refusal() -> bytes:
+def _refusal(n_answered: int) -> bytes:
     """Return the answer to a connection that is one too many, whose request is not read."""
-    problem = Problem(503, "too-many-connections", f"{max_connections()} requests are being answered already")
+    problem = Problem(503, "too-many-connections", f"{n_answered} requests are being answered already")
     body = json.dumps(problem_document(problem, BASE)).encode()
     head = (
         "HTTP/1.1 503 Service Unavailable",

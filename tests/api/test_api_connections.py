@@ -59,8 +59,8 @@ class Served:
     def connections(self) -> set[Connection]:
         return self.server.server_state.connections
 
-    async def connect(self, data: bytes = b"") -> Client:
-        client = Client(*await asyncio.open_connection("127.0.0.1", self.port))
+    async def connect(self, data: bytes = b"", address: str = "127.0.0.1") -> Client:
+        client = Client(*await asyncio.open_connection("127.0.0.1", self.port, local_addr=(address, 0)))
         self.clients.callback(client.writer.close)
         client.send(data)
         return client
@@ -218,6 +218,22 @@ async def test_when_all_are_being_answered_the_newest_is_refused(
     await served.until(lambda: len(served.connections) < 4)
     client = await served.connect(LIVE)
     assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
+
+
+async def test_one_address_does_not_keep_the_others_out(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "max_connections", lambda: 16)
+    for _ in range(14):
+        await served.connect(POLL)
+    await served.until(lambda: sum(each.is_being_answered for each in served.connections) == 14)
+    refused = await (await served.connect(POLL)).rest()
+    assert b"503" in refused.splitlines()[0]
+    assert b"14 requests are being answered already" in refused
+    for _ in range(3):  # the second and third, as the first one is without a request then
+        other = await served.connect(LIVE, "127.0.0.2")
+        assert b"200 OK" in await other.reader.readline()
+    assert sum(each.is_being_answered for each in served.connections) == 14
 
 
 @pytest.mark.parametrize(("n_descriptors", "n"), [(1024, 256), (4096, 256), (400, 100), (2, 1)])
