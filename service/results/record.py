@@ -81,24 +81,21 @@ def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
 
 
 def lost_record(
-    trigger: Trigger | None, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
+    trigger: Trigger, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
 ) -> dict[str, Any]:
-    """Return the record of a trigger whose bundle was never processed.
-
-    `trigger` is None when the bundle's header cannot be read; `reason` is a `LossReason`.
-    """
+    """Return the record of a trigger whose bundle was never processed; `reason` is a `LossReason`."""
     record = _base(trigger, bundle, calibration_id, is_simulated)
     return record | {"outcome": str(Outcome.LOST), "reason": str(reason), "detail": detail}
 
 
-def _base(trigger: Trigger | None, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
+def _base(trigger: Trigger, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
     """Return all fields but those of the store, in the order of the contract, nothing measured yet."""
     empty = {name: value for name, value in EMPTY.items() if name not in STORED_FIELDS}
     return empty | {
         "bundle": bundle,
-        "sequence": None if trigger is None else trigger.sequence,
-        "kind": None if trigger is None else str(trigger.kind),
-        "captured_at": None if trigger is None else trigger.utc,
+        "sequence": trigger.sequence,
+        "kind": str(trigger.kind),
+        "captured_at": trigger.utc,
         "calibration_id": calibration_id,
         "algorithm_version": ALGORITHM_VERSION,
         "is_simulated": is_simulated,

@@ -145,15 +145,18 @@ def lose_open(
     """
     with transaction(connection):
         rows = connection.execute(
-            "SELECT trigger, session, bundle, info FROM triggers JOIN sessions USING (session)"
+            "SELECT trigger, session, bundle, info, sequence, kind, captured_at"
+            " FROM triggers JOIN sessions USING (session)"
             " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
             (live_session,),
         ).fetchall()
         lost = [row for row in rows if row[1:3] not in but]
-        for trigger, _, bundle, info_text in lost:
+        for trigger, _, bundle, info_text, sequence, kind, captured_at in lost:
             info = json.loads(info_text)
             record = lost_record(
-                None,
+                Trigger(
+                    sequence=sequence, received_ns=0, device_ns=0, utc=captured_at, kind=BundleKind(kind)
+                ),
                 bundle=bundle,
                 reason=reason,
                 detail=detail,

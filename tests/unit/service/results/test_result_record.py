@@ -59,7 +59,9 @@ def test_every_view_says_who_found_its_outline_and_why_not_the_other():
     record = record_of(replace(REJECTED, silhouettes=seen), None)
     assert record["segmenters"] == {"c01": "background", "c02": "network"}
     assert record["segmentation_flags"] == {"c02": "no background yet"}
-    lost = lost_record(None, bundle="b", reason="r", detail="d", calibration_id="0123", is_simulated=True)
+    lost = lost_record(
+        trigger(1), bundle="b", reason="r", detail="d", calibration_id="0123", is_simulated=True
+    )
     assert (lost["segmenters"], lost["segmentation_flags"]) == ({}, {})
 
 
