@@ -189,9 +189,12 @@ def test_c4_a_frame_that_comes_a_period_late_is_in_no_other_bundle(live: LiveRig
 
 def test_c5_a_camera_that_misses_a_trigger_is_right_again_with_the_next(live: LiveRig):
     live.measure(1)
-    live.camera("c10").faults.missed_triggers = 1
-    results = live.measure(3)
-    assert all_measured(results)
+    for _ in range(4):  # the belt exposes the empty rig at times, and the fault may hit that
+        live.camera("c10").faults.missed_triggers = 1
+        results = live.measure(3)
+        assert all_measured(results)
+        if views(results) != [16, 16, 16]:
+            break
     assert views(results) == [15, 16, 16]
     eventually(lambda: live.status("c10")["not_exposed"] >= 1, "its counter shows it")
 
