@@ -1,0 +1,1 @@
+"""Many stones to a gradation, its uncertainty and a verdict."""

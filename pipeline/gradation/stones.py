@@ -1,0 +1,152 @@
+"""Stones as a gradation sees them, and the lot that they are folded into."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, field, fields
+from enum import StrEnum
+from math import pi
+from types import MappingProxyType
+
+import numpy as np
+
+from pipeline.arrays import Floats, Values
+
+
+class Fate(StrEnum):
+    """What became of a stone; the words of a result's outcome."""
+
+    MEASURED = "measured"
+    REJECTED = "rejected"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stone:
+    """The measures of one stone, each standard deviation that of its random error.
+
+    Errors that all stones share, as that of the calibration's scale, belong to `evaluate(..., scale_sd=)`.
+    """
+
+    volume_mm3: float
+    sieve_size_mm: float
+    max_feret_mm: float
+    min_feret_mm: float
+    length_mm: float
+    width_mm: float
+    thickness_mm: float
+    volume_sd: float = 0.0  # relative
+    sieve_size_sd_mm: float = 0.0
+    feret_sd_mm: float = 0.0  # of the two Ferets and of length, width and thickness
+    quality: str = "good"
+
+    def __post_init__(self) -> None:
+        for name in MEASURES:
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0 or (value == 0 and name not in DEVIATIONS):
+                raise ValueError(f"{name} of a stone must be positive, not {value!r}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnmeasuredStone:
+    """A stone that fell and has no measures: rejected or lost, for a reason."""
+
+    fate: Fate
+    reason: str
+
+
+MEASURES = tuple(item.name for item in fields(Stone) if item.name != "quality")
+"""The numbers of a stone, in the order of the columns of `Lot`."""
+DEVIATIONS = tuple(name for name in MEASURES if "_sd" in name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lot:
+    """All that a gradation needs of the stones of a lot; `fold` and `merge` make larger ones.
+
+    Every statistic of a lot is that of its stones in one canonical order, so it does not depend, to the last digit,
+    on how the lot was put together.
+    """
+
+    measures: Floats = field(
+        default_factory=lambda: np.empty((len(MEASURES), 0))
+    )  # a row for each of MEASURES
+    counts: Mapping[tuple[Fate, str], int] = field(default_factory=lambda: MappingProxyType({}))
+    """Number of stones by fate, and by quality or reason."""
+
+    def column(self, name: str) -> Values:
+        """Return one measure of all stones; `name` is one of `MEASURES`."""
+        return self.measures[MEASURES.index(name)]
+
+    @property
+    def n_measured(self) -> int:
+        """Number of stones with measures."""
+        return self.measures.shape[1]
+
+    def canonical(self) -> "Lot":
+        """Return the lot with its stones by size; equal ones are interchangeable."""
+        order = np.lexsort((*self.measures, self.column("sieve_size_mm")))
+        return Lot(measures=self.measures[:, order], counts=self.counts)
+
+    def scaled(self, factor: float) -> "Lot":
+        """Return the lot as an instrument would see it whose lengths are larger by `factor`."""
+        powers = np.array(
+            [3 if name == "volume_mm3" else 0 if name == "volume_sd" else 1 for name in MEASURES]
+        )
+        return Lot(measures=self.measures * factor ** powers[:, None], counts=self.counts)
+
+
+def lot_of(stones: Iterable[Stone | UnmeasuredStone]) -> Lot:
+    """Return the lot of these stones."""
+    counts: Counter[tuple[Fate, str]] = Counter()
+    rows = []
+    for stone in stones:
+        if isinstance(stone, UnmeasuredStone):
+            counts[stone.fate, stone.reason] += 1
+        else:
+            counts[Fate.MEASURED, stone.quality] += 1
+            rows.append(astuple(stone)[: len(MEASURES)])
+    return Lot(
+        measures=np.array(rows, float).reshape(-1, len(MEASURES)).T, counts=MappingProxyType(dict(counts))
+    )
+
+
+def fold(lot: Lot, stone: Stone | UnmeasuredStone) -> Lot:
+    """Return the lot with one more stone."""
+    return merge(lot, lot_of([stone]))
+
+
+def merge(a: Lot, b: Lot) -> Lot:
+    """Return the lot of the stones of both."""
+    return Lot(
+        measures=np.hstack((a.measures, b.measures)),
+        counts=MappingProxyType(dict(Counter(a.counts) + Counter(b.counts))),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnmeasuredMass:
+    """What fell and was not measured, beside the mass that was: percent of the measured mass.
+
+    `expected_percent` takes each stone for the mean one. `at_most_percent` takes each for the heaviest measured one
+    or a sphere as large as the field of view, whichever is heavier: a clipped stone may be just that large.
+    """
+
+    n_stones: int
+    counts: Mapping[tuple[Fate, str], int]
+    expected_percent: float | None  # None while nothing was measured
+    at_most_percent: float | None
+
+
+def unmeasured_mass(lot: Lot, largest_mm: float) -> UnmeasuredMass:
+    """Return how much may be missing in the curve; `largest_mm` is the size of the largest stone that is measured."""
+    counts = {key: n for key, n in sorted(lot.counts.items()) if key[0] is not Fate.MEASURED}
+    n_stones, volumes_mm3 = sum(counts.values()), np.sort(lot.column("volume_mm3"))
+    if not len(volumes_mm3):
+        return UnmeasuredMass(n_stones=n_stones, counts=counts, expected_percent=None, at_most_percent=None)
+    largest_mm3 = max(float(volumes_mm3[-1]), pi / 6 * largest_mm**3)
+    return UnmeasuredMass(
+        n_stones=n_stones,
+        counts=counts,
+        expected_percent=100 * n_stones / len(volumes_mm3),
+        at_most_percent=100 * n_stones * largest_mm3 / float(volumes_mm3.sum()),
+    )

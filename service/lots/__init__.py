@@ -1,0 +1,1 @@
+"""Lots of stones, and the standards that they are judged by."""
