@@ -2,9 +2,14 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import hypot
+from typing import NamedTuple
+
+from scipy.stats import t as student
 
 MIN_EFFECTIVE = 50.0
-"""Effective number of stones below which no verdict is given (ISO 14488's heaviest class decides it)."""
+"""Effective number of stones below which no verdict is given: the interval of so few is not to be trusted."""
+COVERAGE = 0.95
 
 
 class State(StrEnum):
@@ -15,6 +20,23 @@ class State(StrEnum):
     """Too few stones for a verdict; value and interval are given."""
     NOT_MEASURED = "not_measured"
     """Outside of the range of sizes that is measured, or no stone at all: there is no value."""
+
+
+class Errors(NamedTuple):
+    """Standard errors by cause."""
+
+    sampling: float
+    measuring: float
+    systematic: float
+
+    @property
+    def joined(self) -> float:
+        """All causes together."""
+        return hypot(*self)
+
+    def times(self, factor: float) -> "Errors":
+        """Return the errors in another unit."""
+        return Errors(*(factor * error for error in self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,11 +54,42 @@ class Estimate:
     n_effective: float = 0.0  # (sum m)² / sum m²: so many equal stones would tell as much
 
     @property
+    def errors(self) -> Errors:
+        """The standard errors; zero where there is no value."""
+        return Errors(self.sampling_se or 0.0, self.measuring_se or 0.0, self.systematic_se or 0.0)
+
+    @property
     def standard_error(self) -> float | None:
         """All causes together."""
-        if self.sampling_se is None or self.measuring_se is None or self.systematic_se is None:
-            return None
-        return (self.sampling_se**2 + self.measuring_se**2 + self.systematic_se**2) ** 0.5
+        return None if self.value is None else self.errors.joined
 
 
 NOT_MEASURED = Estimate(state=State.NOT_MEASURED)
+
+
+def estimate(
+    value: float,
+    interval: tuple[float, float],
+    errors: Errors,
+    n_stones: int,
+    n_effective: float,
+    min_stones: int = 0,
+) -> Estimate:
+    """Return an estimate that can be judged if it rests on enough stones."""
+    enough = n_effective >= MIN_EFFECTIVE and n_stones >= min_stones
+    return Estimate(
+        state=State.MEASURED if enough else State.INSUFFICIENT,
+        value=value,
+        low=interval[0],
+        high=interval[1],
+        sampling_se=errors.sampling,
+        measuring_se=errors.measuring,
+        systematic_se=errors.systematic,
+        n_stones=n_stones,
+        n_effective=n_effective,
+    )
+
+
+def standard_errors_to_either_end(n_effective: float) -> float:
+    """Return how many standard errors the interval reaches to either side, by Student's t."""
+    return float(student.ppf((1 + COVERAGE) / 2, max(n_effective - 1, 1.0)))

@@ -3,35 +3,21 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.curve import (
+    PERCENTS,
+    CurvePoint,
+    Inverse,
+    Quantile,
+    curve_of,
+    exact_mm,
+    interpolated_mm,
+    quantile,
+)
+from pipeline.gradation.estimates import NOT_MEASURED, Estimate
+from pipeline.gradation.estimators import effective_number
+from pipeline.gradation.indices import Indices, indices_of
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
-from pipeline.gradation.stones import Lot, UnmeasuredMass
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CurvePoint:
-    """Passing at one sieve, in percent: by mass and by number of stones."""
-
-    sieve_mm: float
-    by_mass: Estimate
-    by_number: Estimate
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Indices:
-    """Figures of shape and of the whole curve, named by their standards; shares in percent."""
-
-    fineness_modulus: Estimate  # ASTM C136
-    uniformity: Estimate  # Cu = D60 / D10, from the quantiles of the stones
-    curvature: Estimate  # Cc = D30² / (D10 D60), likewise
-    d32_mm: Estimate  # ISO 9276-2, of the sieve size
-    d43_mm: Estimate
-    flakiness: Estimate  # FI, EN 933-3
-    shape: Estimate  # SI, EN 933-4
-    needle_flaky: Estimate  # JTG 3432 T 0312
-    flat: Mapping[int, Mapping[str, Estimate]]  # D4791 A by ratio, then "mass" or "number"
-    elongated: Mapping[int, Mapping[str, Estimate]]  # D4791 A
-    flat_and_elongated: Mapping[int, Mapping[str, Estimate]]  # D4791 B
+from pipeline.gradation.stones import Lot, UnmeasuredMass, unmeasured_mass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +32,7 @@ class Gradation:
     quantiles_exact_mm: Mapping[int, Estimate]  # the same from the stones themselves
     indices: Indices
     unmeasured: UnmeasuredMass
+    measured: MeasuredRange
     scale_sd: float
 
     def passing(self, sieve_mm: float) -> Estimate:
@@ -65,4 +52,35 @@ def evaluate(
     `scale_sd` is the relative standard deviation of all lengths, by the calibration (`length_sd_percent` / 100).
     Masses are volumes times one density, which cancels in every percentage.
     """
-    raise NotImplementedError
+    lot = lot.canonical()
+    curve = curve_of(lot, apertures_mm, measured, scale_sd)
+    passing = {point.sieve_mm: point.by_mass.value for point in curve if point.by_mass.value is not None}
+
+    def quantiles(inverse: Inverse) -> dict[int, Quantile | None]:
+        return {percent: quantile(lot, percent, inverse, measured, scale_sd) for percent in PERCENTS}
+
+    exact = quantiles(Inverse(size_mm=lambda percent: exact_mm(lot, percent)))
+    interpolated = quantiles(
+        Inverse(
+            size_mm=lambda percent: interpolated_mm(passing, percent),
+            low=min(passing.values(), default=100.0),
+            high=max(passing.values(), default=0.0),
+        )
+    )
+    volumes_mm3 = lot.column("volume_mm3")
+    return Gradation(
+        n_stones=lot.n_measured,
+        volume_mm3=float(volumes_mm3.sum()),
+        n_effective=effective_number(volumes_mm3),
+        curve=curve,
+        quantiles_interpolated_mm=_sizes(interpolated),
+        quantiles_exact_mm=_sizes(exact),
+        indices=indices_of(lot, exact, measured, scale_sd),
+        unmeasured=unmeasured_mass(lot, measured.max_mm),
+        measured=measured,
+        scale_sd=scale_sd,
+    )
+
+
+def _sizes(quantiles: Mapping[int, Quantile | None]) -> dict[int, Estimate]:
+    return {percent: NOT_MEASURED if of is None else of.size_mm for percent, of in quantiles.items()}

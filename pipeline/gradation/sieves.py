@@ -31,6 +31,10 @@ class MeasuredRange:
     def __contains__(self, size_mm: float) -> bool:
         return self.min_mm <= size_mm <= self.max_mm
 
+    def within(self, min_mm: float, max_mm: float) -> "MeasuredRange":
+        """Return the part of the range that lies between two sizes."""
+        return MeasuredRange(min_mm=max(self.min_mm, min_mm), max_mm=min(self.max_mm, max_mm))
+
 
 ALL_SIZES = MeasuredRange(min_mm=0.0, max_mm=np.inf)
 """The range of a laboratory's sieves."""

@@ -1,24 +1,31 @@
 """Specifications of a product, and the verdict on a lot: conforms, does not, or undecided, and for how long."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from math import ceil, inf, log
 
-from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.estimates import (
+    MIN_EFFECTIVE,
+    NOT_MEASURED,
+    Estimate,
+    State,
+    standard_errors_to_either_end,
+)
 from pipeline.gradation.evaluation import Gradation
 
 
 class Verdict(StrEnum):
-    """Whether a figure meets its limits; a word of the REST contract."""
+    """Whether a figure meets its limits, the gravest first; a word of the REST contract."""
 
-    CONFORMS = "conforms"
-    """The 95 % interval is inside the limits."""
     DOES_NOT_CONFORM = "does_not_conform"
-    """The interval is outside."""
-    UNDECIDED = "undecided"
-    """The interval reaches over a limit: more stones are needed."""
+    """The 95 % interval is outside of the limits."""
     INSUFFICIENT = "insufficient"
     """Too few stones for any verdict."""
+    UNDECIDED = "undecided"
+    """The interval reaches over a limit: more stones are needed."""
+    CONFORMS = "conforms"
+    """The interval is inside."""
     NOT_MEASURED = "not_measured"
     """Not in the range of sizes that is measured."""
 
@@ -29,6 +36,12 @@ class Limits:
 
     min_percent: float = 0.0
     max_percent: float = 100.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_percent <= self.max_percent <= 100:
+            raise ValueError(
+                f"limits must rise from 0 to 100 %, not {self.min_percent:g} to {self.max_percent:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,16 +74,128 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotJudgement:
-    """The verdict on a lot: the worst of all figures that were measured."""
+    """The verdict on a lot: the gravest of all figures that were measured."""
 
     verdict: Verdict
     is_partial: bool  # some figures of the specification were not measured
     passing: Mapping[float, Judgement]  # by aperture in mm
     flakiness: Judgement | None
     shape: Judgement | None
-    more_stones: int | None
+    more_stones: int | None  # until the last figure is expected to be decided
 
 
 def judge(specification: Specification, gradation: Gradation) -> LotJudgement:
-    """Return the verdict; the gradation must have been evaluated at the sieves of the specification."""
-    raise NotImplementedError
+    """Return the verdict; a sieve that the gradation was not evaluated at was not measured."""
+    found = {point.sieve_mm: point.by_mass for point in gradation.curve}
+    return judge_figures(specification, found, gradation.indices.flakiness, gradation.indices.shape)
+
+
+def judge_figures(
+    specification: Specification,
+    passing: Mapping[float, Estimate],
+    flakiness: Estimate = NOT_MEASURED,
+    shape: Estimate = NOT_MEASURED,
+) -> LotJudgement:
+    """Return the verdict on a curve and indices of any origin."""
+
+    def judged(figure: Estimate, limits: Limits) -> Judgement:
+        return judge_figure(figure, limits, specification.step_percent)
+
+    by_sieve = {
+        sieve_mm: judged(passing.get(sieve_mm, NOT_MEASURED), limits)
+        for sieve_mm, limits in specification.passing.items()
+    }
+    of_flakiness = None if specification.flakiness is None else judged(flakiness, specification.flakiness)
+    of_shape = None if specification.shape is None else judged(shape, specification.shape)
+    all_ = [*by_sieve.values(), *(found for found in (of_flakiness, of_shape) if found is not None)]
+    verdicts = {found.verdict for found in all_}
+    return LotJudgement(
+        verdict=next(verdict for verdict in Verdict if verdict in verdicts | {Verdict.NOT_MEASURED}),
+        is_partial=Verdict.NOT_MEASURED in verdicts,
+        passing=by_sieve,
+        flakiness=of_flakiness,
+        shape=of_shape,
+        more_stones=max((found.more_stones for found in all_ if found.more_stones is not None), default=None),
+    )
+
+
+def judge_figure(figure: Estimate, limits: Limits, step_percent: float) -> Judgement:
+    """Return the verdict on one figure, by its interval."""
+    low, high = limits.min_percent - step_percent / 2, limits.max_percent + step_percent / 2
+    if figure.state is State.NOT_MEASURED or figure.low is None or figure.high is None:
+        return Judgement(verdict=Verdict.NOT_MEASURED, limits=limits, estimate=figure)
+    if figure.state is State.INSUFFICIENT:
+        verdict = Verdict.INSUFFICIENT
+    elif low <= figure.low and figure.high <= high:
+        verdict = Verdict.CONFORMS
+    elif figure.high < low or high < figure.low:
+        verdict = Verdict.DOES_NOT_CONFORM
+    else:
+        verdict = Verdict.UNDECIDED
+    is_open = verdict in (Verdict.INSUFFICIENT, Verdict.UNDECIDED)
+    more = _more_stones(figure, low, high) if is_open else None
+    return Judgement(verdict=verdict, limits=limits, estimate=figure, more_stones=more)
+
+
+def _more_stones(figure: Estimate, low: float, high: float) -> int | None:
+    """Return how many stones more let the interval shrink off the limits that it reaches over, if the figure stays.
+
+    Random errors fall with the root of the number of stones, systematic ones stay.
+    """
+    if figure.value is None or figure.low is None or figure.high is None or not figure.n_effective:
+        return None
+    factor = MIN_EFFECTIVE / figure.n_effective
+    stays = (standard_errors_to_either_end(figure.n_effective) * figure.errors.systematic) ** 2
+    for limit in (low, high):
+        reach = (figure.low if limit < figure.value else figure.high) - figure.value
+        margin = limit - figure.value
+        if abs(reach) > abs(margin):
+            factor = max(factor, (reach**2 - stays) / (margin**2 - stays) if margin**2 > stays else inf)
+    return None if factor == inf else max(ceil(figure.n_stones * (factor - 1)), 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CategoryLimit:
+    """Limits of the passing at a multiple of a product's lower size d or upper size D."""
+
+    is_upper: bool
+    factor: float
+    limits: Limits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Category:
+    """Limits for any product d/D, as EN 13043 and EN 12620 give them."""
+
+    name: str
+    source: str
+    passing: tuple[CategoryLimit, ...]
+
+
+def specification_of(
+    category: Category,
+    lower_mm: float,
+    upper_mm: float,
+    apertures_mm: Iterable[float],
+    *,
+    flakiness: Limits | None = None,
+    shape: Limits | None = None,
+) -> Specification:
+    """Return the specification of a product d/D; a size that no sieve has is that of the nearest of `apertures_mm`."""
+    if not 0 < lower_mm < upper_mm:
+        raise ValueError(f"a product needs 0 < d < D, not {lower_mm:g}/{upper_mm:g}")
+    sieves_mm = tuple(apertures_mm)
+    return Specification(
+        name=f"{category.name} {lower_mm:g}/{upper_mm:g}",
+        source=category.source,
+        passing={
+            _nearest(limit.factor * (upper_mm if limit.is_upper else lower_mm), sieves_mm): limit.limits
+            for limit in category.passing
+        },
+        flakiness=flakiness,
+        shape=shape,
+    )
+
+
+def _nearest(size_mm: float, apertures_mm: tuple[float, ...]) -> float:
+    return min(apertures_mm, key=lambda aperture_mm: abs(log(aperture_mm / size_mm)))

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields, replace
 from enum import StrEnum
 from math import pi
 from types import MappingProxyType
@@ -85,14 +85,23 @@ class Lot:
     def canonical(self) -> "Lot":
         """Return the lot with its stones by size; equal ones are interchangeable."""
         order = np.lexsort((*self.measures, self.column("sieve_size_mm")))
-        return Lot(measures=self.measures[:, order], counts=self.counts)
+        return replace(self, measures=self.measures[:, order])
 
     def scaled(self, factor: float) -> "Lot":
-        """Return the lot as an instrument would see it whose lengths are larger by `factor`."""
-        powers = np.array(
-            [3 if name == "volume_mm3" else 0 if name == "volume_sd" else 1 for name in MEASURES]
-        )
-        return Lot(measures=self.measures * factor ** powers[:, None], counts=self.counts)
+        """Return the lot as an instrument sees it whose lengths are larger by `factor`."""
+        powers = [3 if name == "volume_mm3" else 0 if name == "volume_sd" else 1 for name in MEASURES]
+        return replace(self, measures=self.measures * factor ** np.array(powers)[:, None])
+
+    def without_errors(self) -> "Lot":
+        """Return the lot as measured, taken for the truth."""
+        is_measure = [name not in DEVIATIONS for name in MEASURES]
+        return replace(self, measures=self.measures * np.array(is_measure)[:, None])
+
+    def with_sizes(self, sieve_sizes_mm: Values) -> "Lot":
+        """Return the lot with other sieve sizes."""
+        measures = self.measures.copy()
+        measures[MEASURES.index("sieve_size_mm")] = sieve_sizes_mm
+        return replace(self, measures=measures)
 
 
 def lot_of(stones: Iterable[Stone | UnmeasuredStone]) -> Lot:

@@ -1,0 +1,159 @@
+"""The curve: percent passing at any sieve, and the sizes that a percentage passes."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import log
+
+import numpy as np
+
+from pipeline.arrays import Values
+from pipeline.gradation.estimates import NOT_MEASURED, Errors, Estimate
+from pipeline.gradation.estimators import Chances, Property, chance_up_to, share_percent
+from pipeline.gradation.sieves import MeasuredRange
+from pipeline.gradation.stones import Lot
+
+PERCENTS = (10, 30, 50, 60, 90)
+"""Percentages whose sizes D10...D90 are given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurvePoint:
+    """Passing at one sieve, in percent: by mass and by number of stones."""
+
+    sieve_mm: float
+    by_mass: Estimate
+    by_number: Estimate
+
+
+def passes(sieve_mm: float) -> Property:
+    """Return the property of passing a sieve: a stone as large as the aperture does."""
+
+    def chances(lot: Lot) -> Chances:
+        sizes_mm, sds_mm = lot.column("sieve_size_mm"), lot.column("sieve_size_sd_mm")
+        return Chances(np.ones_like(sizes_mm), chance_up_to(sizes_mm, sds_mm, sieve_mm))
+
+    return chances
+
+
+def curve_of(
+    lot: Lot, apertures_mm: Sequence[float], measured: MeasuredRange, scale_sd: float
+) -> tuple[CurvePoint, ...]:
+    """Return the passing at each sieve; outside of the measured range there is none."""
+    ones = np.ones(lot.n_measured)
+    points = []
+    for sieve_mm in sorted(set(apertures_mm)):
+        by_mass = by_number = NOT_MEASURED
+        if sieve_mm in measured:
+            by_mass = passing_percent(lot, sieve_mm, scale_sd)
+            by_number = share_percent(lot, passes(sieve_mm), ones, scale_sd)
+        points.append(CurvePoint(sieve_mm=sieve_mm, by_mass=by_mass, by_number=by_number))
+    return tuple(points)
+
+
+def passing_percent(lot: Lot, sieve_mm: float, scale_sd: float) -> Estimate:
+    """Return the passing by mass; stones that might have fallen are as large as the sieve, at most as the largest."""
+    volumes, sizes_mm = lot.column("volume_mm3"), lot.column("sieve_size_mm")
+    if not lot.n_measured:
+        return NOT_MEASURED
+    unseen_mm = min(sieve_mm, float(sizes_mm.max()))
+    unseen_mm3 = float(np.mean(volumes / sizes_mm**3)) * unseen_mm**3
+    return share_percent(lot, passes(sieve_mm), volumes, scale_sd, unseen_weight=unseen_mm3)
+
+
+def influence(lot: Lot, sieve_mm: float) -> Values:
+    """Return by how many percent each stone, in the lot's order, has changed the passing of a sieve."""
+    volumes = lot.column("volume_mm3")
+    has = lot.column("sieve_size_mm") <= sieve_mm
+    total, passing = float(volumes.sum()), float(volumes[has].sum())
+    others = np.maximum(total - volumes, np.finfo(float).tiny)
+    return 100 * (passing / total - (passing - volumes * has) / others)
+
+
+def retained_to_passing(retained_g: Mapping[float, float], pan_g: float) -> dict[float, float]:
+    """Return percent passing by rising aperture, from the grams found on each sieve and in the pan."""
+    if min((pan_g, *retained_g.values())) < 0:
+        raise ValueError("retained masses must not be negative")
+    total_g = pan_g + sum(retained_g.values())
+    if not total_g:
+        raise ValueError("no mass was retained on any sieve")
+    passing, below_g = {}, pan_g
+    for sieve_mm in sorted(retained_g):
+        passing[sieve_mm] = 100 * below_g / total_g
+        below_g += retained_g[sieve_mm]
+    return passing
+
+
+def interpolated_mm(passing: Mapping[float, float], percent: float) -> float | None:
+    """Return the size that `percent` pass: log-linear between neighbouring sieves, None beyond the curve's ends."""
+    sieves_mm = sorted(passing)
+    for low_mm, high_mm in pairwise(sieves_mm):
+        low, high = passing[low_mm], passing[high_mm]
+        if low < percent <= high or (low == percent and low < high):
+            return float(low_mm * (high_mm / low_mm) ** ((percent - low) / (high - low)))
+    return None
+
+
+def exact_mm(lot: Lot, percent: float) -> float | None:
+    """Return the size of the stone of a canonical lot with which `percent` of the mass is reached."""
+    if not lot.n_measured:
+        return None
+    shares = np.cumsum(lot.column("volume_mm3"))
+    index = np.searchsorted(shares, percent / 100 * shares[-1])
+    return float(lot.column("sieve_size_mm")[min(int(index), len(shares) - 1)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inverse:
+    """The sizes of a curve by percent, from the lowest to the highest percent that it reaches."""
+
+    size_mm: Callable[[float], float | None]
+    low: float = 0.0
+    high: float = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantile:
+    """A size D_p, with what Cu and Cc need of it: the errors of ln D_p."""
+
+    size_mm: Estimate
+    log_influence: Values  # by how much each stone moves ln D_p
+    log_errors: Errors
+
+
+def quantile(
+    lot: Lot, percent: float, inverse: Inverse, measured: MeasuredRange, scale_sd: float
+) -> Quantile | None:
+    """Return the size that `percent` pass; its interval holds the sizes that the interval of its passing reaches to.
+
+    None: the curve does not reach that far, or the size is not measured.
+    """
+    size_mm = inverse.size_mm(percent) if inverse.low <= percent <= inverse.high else None
+    if size_mm is None or size_mm not in measured:
+        return None
+    passing = passing_percent(lot, size_mm, scale_sd)
+    if passing.low is None or passing.high is None:
+        return None
+    low_mm, high_mm = (
+        inverse.size_mm(min(max(end, inverse.low), inverse.high)) or size_mm
+        for end in (passing.low, passing.high)
+    )
+    low_mm, high_mm = min(low_mm, size_mm), max(high_mm, size_mm)
+    log_per_percent = log(high_mm / low_mm) / (passing.high - passing.low)
+    log_errors = passing.errors.times(log_per_percent)
+    in_mm = log_errors.times(size_mm)
+    has, volumes = passes(size_mm)(lot).has, lot.column("volume_mm3")
+    parts = volumes / volumes.sum()
+    return Quantile(
+        size_mm=replace(
+            passing,
+            value=size_mm,
+            low=low_mm,
+            high=high_mm,
+            sampling_se=in_mm.sampling,
+            measuring_se=in_mm.measuring,
+            systematic_se=in_mm.systematic,
+        ),
+        log_influence=-100 * log_per_percent * parts * (has - float(parts @ has)),
+        log_errors=log_errors,
+    )

@@ -1,0 +1,194 @@
+"""Indices of shape and of the whole curve, each by its standard."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from math import exp, hypot, sqrt
+
+import numpy as np
+
+from pipeline.arrays import Values
+from pipeline.gradation.curve import Quantile
+from pipeline.gradation.estimates import (
+    NOT_MEASURED,
+    Errors,
+    Estimate,
+    estimate,
+    standard_errors_to_either_end,
+)
+from pipeline.gradation.estimators import Chances, Property, chance_up_to, ratio_of_sums, share_percent
+from pipeline.gradation.sieves import MeasuredRange
+from pipeline.gradation.stones import Lot
+
+FLAKINESS_SIEVES_MM = (4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0, 25.0, 31.5, 40.0, 50.0, 63.0, 80.0, 100.0)
+"""Limits of the fractions of EN 933-3."""
+FLAKINESS_SLOTS_MM = (2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0, 25.0, 31.5, 40.0, 50.0)
+"""Width of the bars' slot for each fraction: half of its upper size, rounded."""
+SHAPE_RANGE_MM = (4.0, 63.0)
+MAX_CUBICAL = 3.0
+"""Length by thickness beyond which a stone is non-cubical (EN 933-4), or a needle or a flake (JTG 3432 T 0312)."""
+NEEDLE_RANGE_MM = (4.75, np.inf)
+MIN_NEEDLE_STONES = 100
+D4791_RATIOS = (2, 3, 4, 5)
+MIN_D4791_STONES = 100
+FINENESS_SIEVES_MM = (0.15, 0.3, 0.6, 1.18, 2.36, 4.75, 9.5, 19.0, 37.5, 75.0, 150.0)
+"""Sieves of the fineness modulus, ASTM C125."""
+
+
+class Basis(StrEnum):
+    """What a share is a share of."""
+
+    MASS = "mass"
+    NUMBER = "number"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Indices:
+    """Figures of shape and of the whole curve, named by their standards; shares in percent."""
+
+    fineness_modulus: Estimate  # ASTM C136
+    uniformity: Estimate  # Cu = D60 / D10, from the quantiles of the stones
+    curvature: Estimate  # Cc = D30² / (D10 D60), likewise
+    d32_mm: Estimate  # ISO 9276-2, of the sieve size
+    d43_mm: Estimate
+    flakiness: Estimate  # FI, EN 933-3
+    shape: Estimate  # SI, EN 933-4
+    needle_flaky: Estimate  # JTG 3432 T 0312
+    flat: Mapping[int, Mapping[Basis, Estimate]]  # by ratio, ASTM D4791 method A
+    elongated: Mapping[int, Mapping[Basis, Estimate]]  # method A
+    flat_and_elongated: Mapping[int, Mapping[Basis, Estimate]]  # method B
+
+
+def indices_of(
+    lot: Lot, quantiles: Mapping[int, Quantile | None], measured: MeasuredRange, scale_sd: float
+) -> Indices:
+    """Return all indices, over the sizes that are measured and that the standard is for."""
+    volumes = lot.column("volume_mm3")
+    d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
+
+    def shape_share(ratio: str, over: str, limit: float, sizes_mm: tuple[float, float], n: int) -> Estimate:
+        return share_percent(
+            lot, _exceeds(ratio, over, limit, measured.within(*sizes_mm)), volumes, scale_sd, min_stones=n
+        )
+
+    def d4791(ratio: str, over: str) -> dict[int, dict[Basis, Estimate]]:
+        weights = {Basis.MASS: volumes, Basis.NUMBER: np.ones_like(volumes)}
+        return {
+            limit: {
+                basis: share_percent(
+                    lot, _exceeds(ratio, over, limit, measured), of, scale_sd, min_stones=MIN_D4791_STONES
+                )
+                for basis, of in weights.items()
+            }
+            for limit in D4791_RATIOS
+        }
+
+    return Indices(
+        fineness_modulus=ratio_of_sums(lot, _fineness(measured), scale_sd),
+        uniformity=_power_product(((d60, 1), (d10, -1))),
+        curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
+        d32_mm=ratio_of_sums(lot, _moments(3), scale_sd),
+        d43_mm=ratio_of_sums(lot, _moments(4), scale_sd),
+        flakiness=share_percent(lot, _is_flaky(measured), volumes, scale_sd),
+        shape=shape_share("max_feret_mm", "min_feret_mm", MAX_CUBICAL, SHAPE_RANGE_MM, 0),
+        needle_flaky=shape_share(
+            "max_feret_mm", "min_feret_mm", MAX_CUBICAL, NEEDLE_RANGE_MM, MIN_NEEDLE_STONES
+        ),
+        flat=d4791("width_mm", "thickness_mm"),
+        elongated=d4791("length_mm", "width_mm"),
+        flat_and_elongated=d4791("length_mm", "thickness_mm"),
+    )
+
+
+def fineness_modulus(passing: Mapping[float, float]) -> float:
+    """Return the fineness modulus of a whole curve, percent passing by aperture; nothing passes sieves below it."""
+    sieves_mm = sorted(passing)
+    retained = [
+        100 - (passing[sieve_mm] if sieve_mm in passing else 100.0 * (sieve_mm > sieves_mm[-1]))
+        for sieve_mm in FINENESS_SIEVES_MM
+    ]
+    return sum(retained) / 100
+
+
+def _chance_between(lot: Lot, low_mm: float, high_mm: float) -> Values:
+    """Return the probability that each stone passes the larger and not the smaller of two sieves."""
+    sizes_mm, sds_mm = lot.column("sieve_size_mm"), lot.column("sieve_size_sd_mm")
+    return chance_up_to(sizes_mm, sds_mm, high_mm) - chance_up_to(sizes_mm, sds_mm, low_mm)
+
+
+def _is_flaky(measured: MeasuredRange) -> Property:
+    """Return the property of passing the slot of its own fraction."""
+    fractions = [
+        (low, high, slot)
+        for low, high, slot in zip(
+            FLAKINESS_SIEVES_MM[:-1], FLAKINESS_SIEVES_MM[1:], FLAKINESS_SLOTS_MM, strict=True
+        )
+        if low in measured and high in measured
+    ]
+
+    def chances(lot: Lot) -> Chances:
+        counts, has = np.zeros(lot.n_measured), np.zeros(lot.n_measured)
+        for low_mm, high_mm, slot_mm in fractions:
+            inside = _chance_between(lot, low_mm, high_mm)
+            counts += inside
+            has += inside * chance_up_to(lot.column("min_feret_mm"), lot.column("feret_sd_mm"), slot_mm)
+        return Chances(counts, has)
+
+    return chances
+
+
+def _exceeds(long: str, short: str, limit: float, sizes: MeasuredRange) -> Property:
+    """Return the property that one length is more than so many times the other, of stones of these sizes."""
+
+    def chances(lot: Lot) -> Chances:
+        counts = _chance_between(lot, sizes.min_mm, sizes.max_mm)
+        excess_mm = lot.column(long) - limit * lot.column(short)
+        sds_mm = lot.column("feret_sd_mm") * hypot(1.0, limit)
+        return Chances(counts, counts * (1 - chance_up_to(excess_mm, sds_mm, 0.0)))
+
+    return chances
+
+
+def _moments(power: int) -> Callable[[Lot], tuple[Values, Values]]:
+    def terms(lot: Lot) -> tuple[Values, Values]:
+        sizes_mm = lot.column("sieve_size_mm")
+        return sizes_mm**power, sizes_mm ** (power - 1)
+
+    return terms
+
+
+def _fineness(measured: MeasuredRange) -> Callable[[Lot], tuple[Values, Values]]:
+    """Return the terms of the fineness modulus: on how many of its sieves each stone has been retained.
+
+    Of stones below the measured range it is not known; they are taken to lie in the middle of its sieves.
+    """
+    sieves_mm = np.array(FINENESS_SIEVES_MM)
+    unknown = float(np.sum(sieves_mm < measured.min_mm)) / 2
+
+    def terms(lot: Lot) -> tuple[Values, Values]:
+        sizes_mm, volumes = lot.column("sieve_size_mm"), lot.column("volume_mm3")
+        retained = np.where(
+            sizes_mm > measured.min_mm, np.searchsorted(sieves_mm, sizes_mm).astype(float), unknown
+        )
+        return volumes * retained, volumes
+
+    return terms
+
+
+def _power_product(factors: tuple[tuple[Quantile | None, int], ...]) -> Estimate:
+    """Return a product of powers of quantiles; as its stones are the same, what moves one may move the others."""
+    if any(quantile is None for quantile, _ in factors):
+        return NOT_MEASURED
+    known = [(quantile, power) for quantile, power in factors if quantile is not None]
+    value = float(np.prod([(quantile.size_mm.value or 0.0) ** power for quantile, power in known]))
+    influence = sum(power * quantile.log_influence for quantile, power in known)
+    log_errors = Errors(
+        sampling=sqrt(float(np.sum(np.square(influence)))),
+        measuring=hypot(*(power * quantile.log_errors.measuring for quantile, power in known)),
+        systematic=0.0,  # a scale that is common to all stones cancels
+    )
+    of = known[0][0].size_mm
+    reach = exp(standard_errors_to_either_end(of.n_effective) * log_errors.joined)
+    return estimate(
+        value, (value / reach, value * reach), log_errors.times(value), of.n_stones, of.n_effective
+    )
