@@ -6,6 +6,7 @@
     ├── SettingsError       a configuration file; names the file and every wrong field
     ├── StoreError          the result store cannot be opened, or a write is wrong; a disk that refuses only holds it
     ├── VolumeModelError    coefficients of the volume correction; names the file and the field
+    ├── StandardsError      tables of sieves and specifications; names the file and every wrong field
     └── UsageError          a command's arguments contradict each other or the files they name
 
 `WorkerFailure` is not one of them: it reports a bug or a broken environment.
@@ -26,6 +27,10 @@ class StoreError(ServiceError):
 
 class VolumeModelError(ServiceError):
     """Coefficients of the volume correction cannot be read, or cannot be fitted to the given data."""
+
+
+class StandardsError(ServiceError):
+    """The tables of sieves and specifications cannot be used."""
 
 
 class UsageError(ServiceError):

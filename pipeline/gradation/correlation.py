@@ -30,7 +30,7 @@ class SizeMapping:
 
     instrument_mm: tuple[float, ...]
     sieve_mm: tuple[float, ...]
-    relative_se: tuple[float, ...]  # of the sieve's size at each knot, from lot to lot
+    relative_se: tuple[float | None, ...]  # of each knot's sieve size, from lot to lot; None with one lot
 
     @property
     def factor(self) -> float:
@@ -135,7 +135,7 @@ def _factor(points: Sequence[Mapping[float, float]]) -> SizeMapping:
 
 def _monotone(points: Sequence[Mapping[float, float]]) -> SizeMapping:
     """Return a knot for each sieve; one that would lie below a smaller sieve's is left out."""
-    knots: list[tuple[float, float, float]] = []
+    knots: list[tuple[float, float, float | None]] = []
     for sieve_mm in sorted({sieve_mm for of in points for sieve_mm in of}):
         logs = [float(np.log(of[sieve_mm])) for of in points if sieve_mm in of]
         size_mm = float(np.exp(np.mean(logs)))
@@ -147,9 +147,9 @@ def _monotone(points: Sequence[Mapping[float, float]]) -> SizeMapping:
     return SizeMapping(instrument_mm=instrument_mm, sieve_mm=sieves_mm, relative_se=relative_se)
 
 
-def _standard_error(values: Sequence[float]) -> float:
-    """Return the standard error of the mean of independent lots; of a single one it is not known: infinite."""
-    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("inf")
+def _standard_error(values: Sequence[float]) -> float | None:
+    """Return the standard error of the mean of independent lots; of a single one it is not known."""
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
 
 def _misses(sieved: SievedLot, mapping: Callable[[Values], Values]) -> Values:

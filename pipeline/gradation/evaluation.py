@@ -15,7 +15,7 @@ from pipeline.gradation.curve import (
 )
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import effective_number
-from pipeline.gradation.indices import Indices, indices_of
+from pipeline.gradation.indices import EN_933_3, FlakinessFraction, Indices, indices_of
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import Lot, UnmeasuredMass, unmeasured_mass
 
@@ -46,11 +46,12 @@ def evaluate(
     *,
     measured: MeasuredRange = OF_THE_RIG,
     scale_sd: float = 0.0,
+    fractions: Sequence[FlakinessFraction] = EN_933_3,
 ) -> Gradation:
     """Return the gradation of a lot at any sieves; equal to the last digit in whatever order its stones were folded.
 
     `scale_sd` is the relative standard deviation of all lengths, by the calibration (`length_sd_percent` / 100).
-    Masses are volumes times one density, which cancels in every percentage.
+    `fractions` are those of the flakiness index. Masses are volumes times one density, which cancels in percentages.
     """
     lot = lot.canonical()
     curve = curve_of(lot, apertures_mm, measured, scale_sd)
@@ -75,7 +76,7 @@ def evaluate(
         curve=curve,
         quantiles_interpolated_mm=_sizes(interpolated),
         quantiles_exact_mm=_sizes(exact),
-        indices=indices_of(lot, exact, measured, scale_sd),
+        indices=indices_of(lot, exact, fractions, measured, scale_sd),
         unmeasured=unmeasured_mass(lot, measured.max_mm),
         measured=measured,
         scale_sd=scale_sd,

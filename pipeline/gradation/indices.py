@@ -1,9 +1,10 @@
 """Indices of shape and of the whole curve, each by its standard."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import exp, hypot, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,10 +21,35 @@ from pipeline.gradation.estimators import Chances, Property, chance_up_to, ratio
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
 
-FLAKINESS_SIEVES_MM = (4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0, 25.0, 31.5, 40.0, 50.0, 63.0, 80.0, 100.0)
-"""Limits of the fractions of EN 933-3."""
-FLAKINESS_SLOTS_MM = (2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0, 25.0, 31.5, 40.0, 50.0)
-"""Width of the bars' slot for each fraction: half of its upper size, rounded."""
+
+class FlakinessFraction(NamedTuple):
+    """Stones between two sieves, and the width of the bars' slot that flaky ones of them pass."""
+
+    low_mm: float
+    high_mm: float
+    slot_mm: float
+
+
+EN_933_3 = tuple(
+    FlakinessFraction(*fraction)
+    for fraction in (
+        (4.0, 5.0, 2.5),
+        (5.0, 6.3, 3.15),
+        (6.3, 8.0, 4.0),
+        (8.0, 10.0, 5.0),
+        (10.0, 12.5, 6.3),
+        (12.5, 16.0, 8.0),
+        (16.0, 20.0, 10.0),
+        (20.0, 25.0, 12.5),
+        (25.0, 31.5, 16.0),
+        (31.5, 40.0, 20.0),
+        (40.0, 50.0, 25.0),
+        (50.0, 63.0, 31.5),
+        (63.0, 80.0, 40.0),
+        (80.0, 100.0, 50.0),
+    )
+)
+"""Fractions of R 20 with slots of half their upper size, rounded (EN 933-3)."""
 SHAPE_RANGE_MM = (4.0, 63.0)
 MAX_CUBICAL = 3.0
 """Length by thickness beyond which a stone is non-cubical (EN 933-4), or a needle or a flake (JTG 3432 T 0312)."""
@@ -60,7 +86,11 @@ class Indices:
 
 
 def indices_of(
-    lot: Lot, quantiles: Mapping[int, Quantile | None], measured: MeasuredRange, scale_sd: float
+    lot: Lot,
+    quantiles: Mapping[int, Quantile | None],
+    fractions: Sequence[FlakinessFraction],
+    measured: MeasuredRange,
+    scale_sd: float,
 ) -> Indices:
     """Return all indices, over the sizes that are measured and that the standard is for."""
     volumes = lot.column("volume_mm3")
@@ -89,7 +119,7 @@ def indices_of(
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
         d32_mm=ratio_of_sums(lot, _moments(3), scale_sd),
         d43_mm=ratio_of_sums(lot, _moments(4), scale_sd),
-        flakiness=share_percent(lot, _is_flaky(measured), volumes, scale_sd),
+        flakiness=share_percent(lot, _is_flaky(fractions, measured), volumes, scale_sd),
         shape=shape_share("max_feret_mm", "min_feret_mm", MAX_CUBICAL, SHAPE_RANGE_MM, 0),
         needle_flaky=shape_share(
             "max_feret_mm", "min_feret_mm", MAX_CUBICAL, NEEDLE_RANGE_MM, MIN_NEEDLE_STONES
@@ -116,19 +146,13 @@ def _chance_between(lot: Lot, low_mm: float, high_mm: float) -> Values:
     return chance_up_to(sizes_mm, sds_mm, high_mm) - chance_up_to(sizes_mm, sds_mm, low_mm)
 
 
-def _is_flaky(measured: MeasuredRange) -> Property:
+def _is_flaky(fractions: Sequence[FlakinessFraction], measured: MeasuredRange) -> Property:
     """Return the property of passing the slot of its own fraction."""
-    fractions = [
-        (low, high, slot)
-        for low, high, slot in zip(
-            FLAKINESS_SIEVES_MM[:-1], FLAKINESS_SIEVES_MM[1:], FLAKINESS_SLOTS_MM, strict=True
-        )
-        if low in measured and high in measured
-    ]
+    whole = [of for of in fractions if of.low_mm in measured and of.high_mm in measured]
 
     def chances(lot: Lot) -> Chances:
         counts, has = np.zeros(lot.n_measured), np.zeros(lot.n_measured)
-        for low_mm, high_mm, slot_mm in fractions:
+        for low_mm, high_mm, slot_mm in whole:
             inside = _chance_between(lot, low_mm, high_mm)
             counts += inside
             has += inside * chance_up_to(lot.column("min_feret_mm"), lot.column("feret_sd_mm"), slot_mm)

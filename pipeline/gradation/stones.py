@@ -133,6 +133,15 @@ def merge(a: Lot, b: Lot) -> Lot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class UnmeasuredCount:
+    """How many stones were not measured for one reason."""
+
+    fate: Fate
+    reason: str
+    n_stones: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UnmeasuredMass:
     """What fell and was not measured, beside the mass that was: percent of the measured mass.
 
@@ -141,15 +150,19 @@ class UnmeasuredMass:
     """
 
     n_stones: int
-    counts: Mapping[tuple[Fate, str], int]
+    counts: tuple[UnmeasuredCount, ...]
     expected_percent: float | None  # None while nothing was measured
     at_most_percent: float | None
 
 
 def unmeasured_mass(lot: Lot, largest_mm: float) -> UnmeasuredMass:
     """Return how much may be missing in the curve; `largest_mm` is the size of the largest stone that is measured."""
-    counts = {key: n for key, n in sorted(lot.counts.items()) if key[0] is not Fate.MEASURED}
-    n_stones, volumes_mm3 = sum(counts.values()), np.sort(lot.column("volume_mm3"))
+    counts = tuple(
+        UnmeasuredCount(fate=fate, reason=reason, n_stones=n)
+        for (fate, reason), n in sorted(lot.counts.items())
+        if fate is not Fate.MEASURED
+    )
+    n_stones, volumes_mm3 = sum(of.n_stones for of in counts), np.sort(lot.column("volume_mm3"))
     if not len(volumes_mm3):
         return UnmeasuredMass(n_stones=n_stones, counts=counts, expected_percent=None, at_most_percent=None)
     largest_mm3 = max(float(volumes_mm3[-1]), pi / 6 * largest_mm**3)

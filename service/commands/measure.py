@@ -31,13 +31,17 @@ from drivers.files.recording import (
 )
 from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import read_silhouettes
-from pipeline.frames import BundleKind
-from pipeline.gradation.passing import gradation
+from pipeline.gradation.curve import PERCENTS
+from pipeline.gradation.evaluation import evaluate
+from pipeline.gradation.sieves import ALL_SIZES
 from pipeline.meshing import Mesher
 from pipeline.particle import BodyParameters, PipelineParameters
+from pipeline.rig.cameras import RigCalibration
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
 from service.errors import ServiceError, UsageError
+from service.lots.standards import read_standards
+from service.lots.stones import lot_of_records
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile, WorkerContext, prepare
 from service.processing.processing import FixedCalibration, Processing, ProcessingContext
 from service.processing.segmenters import SegmenterPlan
@@ -50,6 +54,7 @@ DEADLINE_S = 600.0
 IN_FLIGHT = 4
 """Bundles in flight for each worker."""
 RESULTS, GRADATION = "results.jsonl", "gradation.json"
+SIEVE_SET = "stonefall"
 MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
 
 
@@ -153,11 +158,21 @@ def command(
     with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as name:
         unfinished = Path(name)
         records = _measure_all(source, context, rig_file, unfinished, workers, save_silhouettes)
-        stones = [r for r in records if r["outcome"] == Outcome.MEASURED and r["kind"] == BundleKind.PARTICLE]
-        curve = gradation([r["sieve_size_mm"] for r in stones], [r["volume_mm3"] for r in stones])
-        (unfinished / GRADATION).write_text(json.dumps(asdict(curve), indent=2) + "\n")
+        (unfinished / GRADATION).write_text(json.dumps(_gradation(records, calibration), indent=2) + "\n")
         _replace_results(unfinished, out)
     _print_summary(records, as_json)
+
+
+def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, Any]:
+    """Return the gradation, and before it the curve of what was measured, whatever sizes the rig is for."""
+    lot, sieves = lot_of_records(records), read_standards().sieve_sets[SIEVE_SET]
+    counted = evaluate(lot, sieves.apertures_mm, measured=ALL_SIZES)
+    return {
+        "sieves_mm": sieves.apertures_mm,
+        "passing_percent": [point.by_mass.value or 0.0 for point in counted.curve],
+        "quantiles_mm": {f"D{p}": counted.quantiles_interpolated_mm[p].value for p in PERCENTS},
+        **asdict(evaluate(lot, sieves.apertures_mm, scale_sd=(rig.length_sd_percent or 0.0) / 100)),
+    }
 
 
 def _replace_results(unfinished: Path, out: Path) -> None:

@@ -249,7 +249,7 @@ def test_what_does_not_get_to_its_end_changes_nothing(
 ) -> None:
     run(recording, "--out", tmp_path, "--workers", 1)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    monkeypatch.setattr(measure, "gradation", lambda *_: 1 / 0)
+    monkeypatch.setattr(measure, "evaluate", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run(recording, "--out", tmp_path, "--workers", 1)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

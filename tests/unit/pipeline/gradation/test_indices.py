@@ -1,0 +1,68 @@
+"""Vectors F1 to F3 of the domain notes."""
+
+import pytest
+from support.stones import box, round_stone
+
+from pipeline.gradation.estimates import State
+from pipeline.gradation.evaluation import evaluate
+from pipeline.gradation.indices import Basis, Indices
+from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
+from pipeline.gradation.stones import Stone, lot_of
+
+F1 = [
+    box((9.0, 19.0, 40.0), 19.0),
+    box((11.0, 19.0, 40.0), 19.0),
+    box((6.0, 12.0, 20.0), 12.0),
+    box((4.0, 9.0, 15.0), 9.0),
+]
+
+
+def indices(stones: list[Stone], measured: MeasuredRange = OF_THE_RIG) -> Indices:
+    return evaluate(lot_of(stones), (), measured=measured).indices
+
+
+def test_vector_f1() -> None:
+    found = indices(F1)
+    assert found.flakiness.value == pytest.approx(51.3, abs=0.05)
+    assert found.shape.value == 100
+
+
+def test_vector_f2_the_length_of_a_box_is_its_diagonal() -> None:
+    found = indices([box((10.0, 14.0, 28.0), 14.0)])
+    assert found.shape.value == found.needle_flaky.value == 100
+
+
+def test_vector_f3() -> None:
+    found = indices([box((10.0, 20.0, 40.0), 20.0)])
+    for basis in Basis:
+        assert found.flat[3][basis].value == found.elongated[3][basis].value == 0
+        assert found.flat_and_elongated[3][basis].value == 100
+        assert found.flat_and_elongated[5][basis].value == 0
+
+
+def test_indices_by_mass_and_by_number_differ() -> None:
+    of = indices([box((2.5, 5.0, 10.0), 5.0), round_stone(10.0, 900.0)]).flat_and_elongated[3]
+    assert of[Basis.NUMBER].value == 50
+    assert of[Basis.MASS].value == pytest.approx(100 * 125 / 1025)
+
+
+def test_a_slot_as_wide_as_the_stone_is_passed_and_a_sieve_belongs_to_the_fraction_below() -> None:
+    assert indices([round_stone(16.0, min_feret_mm=8.0)]).flakiness.value == 100
+    assert indices([round_stone(16.01, min_feret_mm=10.01)]).flakiness.value == 0
+
+
+def test_only_fractions_that_are_measured_whole_count() -> None:
+    stones = [round_stone(9.0, 1.0, min_feret_mm=1.0), round_stone(18.0, 1.0), round_stone(38.0, 9.0)]
+    assert indices(stones, MeasuredRange(max_mm=36.0)).flakiness.value == 50
+    assert indices(stones, MeasuredRange(min_mm=9.0, max_mm=36.0)).flakiness.value == 0
+
+
+def test_a_stone_near_the_slot_is_flaky_with_a_probability() -> None:
+    found = indices([round_stone(14.0, min_feret_mm=7.999, feret_sd_mm=0.1)] * 100).flakiness
+    assert found.value == 100
+    assert found.measuring_se == pytest.approx(5, rel=0.05), "each of a hundred is about as likely not"
+
+
+def test_too_few_particles_are_insufficient() -> None:
+    assert indices([round_stone(10.0)] * 99).needle_flaky.state is State.INSUFFICIENT
+    assert indices([round_stone(10.0)] * 100).needle_flaky.state is State.MEASURED

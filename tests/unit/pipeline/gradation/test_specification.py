@@ -1,0 +1,147 @@
+"""Vectors E1 to E3 of the domain notes, and how many stones decide."""
+
+import numpy as np
+import pytest
+from support.stones import lot_of_sizes
+
+from pipeline.gradation.estimates import NOT_MEASURED, Errors, Estimate, estimate
+from pipeline.gradation.evaluation import evaluate
+from pipeline.gradation.specification import (
+    Category,
+    CategoryLimit,
+    Limits,
+    Specification,
+    Verdict,
+    judge,
+    judge_figure,
+    judge_figures,
+    specification_of,
+)
+
+NO_57 = Specification(
+    name="57",
+    source="ASTM C33",
+    passing={
+        37.5: Limits(min_percent=100),
+        25.0: Limits(min_percent=95),
+        12.5: Limits(min_percent=25, max_percent=60),
+        4.75: Limits(max_percent=10),
+        2.36: Limits(max_percent=5),
+    },
+)
+G2 = {37.5: 100.0, 25.0: 98.0, 19.0: 75.0, 12.5: 45.0, 9.5: 25.0, 4.75: 5.0, 2.36: 2.0}
+
+
+def around(value: float, half: float = 0.0, *, n_effective: float = 1e6, systematic: float = 0.0) -> Estimate:
+    return estimate(
+        value, (value - half, value + half), Errors(half / 1.96, 0.0, systematic), 1000, n_effective
+    )
+
+
+def judged(**of_12_5: float) -> Verdict:
+    passing = {sieve_mm: around(percent) for sieve_mm, percent in G2.items()}
+    if of_12_5:
+        passing[12.5] = around(**of_12_5)
+    return judge_figures(NO_57, passing).verdict
+
+
+def test_vector_e1() -> None:
+    assert judged() is Verdict.CONFORMS
+
+
+def test_vector_e2() -> None:
+    assert judged(value=62.0, half=4.0) is Verdict.UNDECIDED
+
+
+def test_vector_e3() -> None:
+    assert judged(value=70.0, half=4.0) is Verdict.DOES_NOT_CONFORM
+
+
+def test_a_sieve_that_was_not_measured_leaves_a_verdict_in_part() -> None:
+    passing = {sieve_mm: around(percent) for sieve_mm, percent in G2.items()} | {2.36: NOT_MEASURED}
+    found = judge_figures(NO_57, passing)
+    assert (found.verdict, found.is_partial) == (Verdict.CONFORMS, True)
+    assert found.passing[2.36].verdict is Verdict.NOT_MEASURED
+    assert judge_figures(NO_57, {}).verdict is Verdict.NOT_MEASURED
+
+
+def test_one_figure_outside_decides_whatever_is_open() -> None:
+    passing = {25.0: around(50.0, 1.0), 12.5: around(62.0, 4.0), 4.75: around(5.0, n_effective=20)}
+    found = judge_figures(NO_57, passing)
+    assert found.verdict is Verdict.DOES_NOT_CONFORM
+    assert found.passing[12.5].verdict is Verdict.UNDECIDED
+    assert found.passing[4.75].verdict is Verdict.INSUFFICIENT
+
+
+def test_indices_have_verdicts() -> None:
+    specification = Specification(
+        name="mine", source="here", passing={}, flakiness=Limits(max_percent=15), shape=Limits(max_percent=20)
+    )
+    found = judge_figures(specification, {}, flakiness=around(10.0, 2.0), shape=around(30.0, 2.0))
+    assert found.flakiness is not None
+    assert found.shape is not None
+    assert found.flakiness.verdict is Verdict.CONFORMS
+    assert found.shape.verdict is found.verdict is Verdict.DOES_NOT_CONFORM
+
+
+def test_figures_are_compared_as_they_are_reported() -> None:
+    assert judge_figure(around(60.4), Limits(max_percent=60), 1.0).verdict is Verdict.CONFORMS
+    assert judge_figure(around(60.4), Limits(max_percent=60), 0.1).verdict is Verdict.DOES_NOT_CONFORM
+
+
+def test_four_times_the_stones_halve_the_interval() -> None:
+    found = judge_figure(around(58.5, 4.0), Limits(max_percent=60), 1.0)
+    assert found.more_stones == 3000
+    assert found.seconds(4.0) == 750
+    assert found.seconds(0.0) is None
+
+
+def test_what_stones_cannot_decide_has_no_countdown() -> None:
+    on_the_limit = judge_figure(around(60.5, 4.0), Limits(max_percent=60), 1.0)
+    systematic = judge_figure(around(58.5, 4.0, systematic=1.1), Limits(max_percent=60), 1.0)
+    decided = judge_figure(around(50.0, 4.0), Limits(max_percent=60), 1.0)
+    assert on_the_limit.more_stones is systematic.more_stones is decided.more_stones is None
+
+
+def test_the_countdown_comes_true() -> None:
+    rng = np.random.default_rng(3)
+    sizes_mm = np.exp(rng.normal(np.log(13), np.log(1.25), 40_000))
+    specification = Specification(name="mine", source="here", passing={16.0: Limits(max_percent=62)})
+
+    def after(n: int) -> tuple[Verdict, int | None]:
+        found = judge(specification, evaluate(lot_of_sizes(sizes_mm[:n]), (16.0,)))
+        return found.verdict, found.more_stones
+
+    verdict, more = after(1000)
+    assert verdict is Verdict.UNDECIDED
+    assert more is not None
+    verdict, more_then = after(1000 + more)
+    assert verdict is Verdict.CONFORMS or (more_then is not None and more_then < more)
+    assert after(40_000) == (Verdict.CONFORMS, None)
+
+
+def test_too_few_stones_count_down_to_enough() -> None:
+    found = judge_figure(around(10.0, 5.0, n_effective=20.0), Limits(max_percent=60), 1.0)
+    assert (found.verdict, found.more_stones) == (Verdict.INSUFFICIENT, 1500)
+
+
+def test_a_category_is_a_specification_once_the_product_is_known() -> None:
+    category = Category(
+        name="GC90-10",
+        source="EN 13043",
+        passing=(
+            CategoryLimit(is_upper=True, factor=1.4, limits=Limits(min_percent=100)),
+            CategoryLimit(is_upper=True, factor=1.0, limits=Limits(min_percent=90, max_percent=99)),
+            CategoryLimit(is_upper=False, factor=0.5, limits=Limits(max_percent=2)),
+        ),
+    )
+    found = specification_of(category, 12.5, 31.5, (6.3, 12.5, 31.5, 45.0))
+    assert (found.name, list(found.passing)) == ("GC90-10 12.5/31.5", [45.0, 31.5, 6.3])
+    with pytest.raises(ValueError, match="0 < d < D"):
+        specification_of(category, 16.0, 8.0, (8.0, 16.0))
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 5.0), (5.0, 4.0), (0.0, 101.0), (float("nan"), 5.0)])
+def test_impossible_limits_are_refused(low: float, high: float) -> None:
+    with pytest.raises(ValueError, match="limits must rise"):
+        Limits(min_percent=low, max_percent=high)

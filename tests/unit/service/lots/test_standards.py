@@ -1,0 +1,73 @@
+"""The tables of the standards, and what a site's own may have wrong."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pipeline.gradation.indices import EN_933_3
+from pipeline.gradation.specification import Limits, specification_of
+from service.errors import StandardsError
+from service.lots.standards import FOLDER, SIEVES, SPECIFICATIONS, read_standards
+
+
+def test_all_tables_are_there_and_name_their_source() -> None:
+    found = read_standards()
+    assert set(found.sieve_sets) >= {"en-basic", "en-basic-1", "en-basic-2", "r20", "astm-c136", "jtg-3432"}
+    assert set(found.sizes) == {f"astm-{number}" for number in (57, 67, 7, 8, 6, 5, 56, 467)}
+    assert found.sizes["astm-57"].passing[12.5] == Limits(min_percent=25, max_percent=60)
+    assert found.flakiness["FI15"].max_percent == found.shape["SI15"].max_percent == 15
+    assert found.flakiness_fractions["en-933-3"] == EN_933_3
+    assert found.least_portions["en-933-1"].least_kg(16.0) == pytest.approx(2.6)
+    for table in (*found.sieve_sets.values(), *found.categories.values(), *found.sizes.values()):
+        assert "general" in table.source or "found" in table.source or table.name == "stonefall"
+
+
+def test_a_category_of_a_product_is_on_its_sieves() -> None:
+    found = read_standards()
+    of = specification_of(found.categories["GC90-10"], 8.0, 16.0, found.sieve_sets["r20"].apertures_mm)
+    assert {sieve: (limit.min_percent, limit.max_percent) for sieve, limit in of.passing.items()} == {
+        31.5: (100, 100),
+        22.4: (100, 100),
+        16.0: (90, 99),
+        8.0: (0, 10),
+        4.0: (0, 2),
+    }
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "problem"),
+    [
+        (
+            SIEVES,
+            "apertures_mm = [1.0, 2.0, 4.0, 8.0",
+            "apertures_mm = [1.0, 2.0, 8.0, 4.0",
+            "'en-basic'.*rise",
+        ),
+        (
+            SIEVES,
+            "apertures_mm = [1.0",
+            "apertures_mm = [-1.0",
+            r"sieves\.toml: sets\.en-basic\.apertures_mm",
+        ),
+        (SIEVES, '"16" = 2.6', '"16" = "much"', r"sieves\.toml: least_portions\.en-933-1\.kg\.16"),
+        (SIEVES, "[sets.r20]", "[sets.r20", r"sieves\.toml"),
+        (SPECIFICATIONS, "[25, 60]", "[60, 25]", r"specifications\.toml: sizes\.astm-57.*limits must rise"),
+        (SPECIFICATIONS, "[25, 60]", "25", r"sizes\.astm-57.*\[least, greatest\]"),
+        (SPECIFICATIONS, '"12.5" = [25', '"wide" = [25', r"sizes\.astm-57\.passing\.wide"),
+        (SPECIFICATIONS, "passing = ", "pasing = ", r"sizes\.astm-57\.passing: Field required"),
+        (SPECIFICATIONS, "FI10 = 10", "FI10 = 110", "limits must rise"),
+    ],
+)
+def test_a_wrong_table_is_named(tmp_path: Path, file: str, old: str, new: str, problem: str) -> None:
+    folder = shutil.copytree(FOLDER, tmp_path / "standards")
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(StandardsError, match=problem):
+        read_standards(folder)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(StandardsError, match=r"sieves\.toml"):
+        read_standards(tmp_path)
