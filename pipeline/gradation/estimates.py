@@ -5,7 +5,7 @@ from enum import StrEnum
 from math import hypot
 from typing import NamedTuple
 
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 MIN_EFFECTIVE = 50.0
 """Effective number of stones below which no verdict is given: the interval of so few is not to be trusted."""
@@ -90,6 +90,6 @@ def estimate(
     )
 
 
-def standard_errors_to_either_end(n_effective: float) -> float:
+def standard_errors_to_either_end(degrees_of_freedom: float) -> float:
     """Return how many standard errors the interval reaches to either side, by Student's t."""
-    return float(student.ppf((1 + COVERAGE) / 2, max(n_effective - 1, 1.0)))
+    return float(stdtrit(max(degrees_of_freedom, 1.0), (1 + COVERAGE) / 2))

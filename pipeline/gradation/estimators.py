@@ -39,10 +39,11 @@ class Chances(NamedTuple):
         """Return by how much each stone is expected to differ from the share."""
         return self.has - share * self.counts
 
-    def open_variance(self, share: float) -> Values:
-        """Return the variance about that: zero where the chances are 0 or 1."""
+    def open_variance(self, share: float, weight_sds: Values) -> Values:
+        """Return the variance about that: of what is not certain, and of the weights, which have relative errors."""
         has_not, counts_not = 1 - self.has, 1 - self.counts
-        return self.has * (has_not - 2 * share * counts_not) + share**2 * self.counts * counts_not
+        uncertain = self.has * (has_not - 2 * share * counts_not) + share**2 * self.counts * counts_not
+        return uncertain + (weight_sds * self.scatter(share)) ** 2
 
 
 Property = Callable[[Lot], Chances]
@@ -68,41 +69,53 @@ def share_percent(
 ) -> Estimate:
     """Return the weighted share of the stones that have a property, in percent of those that count.
 
-    The standard errors are the formula's. The interval is Agresti and Coull's: as if two more stones with the property
-    and two without it had fallen, each of `unseen_weight`, by default the mean over the mass. So it has a width where
-    all stones or none have the property, and it covers the heavy stones that happened not to fall. In it a stone counts
-    for what its absence would change (the jackknife), which is more than its weight.
+    `unseen_weight` is that of stones that might have fallen (see `_interval`), by default the mean over the mass.
     """
     as_measured, chances = property_(lot.without_errors()), property_(lot)
     total, n_stones = float(np.sum(weights * as_measured.counts)), int(as_measured.counts.sum())
     if not n_stones:
         return NOT_MEASURED
     value, n_effective = as_measured.share(weights), effective_number(weights * as_measured.counts)
-    systematic = _systematic(lambda at: property_(at).share(weights), lot, scale_sd)
-
-    def errors(share: float, parts: Values, influences: Values) -> Errors:
-        scatter = chances.scatter(share)
-        open_variance = chances.open_variance(share) + (lot.column("volume_sd") * scatter) ** 2
-        return Errors(
-            sampling=float(np.sqrt(np.sum((influences * scatter) ** 2))),
-            measuring=float(np.sqrt(np.sum(parts**2 * open_variance))),
-            systematic=systematic,
-        )
-
-    unseen = total / n_effective if unseen_weight is None else unseen_weight
-    z = standard_errors_to_either_end(n_effective)
-    larger = total + z**2 * unseen
-    centre, parts = (value * total + z**2 / 2 * unseen) / larger, weights / larger
-    unseen_variance = z**2 / 2 * (unseen / larger) ** 2 * (centre**2 + (1 - centre) ** 2)
-    half = z * hypot(errors(centre, parts, parts / (1 - parts)).joined, sqrt(unseen_variance))
-    return estimate(
-        100 * value,
-        (100 * max(centre - half, 0.0), 100 * min(centre + half, 1.0)),
-        errors(chances.share(weights), weights / total, weights / total).times(100),
-        n_stones,
-        n_effective,
-        min_stones,
+    mean, parts, volume_sds = chances.share(weights), weights / total, lot.column("volume_sd")
+    errors = Errors(
+        sampling=sqrt(np.sum((parts * chances.scatter(mean)) ** 2)),
+        measuring=sqrt(np.sum(parts**2 * chances.open_variance(mean, volume_sds))),
+        systematic=_systematic(lambda at: property_(at).share(weights), lot, scale_sd),
     )
+    unseen_part = 1 / n_effective if unseen_weight is None else unseen_weight / total
+    low, high = _interval(value, chances, parts, volume_sds, unseen_part, errors.systematic, n_effective)
+    return estimate(
+        100 * value, (100 * low, 100 * high), errors.times(100), n_stones, n_effective, min_stones
+    )
+
+
+def _interval(
+    value: float,
+    chances: Chances,
+    parts: Values,
+    volume_sds: Values,
+    unseen_part: float,
+    systematic: float,
+    n_effective: float,
+) -> tuple[float, float]:
+    """Return the interval of a share, 0..1: Agresti and Coull's, with weights.
+
+    It is as if two more stones with the property and two without it had fallen. So it has a width where all stones or
+    none have the property, and covers the heavy ones that happened not to fall. A stone counts for what its absence
+    would change (the jackknife), more than its weight. Where a few stones make up the variance it is less certain than
+    the effective number says: the degrees of freedom are the geometric mean of that and of Satterthwaite's.
+    """
+    n_unseen = standard_errors_to_either_end(n_effective - 1) ** 2 / 2  # two with the property, two without
+    larger = 1 + 2 * n_unseen * unseen_part
+    centre, parts = (value + n_unseen * unseen_part) / larger, parts / larger
+    scatter, open_variance = chances.scatter(centre), chances.open_variance(centre, volume_sds)
+    seen = (parts / (1 - parts) * scatter) ** 2 + parts**2 * open_variance
+    unseen = (unseen_part / larger) ** 2 * np.array([centre**2, (1 - centre) ** 2])
+    variance = float(seen.sum() + n_unseen * unseen.sum())
+    satterthwaite = variance**2 / float(np.sum(seen**2) + n_unseen * np.sum(unseen**2))
+    reach = standard_errors_to_either_end(sqrt(n_effective * satterthwaite))
+    half = reach * hypot(sqrt(variance), systematic)
+    return max(centre - half, 0.0), min(centre + half, 1.0)
 
 
 def ratio_of_sums(lot: Lot, terms: Callable[[Lot], tuple[Values, Values]], scale_sd: float) -> Estimate:
@@ -115,18 +128,18 @@ def ratio_of_sums(lot: Lot, terms: Callable[[Lot], tuple[Values, Values]], scale
     if not total:
         return NOT_MEASURED
     value = _quotient(above, below)
-    scatter = float(np.sqrt(np.sum((above - value * below) ** 2))) / total
+    scatter = sqrt(np.sum((above - value * below) ** 2)) / total
     sizes_mm, sds_mm = lot.column("sieve_size_mm"), lot.column("sieve_size_sd_mm")
     larger, smaller = (terms(lot.with_sizes(sizes_mm + sign * sds_mm)) for sign in (1, -1))
     changes = ((larger[0] - smaller[0]) - value * (larger[1] - smaller[1])) / 2
-    measuring = min(float(np.sqrt(np.sum(changes**2))) / total, scatter)
+    measuring = min(sqrt(np.sum(changes**2)) / total, scatter)
     errors = Errors(
         sampling=sqrt(scatter**2 - measuring**2),
         measuring=measuring,
         systematic=_systematic(lambda at: _quotient(*terms(at)), lot, scale_sd),
     )
     n_effective = effective_number(below)
-    half = standard_errors_to_either_end(n_effective) * errors.joined
+    half = standard_errors_to_either_end(n_effective - 1) * errors.joined
     return estimate(value, (value - half, value + half), errors, lot.n_measured, n_effective)
 
 

@@ -212,7 +212,7 @@ def _power_product(factors: tuple[tuple[Quantile | None, int], ...]) -> Estimate
         systematic=0.0,  # a scale that is common to all stones cancels
     )
     of = known[0][0].size_mm
-    reach = exp(standard_errors_to_either_end(of.n_effective) * log_errors.joined)
+    reach = exp(standard_errors_to_either_end(of.n_effective - 1) * log_errors.joined)
     return estimate(
         value, (value / reach, value * reach), log_errors.times(value), of.n_stones, of.n_effective
     )

@@ -145,7 +145,7 @@ def _more_stones(figure: Estimate, low: float, high: float) -> int | None:
     if figure.value is None or figure.low is None or figure.high is None or not figure.n_effective:
         return None
     factor = MIN_EFFECTIVE / figure.n_effective
-    stays = (standard_errors_to_either_end(figure.n_effective) * figure.errors.systematic) ** 2
+    stays = (standard_errors_to_either_end(figure.n_effective - 1) * figure.errors.systematic) ** 2
     for limit in (low, high):
         reach = (figure.low if limit < figure.value else figure.high) - figure.value
         margin = limit - figure.value
