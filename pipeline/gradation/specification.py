@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from math import ceil, inf, log
+from math import ceil, hypot, log, sqrt
 
 from pipeline.gradation.estimates import (
     MIN_EFFECTIVE,
@@ -13,6 +13,10 @@ from pipeline.gradation.estimates import (
     standard_errors_to_either_end,
 )
 from pipeline.gradation.evaluation import Gradation
+
+UNPROVEN_PERCENT = 2.0
+"""That all stones pass no number of them proves: 100 % is met when no more than so much can be retained. That is what a
+test portion of EN 933-1 tells, some 900 stones, and the tolerance of the wider categories."""
 
 
 class Verdict(StrEnum):
@@ -121,37 +125,50 @@ def judge_figures(
 
 def judge_figure(figure: Estimate, limits: Limits, step_percent: float) -> Judgement:
     """Return the verdict on one figure, by its interval."""
-    low, high = limits.min_percent - step_percent / 2, limits.max_percent + step_percent / 2
-    if figure.state is State.NOT_MEASURED or figure.low is None or figure.high is None:
+    if figure.value is None or figure.low is None or figure.high is None:
         return Judgement(verdict=Verdict.NOT_MEASURED, limits=limits, estimate=figure)
+    low, high = limits.min_percent - step_percent / 2, limits.max_percent + step_percent / 2
+    low_end = 100 - UNPROVEN_PERCENT if limits.min_percent == 100 else low
     if figure.state is State.INSUFFICIENT:
         verdict = Verdict.INSUFFICIENT
-    elif low <= figure.low and figure.high <= high:
-        verdict = Verdict.CONFORMS
     elif figure.high < low or high < figure.low:
         verdict = Verdict.DOES_NOT_CONFORM
+    elif low <= figure.value and low_end <= figure.low and figure.high <= high:
+        verdict = Verdict.CONFORMS
     else:
         verdict = Verdict.UNDECIDED
     is_open = verdict in (Verdict.INSUFFICIENT, Verdict.UNDECIDED)
-    more = _more_stones(figure, low, high) if is_open else None
-    return Judgement(verdict=verdict, limits=limits, estimate=figure, more_stones=more)
+    return Judgement(
+        verdict=verdict,
+        limits=limits,
+        estimate=figure,
+        more_stones=_more_stones(figure, low_end if figure.value >= low else low, high) if is_open else None,
+    )
 
 
 def _more_stones(figure: Estimate, low: float, high: float) -> int | None:
     """Return how many stones more let the interval shrink off the limits that it reaches over, if the figure stays.
 
-    Random errors fall with the root of the number of stones, systematic ones stay.
+    Random errors fall with the root of the number of stones, what stones that did not fall would change with the number
+    itself; systematic errors stay.
     """
-    if figure.value is None or figure.low is None or figure.high is None or not figure.n_effective:
+    if figure.value is None or figure.low is None or figure.high is None:
         return None
-    factor = MIN_EFFECTIVE / figure.n_effective
-    stays = (standard_errors_to_either_end(figure.n_effective - 1) * figure.errors.systematic) ** 2
+    reach_of = standard_errors_to_either_end(figure.n_effective - 1)
+    stays = (reach_of * figure.errors.systematic) ** 2
+    factor = MIN_EFFECTIVE / max(figure.n_effective, 1.0)
     for limit in (low, high):
-        reach = (figure.low if limit < figure.value else figure.high) - figure.value
-        margin = limit - figure.value
-        if abs(reach) > abs(margin):
-            factor = max(factor, (reach**2 - stays) / (margin**2 - stays) if margin**2 > stays else inf)
-    return None if factor == inf else max(ceil(figure.n_stones * (factor - 1)), 1)
+        end = figure.low if limit < figure.value else figure.high
+        if abs(end - figure.value) <= abs(limit - figure.value):
+            continue
+        if (limit - figure.value) ** 2 <= stays:
+            return None
+        margin, reach = (sqrt((size - figure.value) ** 2 - stays) for size in (limit, end))
+        random = min(reach_of * hypot(figure.errors.sampling, figure.errors.measuring), reach)
+        # root of: (reach - random) x² + random x = margin, with x² the present number of stones by the one needed
+        root = 2 * margin / (random + sqrt(random**2 + 4 * (reach - random) * margin))
+        factor = max(factor, 1 / root**2)
+    return max(ceil(figure.n_stones * (factor - 1)), 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

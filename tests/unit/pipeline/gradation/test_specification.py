@@ -89,6 +89,22 @@ def test_figures_are_compared_as_they_are_reported() -> None:
     assert judge_figure(around(60.4), Limits(max_percent=60), 0.1).verdict is Verdict.DOES_NOT_CONFORM
 
 
+def test_that_all_stones_pass_is_never_proven_but_bounded() -> None:
+    """Of 1.4 D and 2 D the standards ask 100 %."""
+    limits = Limits(min_percent=100)
+    sizes_mm = np.random.default_rng(4).uniform(8, 16, 2000)
+
+    def after(n: int) -> Estimate:
+        return evaluate(lot_of_sizes(sizes_mm[:n]), (22.4,)).passing(22.4)
+
+    found = judge_figure(after(300), limits, 1.0)
+    assert found.verdict is Verdict.UNDECIDED
+    assert found.more_stones is not None
+    assert judge_figure(after(300 + found.more_stones + 30), limits, 1.0).verdict is Verdict.CONFORMS
+    assert judge_figure(around(99.0, 0.2), limits, 1.0).verdict is Verdict.DOES_NOT_CONFORM
+    assert judge_figure(around(99.4, 0.2), limits, 1.0).verdict is Verdict.UNDECIDED
+
+
 def test_four_times_the_stones_halve_the_interval() -> None:
     found = judge_figure(around(58.5, 4.0), Limits(max_percent=60), 1.0)
     assert found.more_stones == 3000
