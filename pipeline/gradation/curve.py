@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.arrays import Values
 from pipeline.gradation.estimates import NOT_MEASURED, Errors, Estimate
-from pipeline.gradation.estimators import Chances, Property, chance_up_to, share_percent
+from pipeline.gradation.estimators import Chances, Property, Sample, chance_up_to, share_percent
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
 
@@ -37,28 +37,28 @@ def passes(sieve_mm: float) -> Property:
 
 
 def curve_of(
-    lot: Lot, apertures_mm: Sequence[float], measured: MeasuredRange, scale_sd: float
+    sample: Sample, apertures_mm: Sequence[float], measured: MeasuredRange
 ) -> tuple[CurvePoint, ...]:
     """Return the passing at each sieve; outside of the measured range there is none."""
-    ones = np.ones(lot.n_measured)
+    ones = np.ones(sample.lot.n_measured)
     points = []
     for sieve_mm in sorted(set(apertures_mm)):
         by_mass = by_number = NOT_MEASURED
         if sieve_mm in measured:
-            by_mass = passing_percent(lot, sieve_mm, scale_sd)
-            by_number = share_percent(lot, passes(sieve_mm), ones, scale_sd)
+            by_mass = passing_percent(sample, sieve_mm)
+            by_number = share_percent(sample, passes(sieve_mm), ones)
         points.append(CurvePoint(sieve_mm=sieve_mm, by_mass=by_mass, by_number=by_number))
     return tuple(points)
 
 
-def passing_percent(lot: Lot, sieve_mm: float, scale_sd: float) -> Estimate:
+def passing_percent(sample: Sample, sieve_mm: float) -> Estimate:
     """Return the passing by mass; stones that might have fallen are as large as the sieve, at most as the largest."""
-    volumes, sizes_mm = lot.column("volume_mm3"), lot.column("sieve_size_mm")
-    if not lot.n_measured:
+    volumes, sizes_mm = sample.lot.column("volume_mm3"), sample.lot.column("sieve_size_mm")
+    if not len(volumes):
         return NOT_MEASURED
     unseen_mm = min(sieve_mm, float(sizes_mm.max()))
     unseen_mm3 = float(np.mean(volumes / sizes_mm**3)) * unseen_mm**3
-    return share_percent(lot, passes(sieve_mm), volumes, scale_sd, unseen_weight=unseen_mm3)
+    return share_percent(sample, passes(sieve_mm), volumes, unseen_weight=unseen_mm3)
 
 
 def influence(lot: Lot, sieve_mm: float) -> Values:
@@ -121,9 +121,7 @@ class Quantile:
     log_errors: Errors
 
 
-def quantile(
-    lot: Lot, percent: float, inverse: Inverse, measured: MeasuredRange, scale_sd: float
-) -> Quantile | None:
+def quantile(sample: Sample, percent: float, inverse: Inverse, measured: MeasuredRange) -> Quantile | None:
     """Return the size that `percent` pass; its interval holds the sizes that the interval of its passing reaches to.
 
     None: the curve does not reach that far, or the size is not measured.
@@ -131,7 +129,7 @@ def quantile(
     size_mm = inverse.size_mm(percent) if inverse.low <= percent <= inverse.high else None
     if size_mm is None or size_mm not in measured:
         return None
-    passing = passing_percent(lot, size_mm, scale_sd)
+    passing = passing_percent(sample, size_mm)
     if passing.low is None or passing.high is None:
         return None
     low_mm, high_mm = (
@@ -142,7 +140,7 @@ def quantile(
     log_per_percent = log(high_mm / low_mm) / (passing.high - passing.low)
     log_errors = passing.errors.times(log_per_percent)
     in_mm = log_errors.times(size_mm)
-    has, volumes = passes(size_mm)(lot).has, lot.column("volume_mm3")
+    has, volumes = passes(size_mm)(sample.lot).has, sample.lot.column("volume_mm3")
     parts = volumes / volumes.sum()
     return Quantile(
         size_mm=replace(

@@ -5,6 +5,7 @@ with a probability; so the variance parts into what the stones scatter and what 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import NamedTuple
 
@@ -23,6 +24,23 @@ from pipeline.gradation.stones import Lot
 
 FAR_SDS = 8.0
 """Standard deviations beyond which a stone's error does not take it over a limit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """A lot in canonical order, as the figures are estimated from it; made by `sample_of`."""
+
+    lot: Lot
+    as_measured: Lot  # the same, its measures taken for the truth
+    larger: Lot  # the same, had all lengths been measured larger by their common standard deviation
+    smaller: Lot
+
+
+def sample_of(lot: Lot, scale_sd: float = 0.0) -> Sample:
+    """Return the sample of a lot; `scale_sd` is the relative standard deviation that all lengths have in common."""
+    lot = lot.canonical()
+    larger, smaller = (lot.scaled(1 + sign * scale_sd) if scale_sd else lot for sign in (1, -1))
+    return Sample(lot=lot, as_measured=lot.without_errors(), larger=larger, smaller=smaller)
 
 
 class Chances(NamedTuple):
@@ -59,10 +77,9 @@ def chance_up_to(values: Values, sds: Values, limit: float) -> Values:
 
 
 def share_percent(
-    lot: Lot,
+    sample: Sample,
     property_: Property,
     weights: Values,
-    scale_sd: float,
     *,
     unseen_weight: float | None = None,
     min_stones: int = 0,
@@ -71,16 +88,16 @@ def share_percent(
 
     `unseen_weight` is that of stones that might have fallen (see `_interval`), by default the mean over the mass.
     """
-    as_measured, chances = property_(lot.without_errors()), property_(lot)
+    as_measured, chances = property_(sample.as_measured), property_(sample.lot)
     total, n_stones = float(np.sum(weights * as_measured.counts)), int(as_measured.counts.sum())
     if not n_stones:
         return NOT_MEASURED
     value, n_effective = as_measured.share(weights), effective_number(weights * as_measured.counts)
-    mean, parts, volume_sds = chances.share(weights), weights / total, lot.column("volume_sd")
+    mean, parts, volume_sds = chances.share(weights), weights / total, sample.lot.column("volume_sd")
     errors = Errors(
         sampling=sqrt(np.sum((parts * chances.scatter(mean)) ** 2)),
         measuring=sqrt(np.sum(parts**2 * chances.open_variance(mean, volume_sds))),
-        systematic=_systematic(lambda at: property_(at).share(weights), lot, scale_sd),
+        systematic=_systematic(lambda lot: property_(lot).share(weights), sample),
     )
     unseen_part = 1 / n_effective if unseen_weight is None else unseen_weight / total
     low, high = _interval(value, chances, parts, volume_sds, unseen_part, errors.systematic, n_effective)
@@ -118,11 +135,12 @@ def _interval(
     return max(centre - half, 0.0), min(centre + half, 1.0)
 
 
-def ratio_of_sums(lot: Lot, terms: Callable[[Lot], tuple[Values, Values]], scale_sd: float) -> Estimate:
+def ratio_of_sums(sample: Sample, terms: Callable[[Lot], tuple[Values, Values]]) -> Estimate:
     """Return sum A / sum B over the stones, as `terms` gives A and B of each.
 
     Random errors of measuring scatter the terms too, so the scatter found already contains them.
     """
+    lot = sample.lot
     above, below = terms(lot)
     total = float(below.sum())
     if not total:
@@ -136,7 +154,7 @@ def ratio_of_sums(lot: Lot, terms: Callable[[Lot], tuple[Values, Values]], scale
     errors = Errors(
         sampling=sqrt(scatter**2 - measuring**2),
         measuring=measuring,
-        systematic=_systematic(lambda at: _quotient(*terms(at)), lot, scale_sd),
+        systematic=_systematic(lambda of: _quotient(*terms(of)), sample),
     )
     n_effective = effective_number(below)
     half = standard_errors_to_either_end(n_effective - 1) * errors.joined
@@ -154,8 +172,8 @@ def _quotient(above: Values, below: Values) -> float:
     return float(above.sum()) / total if total else 0.0
 
 
-def _systematic(figure: Callable[[Lot], float], lot: Lot, scale_sd: float) -> float:
+def _systematic(figure: Callable[[Lot], float], sample: Sample) -> float:
     """Return by how much a figure changes with the scale of all lengths, one standard deviation of it."""
-    if not scale_sd:
+    if sample.larger is sample.smaller:
         return 0.0
-    return abs(figure(lot.scaled(1 + scale_sd)) - figure(lot.scaled(1 - scale_sd))) / 2
+    return abs(figure(sample.larger) - figure(sample.smaller)) / 2

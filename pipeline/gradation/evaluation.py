@@ -14,7 +14,7 @@ from pipeline.gradation.curve import (
     quantile,
 )
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate
-from pipeline.gradation.estimators import effective_number
+from pipeline.gradation.estimators import effective_number, sample_of
 from pipeline.gradation.indices import EN_933_3, FlakinessFraction, Indices, indices_of
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import Lot, UnmeasuredMass, unmeasured_mass
@@ -53,12 +53,13 @@ def evaluate(
     `scale_sd` is the relative standard deviation of all lengths, by the calibration (`length_sd_percent` / 100).
     `fractions` are those of the flakiness index. Masses are volumes times one density, which cancels in percentages.
     """
-    lot = lot.canonical()
-    curve = curve_of(lot, apertures_mm, measured, scale_sd)
+    sample = sample_of(lot, scale_sd)
+    lot = sample.lot
+    curve = curve_of(sample, apertures_mm, measured)
     passing = {point.sieve_mm: point.by_mass.value for point in curve if point.by_mass.value is not None}
 
     def quantiles(inverse: Inverse) -> dict[int, Quantile | None]:
-        return {percent: quantile(lot, percent, inverse, measured, scale_sd) for percent in PERCENTS}
+        return {percent: quantile(sample, percent, inverse, measured) for percent in PERCENTS}
 
     exact = quantiles(Inverse(size_mm=lambda percent: exact_mm(lot, percent)))
     interpolated = quantiles(
@@ -76,7 +77,7 @@ def evaluate(
         curve=curve,
         quantiles_interpolated_mm=_sizes(interpolated),
         quantiles_exact_mm=_sizes(exact),
-        indices=indices_of(lot, exact, fractions, measured, scale_sd),
+        indices=indices_of(sample, exact, fractions, measured),
         unmeasured=unmeasured_mass(lot, measured.max_mm),
         measured=measured,
         scale_sd=scale_sd,

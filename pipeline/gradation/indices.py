@@ -17,7 +17,14 @@ from pipeline.gradation.estimates import (
     estimate,
     standard_errors_to_either_end,
 )
-from pipeline.gradation.estimators import Chances, Property, chance_up_to, ratio_of_sums, share_percent
+from pipeline.gradation.estimators import (
+    Chances,
+    Property,
+    Sample,
+    chance_up_to,
+    ratio_of_sums,
+    share_percent,
+)
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
 
@@ -86,19 +93,18 @@ class Indices:
 
 
 def indices_of(
-    lot: Lot,
+    sample: Sample,
     quantiles: Mapping[int, Quantile | None],
     fractions: Sequence[FlakinessFraction],
     measured: MeasuredRange,
-    scale_sd: float,
 ) -> Indices:
     """Return all indices, over the sizes that are measured and that the standard is for."""
-    volumes = lot.column("volume_mm3")
+    volumes = sample.lot.column("volume_mm3")
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
 
     def shape_share(ratio: str, over: str, limit: float, sizes_mm: tuple[float, float], n: int) -> Estimate:
         return share_percent(
-            lot, _exceeds(ratio, over, limit, measured.within(*sizes_mm)), volumes, scale_sd, min_stones=n
+            sample, _exceeds(ratio, over, limit, measured.within(*sizes_mm)), volumes, min_stones=n
         )
 
     def d4791(ratio: str, over: str) -> dict[int, dict[Basis, Estimate]]:
@@ -106,7 +112,7 @@ def indices_of(
         return {
             limit: {
                 basis: share_percent(
-                    lot, _exceeds(ratio, over, limit, measured), of, scale_sd, min_stones=MIN_D4791_STONES
+                    sample, _exceeds(ratio, over, limit, measured), of, min_stones=MIN_D4791_STONES
                 )
                 for basis, of in weights.items()
             }
@@ -114,12 +120,12 @@ def indices_of(
         }
 
     return Indices(
-        fineness_modulus=ratio_of_sums(lot, _fineness(measured), scale_sd),
+        fineness_modulus=ratio_of_sums(sample, _fineness(measured)),
         uniformity=_power_product(((d60, 1), (d10, -1))),
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
-        d32_mm=ratio_of_sums(lot, _moments(3), scale_sd),
-        d43_mm=ratio_of_sums(lot, _moments(4), scale_sd),
-        flakiness=share_percent(lot, _is_flaky(fractions, measured), volumes, scale_sd),
+        d32_mm=ratio_of_sums(sample, _moments(3)),
+        d43_mm=ratio_of_sums(sample, _moments(4)),
+        flakiness=share_percent(sample, _is_flaky(fractions, measured), volumes),
         shape=shape_share("max_feret_mm", "min_feret_mm", MAX_CUBICAL, SHAPE_RANGE_MM, 0),
         needle_flaky=shape_share(
             "max_feret_mm", "min_feret_mm", MAX_CUBICAL, NEEDLE_RANGE_MM, MIN_NEEDLE_STONES

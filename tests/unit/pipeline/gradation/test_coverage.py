@@ -1,6 +1,7 @@
 """Vector G3 of the domain notes: 95 % of the intervals hold the truth, by simulation with fixed seeds."""
 
 from dataclasses import dataclass
+from functools import partial
 from math import log
 
 import numpy as np
@@ -9,7 +10,10 @@ from scipy.stats import norm
 from support.stones import lot_of_sizes
 
 from pipeline.gradation.curve import Inverse, exact_mm, passing_percent, quantile
+from pipeline.gradation.estimators import sample_of
+from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.sieves import ALL_SIZES
+from pipeline.gradation.stones import MEASURES, Lot
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ def coverage(name: str, errors: str, n: int, n_lots: int) -> dict[float, float]:
         sizes_mm = gradation.sizes_mm(n, rng)
         lot = lot_of_sizes(sizes_mm, size_sds_mm=size_sd * sizes_mm, volume_sd=volume_sd, seed=seed)
         for sieve_mm in held:
-            found = passing_percent(lot, sieve_mm, 0.0)
+            found = passing_percent(sample_of(lot), sieve_mm)
             assert found.low is not None
             assert found.high is not None
             held[sieve_mm] += found.low <= gradation.passing_percent(sieve_mm) <= found.high
@@ -78,11 +82,10 @@ def test_intervals_of_quantiles_hold_the_truth(name: str) -> None:
     gradation, n_lots, held = GRADATIONS[name], 1000, dict.fromkeys((10, 50, 60), 0)
     rng = np.random.default_rng(21)
     for _ in range(n_lots):
-        lot = lot_of_sizes(gradation.sizes_mm(300, rng)).canonical()
+        sample = sample_of(lot_of_sizes(gradation.sizes_mm(300, rng)))
+        inverse = Inverse(size_mm=partial(exact_mm, sample.lot))
         for percent in held:
-            found = quantile(
-                lot, percent, Inverse(size_mm=lambda p, lot=lot: exact_mm(lot, p)), ALL_SIZES, 0.0
-            )
+            found = quantile(sample, percent, inverse, ALL_SIZES)
             assert found is not None
             low_mm, high_mm = found.size_mm.low or 0.0, found.size_mm.high or 0.0
             held[percent] += low_mm <= gradation.quantile_mm(percent) <= high_mm
@@ -95,6 +98,31 @@ def test_where_hardly_a_stone_is_retained_intervals_are_rather_too_wide(name: st
     gradation, n_lots, held = GRADATIONS[name], 1000, 0
     rng, sieve_mm = np.random.default_rng(22), GRADATIONS[name].quantile_mm(93.0)
     for _ in range(n_lots):
-        found = passing_percent(lot_of_sizes(gradation.sizes_mm(300, rng)), sieve_mm, 0.0)
+        found = passing_percent(sample_of(lot_of_sizes(gradation.sizes_mm(300, rng))), sieve_mm)
         held += (found.low or 0.0) <= 93.0 <= (found.high or 0.0)
     assert 100 * held / n_lots >= 90, held
+
+
+def shaped_lot(n: int, sd_mm: float, rng: np.random.Generator) -> Lot:
+    """Return stones of which some are flaky and some elongated, as measured with errors of `sd_mm`."""
+    sizes_mm = GRADATIONS["narrow 10/20"].sizes_mm(n, rng)
+    lot = lot_of_sizes(sizes_mm, size_sds_mm=np.full(n, sd_mm), seed=int(rng.integers(2**31)))
+    measures = lot.measures.copy()
+    for name, mean, spread in (("min_feret_mm", 0.72, 0.15), ("max_feret_mm", 1.5, 0.35)):
+        true_mm = sizes_mm * np.clip(rng.normal(mean, spread, n), 0.3, 3.5)
+        measures[MEASURES.index(name)] = true_mm + sd_mm * rng.standard_normal(n)
+    return Lot(measures=measures)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("sd_mm", [0.0, 0.08])
+def test_intervals_of_the_shape_indices_hold_the_truth(sd_mm: float) -> None:
+    rng, n_lots = np.random.default_rng(23), 600
+    truth = evaluate(shaped_lot(300_000, 0.0, rng), ()).indices
+    held = {"flakiness": 0, "shape": 0}
+    for _ in range(n_lots):
+        found = evaluate(shaped_lot(300, sd_mm, rng), ()).indices
+        for name in held:
+            interval, value = getattr(found, name), getattr(truth, name).value
+            held[name] += interval.low <= value <= interval.high
+    assert all(92.5 <= 100 * n_held / n_lots <= 97.5 for n_held in held.values()), held
