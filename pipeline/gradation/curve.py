@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.arrays import Values
 from pipeline.gradation.estimates import NOT_MEASURED, Errors, Estimate
-from pipeline.gradation.estimators import Chances, Property, Sample, chance_up_to, share_percent
+from pipeline.gradation.estimators import Basis, Chances, Property, Sample, chance_up_to, share_percent
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
 
@@ -40,13 +40,12 @@ def curve_of(
     sample: Sample, apertures_mm: Sequence[float], measured: MeasuredRange
 ) -> tuple[CurvePoint, ...]:
     """Return the passing at each sieve; outside of the measured range there is none."""
-    ones = np.ones(sample.lot.n_measured)
     points = []
     for sieve_mm in sorted(set(apertures_mm)):
         by_mass = by_number = NOT_MEASURED
         if sieve_mm in measured:
             by_mass = passing_percent(sample, sieve_mm)
-            by_number = share_percent(sample, passes(sieve_mm), ones)
+            by_number = share_percent(sample, passes(sieve_mm), Basis.NUMBER)
         points.append(CurvePoint(sieve_mm=sieve_mm, by_mass=by_mass, by_number=by_number))
     return tuple(points)
 
@@ -58,7 +57,7 @@ def passing_percent(sample: Sample, sieve_mm: float) -> Estimate:
         return NOT_MEASURED
     unseen_mm = min(sieve_mm, float(sizes_mm.max()))
     unseen_mm3 = float(np.mean(volumes / sizes_mm**3)) * unseen_mm**3
-    return share_percent(sample, passes(sieve_mm), volumes, unseen_weight=unseen_mm3)
+    return share_percent(sample, passes(sieve_mm), unseen_weight=unseen_mm3)
 
 
 def influence(lot: Lot, sieve_mm: float) -> Values:

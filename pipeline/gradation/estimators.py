@@ -6,6 +6,7 @@ with a probability; so the variance parts into what the stones scatter and what 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from math import hypot, sqrt
 from typing import NamedTuple
 
@@ -26,6 +27,13 @@ FAR_SDS = 8.0
 """Standard deviations beyond which a stone's error does not take it over a limit."""
 
 
+class Basis(StrEnum):
+    """What a share is a share of."""
+
+    MASS = "mass"
+    NUMBER = "number"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
     """A lot in canonical order, as the figures are estimated from it; made by `sample_of`."""
@@ -34,6 +42,11 @@ class Sample:
     as_measured: Lot  # the same, its measures taken for the truth
     larger: Lot  # the same, had all lengths been measured larger by their common standard deviation
     smaller: Lot
+
+    def weights(self, basis: Basis) -> tuple[Values, Values]:
+        """Return the weight of each stone, and its relative standard deviation."""
+        volumes, sds = self.lot.column("volume_mm3"), self.lot.column("volume_sd")
+        return (volumes, sds) if basis is Basis.MASS else (np.ones_like(volumes), np.zeros_like(sds))
 
 
 def sample_of(lot: Lot, scale_sd: float = 0.0) -> Sample:
@@ -79,28 +92,29 @@ def chance_up_to(values: Values, sds: Values, limit: float) -> Values:
 def share_percent(
     sample: Sample,
     property_: Property,
-    weights: Values,
+    basis: Basis = Basis.MASS,
     *,
     unseen_weight: float | None = None,
     min_stones: int = 0,
 ) -> Estimate:
-    """Return the weighted share of the stones that have a property, in percent of those that count.
+    """Return the share of the stones that have a property, in percent of those that count.
 
     `unseen_weight` is that of stones that might have fallen (see `_interval`), by default the mean over the mass.
     """
+    weights, weight_sds = sample.weights(basis)
     as_measured, chances = property_(sample.as_measured), property_(sample.lot)
     total, n_stones = float(np.sum(weights * as_measured.counts)), int(as_measured.counts.sum())
     if not n_stones:
         return NOT_MEASURED
     value, n_effective = as_measured.share(weights), effective_number(weights * as_measured.counts)
-    mean, parts, volume_sds = chances.share(weights), weights / total, sample.lot.column("volume_sd")
+    mean, parts = chances.share(weights), weights / total
     errors = Errors(
         sampling=sqrt(np.sum((parts * chances.scatter(mean)) ** 2)),
-        measuring=sqrt(np.sum(parts**2 * chances.open_variance(mean, volume_sds))),
+        measuring=sqrt(np.sum(parts**2 * chances.open_variance(mean, weight_sds))),
         systematic=_systematic(lambda lot: property_(lot).share(weights), sample),
     )
     unseen_part = 1 / n_effective if unseen_weight is None else unseen_weight / total
-    low, high = _interval(value, chances, parts, volume_sds, unseen_part, errors.systematic, n_effective)
+    low, high = _interval(value, chances, parts, weight_sds, unseen_part, errors.systematic, n_effective)
     return estimate(
         100 * value, (100 * low, 100 * high), errors.times(100), n_stones, n_effective, min_stones
     )
@@ -110,7 +124,7 @@ def _interval(
     value: float,
     chances: Chances,
     parts: Values,
-    volume_sds: Values,
+    weight_sds: Values,
     unseen_part: float,
     systematic: float,
     n_effective: float,
@@ -125,7 +139,7 @@ def _interval(
     n_unseen = standard_errors_to_either_end(n_effective - 1) ** 2 / 2  # two with the property, two without
     larger = 1 + 2 * n_unseen * unseen_part
     centre, parts = (value + n_unseen * unseen_part) / larger, parts / larger
-    scatter, open_variance = chances.scatter(centre), chances.open_variance(centre, volume_sds)
+    scatter, open_variance = chances.scatter(centre), chances.open_variance(centre, weight_sds)
     seen = (parts / (1 - parts) * scatter) ** 2 + parts**2 * open_variance
     unseen = (unseen_part / larger) ** 2 * np.array([centre**2, (1 - centre) ** 2])
     variance = float(seen.sum() + n_unseen * unseen.sum())

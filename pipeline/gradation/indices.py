@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from math import exp, hypot, sqrt
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ from pipeline.gradation.estimates import (
     standard_errors_to_either_end,
 )
 from pipeline.gradation.estimators import (
+    Basis,
     Chances,
     Property,
     Sample,
@@ -68,13 +68,6 @@ FINENESS_SIEVES_MM = (0.15, 0.3, 0.6, 1.18, 2.36, 4.75, 9.5, 19.0, 37.5, 75.0, 1
 """Sieves of the fineness modulus, ASTM C125."""
 
 
-class Basis(StrEnum):
-    """What a share is a share of."""
-
-    MASS = "mass"
-    NUMBER = "number"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Indices:
     """Figures of shape and of the whole curve, named by their standards; shares in percent."""
@@ -99,24 +92,19 @@ def indices_of(
     measured: MeasuredRange,
 ) -> Indices:
     """Return all indices, over the sizes that are measured and that the standard is for."""
-    volumes = sample.lot.column("volume_mm3")
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
 
-    def shape_share(ratio: str, over: str, limit: float, sizes_mm: tuple[float, float], n: int) -> Estimate:
-        return share_percent(
-            sample, _exceeds(ratio, over, limit, measured.within(*sizes_mm)), volumes, min_stones=n
-        )
+    def non_cubical(sizes_mm: tuple[float, float], min_stones: int = 0) -> Estimate:
+        is_long = _exceeds("max_feret_mm", "min_feret_mm", MAX_CUBICAL, measured.within(*sizes_mm))
+        return share_percent(sample, is_long, min_stones=min_stones)
 
-    def d4791(ratio: str, over: str) -> dict[int, dict[Basis, Estimate]]:
-        weights = {Basis.MASS: volumes, Basis.NUMBER: np.ones_like(volumes)}
+    def d4791(long: str, short: str) -> dict[int, dict[Basis, Estimate]]:
+        properties = {limit: _exceeds(long, short, limit, measured) for limit in D4791_RATIOS}
         return {
             limit: {
-                basis: share_percent(
-                    sample, _exceeds(ratio, over, limit, measured), of, min_stones=MIN_D4791_STONES
-                )
-                for basis, of in weights.items()
+                basis: share_percent(sample, property_, basis, min_stones=MIN_D4791_STONES) for basis in Basis
             }
-            for limit in D4791_RATIOS
+            for limit, property_ in properties.items()
         }
 
     return Indices(
@@ -125,11 +113,9 @@ def indices_of(
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
         d32_mm=ratio_of_sums(sample, _moments(3)),
         d43_mm=ratio_of_sums(sample, _moments(4)),
-        flakiness=share_percent(sample, _is_flaky(fractions, measured), volumes),
-        shape=shape_share("max_feret_mm", "min_feret_mm", MAX_CUBICAL, SHAPE_RANGE_MM, 0),
-        needle_flaky=shape_share(
-            "max_feret_mm", "min_feret_mm", MAX_CUBICAL, NEEDLE_RANGE_MM, MIN_NEEDLE_STONES
-        ),
+        flakiness=share_percent(sample, _is_flaky(fractions, measured)),
+        shape=non_cubical(SHAPE_RANGE_MM),
+        needle_flaky=non_cubical(NEEDLE_RANGE_MM, MIN_NEEDLE_STONES),
         flat=d4791("width_mm", "thickness_mm"),
         elongated=d4791("length_mm", "width_mm"),
         flat_and_elongated=d4791("length_mm", "thickness_mm"),
@@ -137,13 +123,19 @@ def indices_of(
 
 
 def fineness_modulus(passing: Mapping[float, float]) -> float:
-    """Return the fineness modulus of a whole curve, percent passing by aperture; nothing passes sieves below it."""
-    sieves_mm = sorted(passing)
-    retained = [
-        100 - (passing[sieve_mm] if sieve_mm in passing else 100.0 * (sieve_mm > sieves_mm[-1]))
-        for sieve_mm in FINENESS_SIEVES_MM
-    ]
-    return sum(retained) / 100
+    """Return the fineness modulus of a whole curve, percent passing by aperture; nothing passes sieves below it.
+
+    Raises
+    ------
+    ValueError
+        The curve lacks a sieve of the modulus between its own.
+    """
+    low_mm, high_mm = min(passing), max(passing)
+    ends = {sieve_mm: 100.0 * (sieve_mm > high_mm) for sieve_mm in FINENESS_SIEVES_MM}
+    missing = [mm for mm in FINENESS_SIEVES_MM if low_mm < mm < high_mm and mm not in passing]
+    if missing:
+        raise ValueError(f"the fineness modulus needs the sieves {', '.join(f'{mm:g}' for mm in missing)} mm")
+    return sum(100 - passing.get(sieve_mm, ends[sieve_mm]) for sieve_mm in FINENESS_SIEVES_MM) / 100
 
 
 def _chance_between(lot: Lot, low_mm: float, high_mm: float) -> Values:

@@ -68,6 +68,8 @@ def test_vector_g1_from_stones() -> None:
 
 def test_vector_g2_fineness_modulus() -> None:
     assert fineness_modulus(G2) == pytest.approx(6.93)
+    with pytest.raises(ValueError, match=r"needs the sieves 4\.75, 19 mm"):
+        fineness_modulus({2.36: 2.0, 9.5: 25.0, 37.5: 100.0})
 
 
 def test_fineness_modulus_of_stones_is_that_of_their_curve() -> None:

@@ -4,8 +4,9 @@ import pytest
 from support.stones import box, round_stone
 
 from pipeline.gradation.estimates import State
+from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import evaluate
-from pipeline.gradation.indices import Basis, Indices
+from pipeline.gradation.indices import Indices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import Stone, lot_of
 

@@ -81,7 +81,14 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
     assert sorted(path.name for path in two.iterdir()) == ["gradation.json", "meshes", "results.jsonl"]
     curve = json.loads((one / "gradation.json").read_text())
     assert curve["n_stones"] == 3
+    assert len(curve["passing_percent"]) == len(curve["sieves_mm"])
     assert curve["passing_percent"][-1] == 100
+    assert set(curve["quantiles_mm"]) == {"D10", "D30", "D50", "D60", "D90"}
+    points = {point["sieve_mm"]: point["by_mass"] for point in curve["curve"]}
+    assert (points[2.0]["state"], points[2.0]["value"]) == ("not_measured", None)
+    assert (points[20.0]["state"], points[20.0]["value"]) == ("insufficient", 100)
+    assert curve["indices"]["shape"]["value"] == 0, "spheres"
+    assert curve["unmeasured"]["n_stones"] == 0
 
 
 def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> None:
