@@ -180,8 +180,9 @@ def _record(
     """Insert a trigger without an outcome and return its number."""
     state = "background" if kind is BundleKind.BACKGROUND else "open"
     (trigger,) = connection.execute(
-        "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state)"
-        " VALUES (?, ?, ?, ?, ?, ?) RETURNING trigger",
+        "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state, lot)"
+        " VALUES (?1, ?2, ?3, ?4, ?5, ?6,"
+        " iif(?4 = 'particle', (SELECT lot FROM lots WHERE state = 'open'), NULL)) RETURNING trigger",
         (session, bundle, sequence, kind, rfc3339(utc), state),
     ).fetchone()
     return int(trigger)

@@ -1,0 +1,225 @@
+"""Lots in the words of ISA-95: opened, closed, voided; at most one is open, and takes every stone that falls."""
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from drivers.files.times import utc_now
+from service.errors import ServiceError
+from service.lots import audit
+from service.lots.products import find_product
+from service.store.schema import transaction
+
+
+class LotState(StrEnum):
+    """How far a lot is."""
+
+    OPEN = "open"
+    CLOSED = "closed"
+    VOID = "void"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotDefinition:
+    """What the plant says of a lot; all but the first is optional."""
+
+    lot: str
+    equipment: str | None = None
+    sublot: str | None = None
+    sample_id: str | None = None
+    sampler: str | None = None
+    tonnage_t: float | None = None
+    remark: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotRecord:
+    """A lot, without the figures of its stones."""
+
+    definition: LotDefinition
+    state: LotState
+    product: str
+    version: int
+    opened_at: str
+    closed_at: str | None
+    void_reason: str | None
+    n_stones: int  # that fell, with outcome
+
+
+class LotConflictError(ServiceError):
+    """Another lot is open, the lot exists already, or its state does not allow it."""
+
+
+class UnknownProductError(ValueError):
+    """There is no such product, or not this version of it."""
+
+
+def open_lot(
+    connection: sqlite3.Connection, definition: LotDefinition, product: str, version: int | None, who: str
+) -> LotRecord:
+    """Open a lot of a product; what falls from now on is in it.
+
+    The same lot opened again while it is open is returned as it is.
+
+    Raises
+    ------
+    LotConflictError
+        Another lot is open, or this one was opened before with other words, or is closed or void.
+    UnknownProductError
+        There is no such product, or not this version of it.
+    """
+    with transaction(connection):
+        found = find_product(connection, product, version)
+        if found is None:
+            raise UnknownProductError(product if version is None else f"{product}, version {version}")
+        existing = find_lot(connection, definition.lot)
+        if existing is not None:
+            same = (existing.definition, existing.product, existing.version)
+            if existing.state is LotState.OPEN and same == (definition, product, found.version):
+                return existing
+            raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
+        if (other := _open_lot(connection)) is not None:
+            raise LotConflictError(f"lot {other} is open: close it first")
+        connection.execute(
+            "INSERT INTO lots (lot, state, product, version, definition, opened_at) VALUES (?, ?, ?, ?, ?, ?)",
+            (
+                definition.lot,
+                LotState.OPEN,
+                product,
+                found.version,
+                json.dumps(asdict(definition)),
+                utc_now(),
+            ),
+        )
+        return _noted(connection, definition.lot, who, "lot opened", None)
+
+
+def close_lot(
+    connection: sqlite3.Connection, lot: str, tonnage_t: float | None, who: str
+) -> LotRecord | None:
+    """Close a lot; what fell until now stays in it. A closed one is returned as it is; None if there is none."""
+    with transaction(connection):
+        before = find_lot(connection, lot)
+        if before is None or before.state is LotState.CLOSED:
+            return before
+        if before.state is LotState.VOID:
+            raise LotConflictError(f"lot {lot} is void")
+        definition = before.definition
+        if tonnage_t is not None:
+            definition = replace(definition, tonnage_t=tonnage_t)
+        connection.execute(
+            "UPDATE lots SET state = 'closed', closed_at = ?, definition = ? WHERE lot = ?",
+            (utc_now(), json.dumps(asdict(definition)), lot),
+        )
+        return _noted(connection, lot, who, "lot closed", before)
+
+
+def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) -> LotRecord | None:
+    """Declare a lot void: its figures count no more, and are kept. None if there is none."""
+    with transaction(connection):
+        before = find_lot(connection, lot)
+        if before is None or before.state is LotState.VOID:
+            return before
+        connection.execute(
+            "UPDATE lots SET state = 'void', void_reason = ?, closed_at = coalesce(closed_at, ?) WHERE lot = ?",
+            (reason, utc_now(), lot),
+        )
+        return _noted(connection, lot, who, "lot voided", before)
+
+
+def assign(
+    connection: sqlite3.Connection, lot: str, since: str, until: str, who: str
+) -> tuple[LotRecord, int] | None:
+    """Put what fell from `since` to before `until` outside of any lot into this one; return it, and how many these are.
+
+    Stones of another lot stay there. None if there is no such lot.
+    """
+    with transaction(connection):
+        before = find_lot(connection, lot)
+        if before is None:
+            return None
+        if before.state is LotState.VOID:
+            raise LotConflictError(f"lot {lot} is void")
+        within = (lot, since, until)
+        n_assigned = connection.execute(
+            "UPDATE stones SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL", within
+        ).rowcount
+        connection.execute(
+            "UPDATE triggers SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"
+            " AND kind = 'particle'",
+            within,
+        )
+        details = {"since": since, "until": until, "n_stones": n_assigned}
+        audit.note(connection, who, "stones assigned", lot, after=details)
+        return _existing(connection, lot), n_assigned
+
+
+def find_lot(connection: sqlite3.Connection, lot: str) -> LotRecord | None:
+    """Return a lot, None if there is none."""
+    found = _lots(connection, "lot = ?", (lot,), 1)
+    return found[0] if found else None
+
+
+def lots(
+    connection: sqlite3.Connection,
+    state: LotState | None,
+    product: str | None,
+    before: str | None,
+    limit: int,
+) -> list[LotRecord]:
+    """Return up to `limit` lots that fit, opened before a time, newest first."""
+    conditions = {"state = ?": state, "product = ?": product, "opened_at < ?": before}
+    given = {text: value for text, value in conditions.items() if value is not None}
+    return _lots(connection, " AND ".join(given) or "TRUE", tuple(given.values()), limit)
+
+
+def _lots(
+    connection: sqlite3.Connection, condition: str, values: tuple[object, ...], limit: int
+) -> list[LotRecord]:
+    rows = connection.execute(
+        "SELECT state, product, version, definition, opened_at, closed_at, void_reason,"  # noqa: S608 - of this module
+        " (SELECT count(*) FROM stones WHERE stones.lot = lots.lot)"
+        f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
+        (*values, limit),
+    )
+    return [
+        LotRecord(
+            definition=LotDefinition(**json.loads(definition)),
+            state=LotState(state),
+            product=product,
+            version=version,
+            opened_at=opened_at,
+            closed_at=closed_at,
+            void_reason=void_reason,
+            n_stones=n_stones,
+        )
+        for state, product, version, definition, opened_at, closed_at, void_reason, n_stones in rows
+    ]
+
+
+def _open_lot(connection: sqlite3.Connection) -> str | None:
+    row = connection.execute("SELECT lot FROM lots WHERE state = 'open'").fetchone()
+    return None if row is None else str(row[0])
+
+
+def _existing(connection: sqlite3.Connection, lot: str) -> LotRecord:
+    found = find_lot(connection, lot)
+    if found is None:
+        raise KeyError(lot)
+    return found
+
+
+def _noted(
+    connection: sqlite3.Connection, lot: str, who: str, action: str, before: LotRecord | None
+) -> LotRecord:
+    """Note a change of a lot in the audit, and return the lot as it is now."""
+    after = _existing(connection, lot)
+    audit.note(connection, who, action, lot, before=_facts(before), after=_facts(after))
+    return after
+
+
+def _facts(record: LotRecord | None) -> Mapping[str, Any] | None:
+    return None if record is None else asdict(record)

@@ -1,0 +1,313 @@
+"""The gradation curve as a drawing: passing over the logarithm of the size, with interval, limits and verdicts."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from math import isfinite, log
+
+from pipeline.gradation.estimates import State
+from pipeline.gradation.specification import Verdict
+from service.lots.figures import CurveStep
+from service.reports.drawing import (
+    LABEL_SIZE,
+    Anchor,
+    Area,
+    Dot,
+    Drawing,
+    Label,
+    Line,
+    Point,
+    Shape,
+    Style,
+    label_width,
+)
+from service.reports.words import Words
+
+WIDTH, HEIGHT = 720.0, 402.0
+LEFT, RIGHT, TOP, BOTTOM = 58.0, 706.0, 14.0, 314.0
+MARGIN = 1.12
+"""The axis ends beyond the first and the last sieve by this factor."""
+HATCH_DISTANCE = 7.0
+MARKER_RADIUS = 4.5
+VERDICT_STYLES = {
+    Verdict.CONFORMS: Style.CONFORMS,
+    Verdict.DOES_NOT_CONFORM: Style.DOES_NOT_CONFORM,
+    Verdict.UNDECIDED: Style.UNDECIDED,
+    Verdict.INSUFFICIENT: Style.INSUFFICIENT,
+    Verdict.NOT_MEASURED: Style.NO_LIMITS,
+}
+
+
+def gradation_curve(
+    steps: Sequence[CurveStep], words: Words, laboratory: Mapping[float, float] | None = None
+) -> Drawing:
+    """Return the curve; `laboratory` is the passing by sieve of a second one, percent."""
+    shown = shown_steps(steps)
+    axes = _Axes([step.sieve_mm for step in shown])
+    second = {
+        size_mm: percent
+        for size_mm, percent in sorted((laboratory or {}).items())
+        if axes.least_mm < size_mm < axes.greatest_mm and isfinite(percent)
+    }
+    return Drawing(
+        width=WIDTH,
+        height=HEIGHT,
+        title=words("curve.title"),
+        description=_description(shown, words),
+        shapes=(
+            *_grid(shown, axes, words),
+            *_limits(shown, axes),
+            *_unmeasured(shown, axes, words),
+            *_curve(shown, axes),
+            *_second_curve(second, axes),
+            *(
+                marker(axes.point(step.sieve_mm, _percent(step)), _verdict(step))
+                for step in shown
+                if _has_value(step)
+            ),
+            *_legend(shown, words, has_second=bool(second)),
+        ),
+    )
+
+
+def shown_steps(steps: Sequence[CurveStep]) -> list[CurveStep]:
+    """Return the steps by rising sieve, without those far from all that was measured or has limits."""
+    ordered = sorted((step for step in steps if step.sieve_mm > 0), key=lambda step: step.sieve_mm)
+    telling = [i for i, step in enumerate(ordered) if _has_value(step) or step.decision is not None]
+    if not telling:
+        return ordered
+    first, last = (
+        telling[0] - _has_value(ordered[telling[0]]),
+        telling[-1] + _has_value(ordered[telling[-1]]),
+    )
+    return ordered[max(first, 0) : last + 1]
+
+
+class _Axes:
+    """Places of sizes and percents on the paper."""
+
+    def __init__(self, sizes_mm: Sequence[float]) -> None:
+        self.least_mm = min(sizes_mm, default=1.0) / MARGIN
+        self.greatest_mm = max(sizes_mm, default=1.0) * MARGIN
+
+    def x(self, size_mm: float) -> float:
+        share = log(size_mm / self.least_mm) / log(self.greatest_mm / self.least_mm)
+        return LEFT + share * (RIGHT - LEFT)
+
+    def y(self, percent: float) -> float:
+        return BOTTOM - min(max(percent, 0.0), 100.0) / 100 * (BOTTOM - TOP)
+
+    def point(self, size_mm: float, percent: float) -> Point:
+        return self.x(size_mm), self.y(percent)
+
+
+def _has_value(step: CurveStep) -> bool:
+    value = step.passing_percent.value
+    return step.passing_percent.state is not State.NOT_MEASURED and value is not None and isfinite(value)
+
+
+def _percent(step: CurveStep) -> float:
+    return step.passing_percent.value or 0.0
+
+
+def _verdict(step: CurveStep) -> Verdict | None:
+    return None if step.decision is None else step.decision.verdict
+
+
+def _grid(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
+    for percent in range(0, 101, 10):
+        y = axes.y(percent)
+        yield Line(((LEFT, y), (RIGHT, y)), Style.GRID)
+        if percent % 20 == 0:
+            yield Label((LEFT - 7, y + LABEL_SIZE / 3), words.number(percent, 0), Anchor.END)
+    for step in shown:
+        x = axes.x(step.sieve_mm)
+        yield Line(((x, TOP), (x, BOTTOM)), Style.GRID)
+    for x, text in _tick_labels(shown, axes, words):
+        yield Label((x, BOTTOM + LABEL_SIZE + 5), text, Anchor.MIDDLE)
+    yield Line(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
+    yield Label(((LEFT + RIGHT) / 2, BOTTOM + 2.6 * LABEL_SIZE + 5), words("curve.size_axis"), Anchor.MIDDLE)
+    yield Label(
+        (LABEL_SIZE + 4, (TOP + BOTTOM) / 2), words("curve.passing_axis"), Anchor.MIDDLE, is_turned=True
+    )
+
+
+def _tick_labels(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> list[tuple[float, str]]:
+    """Return the labels that have room: of the sieves with limits first."""
+    placed: list[tuple[float, str]] = []
+    for step in sorted(shown, key=lambda step: (step.decision is None, -step.sieve_mm)):
+        x, text = axes.x(step.sieve_mm), words.size(step.sieve_mm)
+        if all(
+            abs(x - other_x) > (label_width(text) + label_width(other)) / 2 + 4 for other_x, other in placed
+        ):
+            placed.append((x, text))
+    return sorted(placed)
+
+
+def _limits(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
+    """Yield the envelope, and at each sieve what the specification itself says: its two limits."""
+    limits = [(step.sieve_mm, step.decision.limits) for step in shown if step.decision is not None]
+    if len(limits) > 1:
+        lower = [axes.point(size_mm, limit.min_percent) for size_mm, limit in limits]
+        upper = [axes.point(size_mm, limit.max_percent) for size_mm, limit in limits]
+        yield Area((*upper, *reversed(lower)), Style.ENVELOPE)
+    for size_mm, limit in limits:
+        x, low_y, high_y = axes.x(size_mm), axes.y(limit.min_percent), axes.y(limit.max_percent)
+        yield Line(((x, low_y), (x, high_y)), Style.LIMIT)
+        yield Line(((x - 6, low_y), (x + 6, low_y)), Style.LIMIT)
+        yield Line(((x - 6, high_y), (x + 6, high_y)), Style.LIMIT)
+
+
+def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
+    """Yield a hatched field for each range of sieves without a value, up to the next one with a value."""
+    for left, right in unmeasured_ranges(shown, axes.least_mm, axes.greatest_mm):
+        x0, x1 = axes.x(left), axes.x(right)
+        yield from _hatching(x0, x1, TOP, BOTTOM)
+        text = words("state.not_measured")
+        width, middle = label_width(text) + 8, ((x0 + x1) / 2, (TOP + BOTTOM) / 2)
+        is_turned = x1 - x0 < width + 8
+        if x1 - x0 > 2 * LABEL_SIZE:
+            half = (LABEL_SIZE * 0.85, width / 2) if is_turned else (width / 2, LABEL_SIZE * 0.85)
+            yield _box(middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1])
+            shift = LABEL_SIZE / 3
+            at = (middle[0] + shift, middle[1]) if is_turned else (middle[0], middle[1] + shift)
+            yield Label(at, text, Anchor.MIDDLE, is_turned=is_turned)
+
+
+def unmeasured_ranges(
+    shown: Sequence[CurveStep], least_mm: float, greatest_mm: float
+) -> Iterator[tuple[float, float]]:
+    """Yield the ranges of sizes without any value, between neighbouring sieves that have one."""
+    left_mm, is_open = least_mm, False
+    for has_value, group in groupby(shown, _has_value):
+        members = list(group)
+        if has_value:
+            if is_open:
+                yield left_mm, members[0].sieve_mm
+            left_mm = members[-1].sieve_mm
+        is_open = not has_value
+    if is_open:
+        yield left_mm, greatest_mm
+
+
+def _box(x0: float, y0: float, x1: float, y1: float) -> Area:
+    return Area(((x0, y0), (x1, y0), (x1, y1), (x0, y1)), Style.PAPER)
+
+
+def _hatching(x0: float, x1: float, top: float, bottom: float) -> Iterator[Shape]:
+    """Yield diagonals through a rectangle."""
+    width, height = x1 - x0, bottom - top
+    for i in range(1, int((width + height) / HATCH_DISTANCE) + 1):
+        reach = i * HATCH_DISTANCE
+        right = (x0 + min(reach, width), bottom - max(0.0, reach - width))
+        left = (x0 + max(0.0, reach - height), bottom - min(reach, height))
+        yield Line((left, right), Style.HATCH)
+
+
+def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
+    for has_value, group in groupby(shown, _has_value):
+        if not has_value:
+            continue
+        members = list(group)
+        ends = [
+            (step.sieve_mm, step.passing_percent.low, step.passing_percent.high)
+            for step in members
+            if step.passing_percent.low is not None and step.passing_percent.high is not None
+        ]
+        if len(ends) > 1:
+            low = [axes.point(size_mm, percent) for size_mm, percent, _ in ends if percent is not None]
+            high = [axes.point(size_mm, percent) for size_mm, _, percent in ends if percent is not None]
+            yield Area((*high, *reversed(low)), Style.BAND)
+        yield Line([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
+
+
+def _second_curve(second: Mapping[float, float], axes: _Axes) -> Iterator[Shape]:
+    points = [axes.point(size_mm, percent) for size_mm, percent in second.items()]
+    if points:
+        yield Line(points, Style.LABORATORY)
+    for x, y in points:
+        yield Area(((x - 3, y - 3), (x + 3, y - 3), (x + 3, y + 3), (x - 3, y + 3)), Style.LABORATORY)
+
+
+def marker(at: Point, verdict: Verdict | None) -> Shape:
+    """Return the mark of a verdict, told by shape as well as by colour."""
+    style = Style.NO_LIMITS if verdict is None else VERDICT_STYLES[verdict]
+    (x, y), r = at, MARKER_RADIUS
+    if style is Style.DOES_NOT_CONFORM:
+        return Area(((x, y - 1.4 * r), (x + 1.4 * r, y), (x, y + 1.4 * r), (x - 1.4 * r, y)), style)
+    if style is Style.UNDECIDED:
+        return Area(((x, y - 1.4 * r), (x + 1.3 * r, y + r), (x - 1.3 * r, y + r)), style)
+    return Dot(at, 0.75 * r if style is Style.NO_LIMITS else r, style)
+
+
+def _legend(shown: Sequence[CurveStep], words: Words, *, has_second: bool) -> Iterator[Shape]:
+    """Yield what is on the curve, each with its sign, in as many lines as it takes."""
+    x, y = LEFT, BOTTOM + 5.2 * LABEL_SIZE
+    for signs, text in _legend_entries(shown, words, has_second=has_second):
+        width = 30 + label_width(text) + 12
+        if x + width > RIGHT + 12 and x > LEFT:
+            x, y = LEFT, y + 1.55 * LABEL_SIZE
+        yield from signs(x, y)
+        yield Label((x + 30, y + LABEL_SIZE / 3), text)
+        x += width
+
+
+class _Sign:
+    """The sign of an entry of the legend, drawn where the entry is."""
+
+    def __init__(self, kind: Style, verdict: Verdict | None = None) -> None:
+        self.kind, self.verdict = kind, verdict
+
+    def __call__(self, x: float, y: float) -> Iterable[Shape]:
+        corners = ((x, y - 5), (x + 24, y - 5), (x + 24, y + 5), (x, y + 5))
+        match self.kind:
+            case Style.BAND | Style.ENVELOPE:
+                yield Area(corners, self.kind)
+                if self.kind is Style.BAND:
+                    yield Line(((x, y), (x + 24, y)), Style.CURVE)
+            case Style.HATCH:
+                yield from _hatching(x, x + 24, y - 5, y + 5)
+            case Style.LABORATORY:
+                yield Line(((x, y), (x + 24, y)), Style.LABORATORY)
+                yield Area(
+                    ((x + 9, y - 3), (x + 15, y - 3), (x + 15, y + 3), (x + 9, y + 3)), Style.LABORATORY
+                )
+            case _:
+                yield marker((x + 12, y), self.verdict)
+
+
+def _legend_entries(
+    shown: Sequence[CurveStep], words: Words, *, has_second: bool
+) -> Iterator[tuple[_Sign, str]]:
+    has_values = any(map(_has_value, shown))
+    if has_values:
+        yield _Sign(Style.BAND), words("curve.band")
+    if any(step.decision is not None for step in shown):
+        yield _Sign(Style.ENVELOPE), words("curve.envelope")
+    if has_second:
+        yield _Sign(Style.LABORATORY), words("curve.laboratory")
+    if not all(map(_has_value, shown)):
+        yield _Sign(Style.HATCH), words("state.not_measured")
+    found = {_verdict(step) for step in shown if _has_value(step)}
+    for verdict in Verdict:
+        if verdict in found and verdict is not Verdict.NOT_MEASURED:
+            yield _Sign(VERDICT_STYLES[verdict], verdict), words.known("verdict", verdict)
+    if found & {None, Verdict.NOT_MEASURED}:
+        yield _Sign(Style.NO_LIMITS), words("curve.no_limits")
+
+
+def _description(shown: Sequence[CurveStep], words: Words) -> str:
+    """Return the curve in words, for those who do not see it."""
+    return "; ".join(
+        words(
+            "curve.described_step",
+            sieve=words.size(step.sieve_mm),
+            passing=words.estimate(step.passing_percent, 1),
+            interval=words.interval(step.passing_percent, 1),
+            verdict=words("curve.no_limits")
+            if (verdict := _verdict(step)) is None
+            else words.known("verdict", verdict),
+        )
+        if _has_value(step)
+        else words("curve.described_gap", sieve=words.size(step.sieve_mm))
+        for step in shown
+    )

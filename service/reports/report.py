@@ -1,0 +1,137 @@
+"""What the report of a lot is made of: its figures, and the rest that a person signs for."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from service.lots.figures import LotFigures
+
+Scalar = str | int | float | bool | None
+"""What a cell of a table holds."""
+
+
+class Language(StrEnum):
+    """Language of a report, as browsers and `lang=` name it."""
+
+    ENGLISH = "en"
+    GERMAN = "de"
+
+
+class ReportFormat(StrEnum):
+    """File format of a report, and the suffix of its file."""
+
+    HTML = "html"
+    PDF = "pdf"
+    CSV = "csv"
+    XLSX = "xlsx"
+
+    @property
+    def media_type(self) -> str:
+        """Return the type that an answer of REST names."""
+        return MEDIA_TYPES[self]
+
+
+MEDIA_TYPES = {
+    ReportFormat.HTML: "text/html; charset=utf-8",
+    ReportFormat.PDF: "application/pdf",
+    ReportFormat.CSV: "text/csv; charset=utf-8; header=present",
+    ReportFormat.XLSX: "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+}
+
+
+class VerificationOutcome(StrEnum):
+    """Result of the last verification with a sphere."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastVerification:
+    """The last verification before the end of the lot."""
+
+    id: str
+    at: str  # RFC 3339 UTC
+    outcome: VerificationOutcome
+    diameter_mm: float  # of the sphere
+    error_mm: float | None  # mean diameter less the sphere's; None if no ball was measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SievingStep:
+    """One sieve of a laboratory sieving, beside what the instrument says of the same lot."""
+
+    sieve_mm: float
+    passing_percent: float  # in the laboratory
+    correlated_percent: float | None = None  # of the instrument, mapped by the product's correlation study
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaboratorySieving:
+    """A sieving of the same lot by a laboratory."""
+
+    id: str
+    at: str
+    by: str | None
+    steps: Sequence[SievingStep]
+    correlation: str | None = None  # version of the study behind `correlated_percent`
+
+
+class GalleryReason(StrEnum):
+    """Why a stone is shown."""
+
+    HEAVIEST = "heaviest"
+    """The curve depends most on it."""
+    NEAREST_LIMIT = "nearest_limit"
+    """Its size is nearest to an aperture that has limits."""
+    LARGEST = "largest"
+    MOST_ELONGATED = "most_elongated"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GalleryStone:
+    """A stone that matters for the figures."""
+
+    id: str
+    reasons: Sequence[GalleryReason]
+    sieve_size_mm: float
+    volume_mm3: float
+    quality: str
+    preview_png: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoneTable:
+    """A row for each stone of the lot, for the workbook."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Scalar]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportData:
+    """All that a report says, finished; it can be pickled."""
+
+    figures: LotFigures
+    created_at: str  # RFC 3339 UTC
+    language: Language = Language.ENGLISH
+    software_version: str
+    api_version: str
+    verification: LastVerification | None = None
+    is_verification_overdue: bool = False
+    uncertainty_remark: str | None = None  # of this rig, beside the statement that every report has
+    sievings: Sequence[LaboratorySieving] = ()
+    gallery: Sequence[GalleryStone] = ()
+    stones: StoneTable | None = None
+
+
+def stone_table(records: Iterable[Mapping[str, object]], columns: Sequence[str]) -> StoneTable:
+    """Return the columns that were asked for of result records; lists and objects are left out."""
+    rows = [
+        tuple(
+            value if isinstance(value, str | int | float | bool) else None
+            for value in map(record.get, columns)
+        )
+        for record in records
+    ]
+    return StoneTable(columns=tuple(columns), rows=rows)

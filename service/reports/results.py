@@ -1,0 +1,193 @@
+"""The figures of a lot as tables: gradation, indices, and the laboratory's beside the instrument's."""
+
+from pipeline.gradation.estimates import State
+from pipeline.gradation.specification import Verdict
+from service.lots.figures import CurveStep, Decision, Figure, Quantile
+from service.reports.curve import gradation_curve
+from service.reports.document import DASH, Column, Note, Picture, Section, Table
+from service.reports.report import LaboratorySieving, ReportData
+from service.reports.texts import LONGEST_HEADING, abridged
+from service.reports.words import Words
+
+
+def limits(decision: Decision | None, say: Words) -> str:
+    """Return the limits of a specification."""
+    if decision is None:
+        return DASH
+    low, high = decision.limits.min_percent, decision.limits.max_percent
+    texts = [f"{value:.4g}".replace(".", say("number.decimal_mark")) for value in (low, high)]
+    return texts[0] if low == high else " – ".join(texts)
+
+
+def with_interval(figure: Figure | None, decimals: int, say: Words) -> str:
+    """Return a figure with its 95 % interval in brackets."""
+    if figure is None or figure.value is None:
+        return say("state.not_measured")
+    value = say.number(figure.value, decimals)
+    return value if figure.low is None else f"{value} ({say.interval(figure, decimals)})"
+
+
+def gradation(data: ReportData, say: Words) -> Section:
+    """Return the curve, its table, and the quantiles."""
+    figures = data.figures
+    laboratory_passing = (
+        {step.sieve_mm: step.passing_percent for step in data.sievings[-1].steps} if data.sievings else None
+    )
+    columns = (
+        Column(say("curve.sieve"), width=0.95),
+        Column(say("curve.passing"), width=1.3),
+        Column(say("curve.interval"), width=1.3),
+        Column(say("curve.by_number"), width=1.3),
+        Column(say("curve.limits"), width=1.1),
+        Column(say("curve.verdict"), is_number=False, width=1.5),
+    )
+    steps = sorted(figures.curve, key=lambda step: -step.sieve_mm)
+    table = Table(columns, [_step_row(step, say) for step in steps], [_step_verdict(step) for step in steps])
+    quantiles = Table(
+        (
+            Column(say("quantiles.size"), is_number=False, width=0.7),
+            Column(say("quantiles.interpolated")),
+            Column(say("curve.interval"), width=1.3),
+            Column(say("quantiles.exact")),
+            Column(say("curve.interval"), width=1.3),
+        ),
+        [_quantile_row(quantile, say) for quantile in figures.quantiles],
+    )
+    return Section(
+        say("curve.title"),
+        (
+            Picture(gradation_curve(figures.curve, say, laboratory_passing)),
+            table,
+            Note(say("curve.note")),
+            quantiles,
+            Note(say("quantiles.note")),
+        ),
+    )
+
+
+def _step_row(step: CurveStep, say: Words) -> tuple[str, ...]:
+    return (
+        say.size(step.sieve_mm),
+        say.estimate(step.passing_percent, 1),
+        say.interval(step.passing_percent, 1),
+        say.estimate(step.passing_by_number_percent, 1),
+        limits(step.decision, say),
+        verdict_word(step.decision, step.passing_percent, say),
+    )
+
+
+def _step_verdict(step: CurveStep) -> Verdict | None:
+    return None if step.decision is None else step.decision.verdict
+
+
+def verdict_word(decision: Decision | None, figure: Figure, say: Words) -> str:
+    """Return the verdict on a figure; without limits what kept it from being measured, if anything did."""
+    if decision is not None:
+        return say.known("verdict", decision.verdict)
+    return "" if figure.state is State.MEASURED else say.known("state", figure.state)
+
+
+def _quantile_row(quantile: Quantile, say: Words) -> tuple[str, ...]:
+    return (
+        f"D{quantile.percent}",
+        say.estimate(quantile.interpolated_mm, 2),
+        say.interval(quantile.interpolated_mm, 2),
+        say.estimate(quantile.exact_mm, 2),
+        say.interval(quantile.exact_mm, 2),
+    )
+
+
+def indices(data: ReportData, say: Words) -> Section:
+    """Return the figures of the whole lot, each with the standard that defines it."""
+    found = data.figures.indices
+    listed = (
+        ("indices.flakiness", found.flakiness_percent, 1, data.figures.flakiness_decision),
+        ("indices.shape", found.shape_percent, 1, data.figures.shape_decision),
+        ("indices.needle_flaky", found.needle_flaky_percent, 1, None),
+        ("indices.fineness_modulus", found.fineness_modulus, 2, None),
+        ("indices.uniformity", found.uniformity, 2, None),
+        ("indices.curvature", found.curvature, 2, None),
+        ("indices.d32", found.d32_mm, 2, None),
+        ("indices.d43", found.d43_mm, 2, None),
+    )
+    table = Table(
+        (
+            Column(say("indices.index"), is_number=False, width=3.8),
+            Column(say("indices.value"), width=1.3),
+            Column(say("curve.interval"), width=1.4),
+            Column(say("curve.limits")),
+            Column(say("curve.verdict"), is_number=False, width=1.5),
+        ),
+        [
+            (
+                say(key),
+                say.estimate(figure, decimals),
+                say.interval(figure, decimals),
+                limits(decision, say),
+                verdict_word(decision, figure, say),
+            )
+            for key, figure, decimals, decision in listed
+        ],
+        [None if decision is None else decision.verdict for *_, decision in listed],
+    )
+    forms = Table(
+        (
+            Column(say("d4791.ratio"), is_number=False, width=0.85),
+            Column(say("d4791.counted"), is_number=False, width=0.9),
+            Column(say("d4791.flat"), width=1.4),
+            Column(say("d4791.elongated"), width=1.4),
+            Column(say("d4791.flat_and_elongated"), width=1.5),
+        ),
+        [
+            (
+                f"1:{form.ratio}",
+                say.known("counted", by),
+                with_interval(form.flat_percent[by], 1, say),
+                with_interval(form.elongated_percent.get(by), 1, say),
+                with_interval(form.flat_and_elongated_percent.get(by), 1, say),
+            )
+            for form in found.flat_and_elongated
+            for by in form.flat_percent
+        ],
+    )
+    blocks = (table, Note(say("d4791.note")), forms) if forms.rows else (table,)
+    return Section(say("indices.title"), blocks)
+
+
+def laboratory(sieving: LaboratorySieving, data: ReportData, say: Words) -> Section:
+    """Return a sieving of the laboratory beside the raw and the correlated passing of the instrument."""
+    raw = {step.sieve_mm: step.passing_percent for step in data.figures.curve}
+    table = Table(
+        (
+            Column(say("curve.sieve")),
+            Column(say("laboratory.raw")),
+            Column(say("laboratory.correlated")),
+            Column(say("laboratory.sieved")),
+            Column(say("laboratory.difference")),
+        ),
+        [
+            (
+                say.size(step.sieve_mm),
+                say.estimate(figure, 1) if (figure := raw.get(step.sieve_mm)) else say("state.not_measured"),
+                DASH if step.correlated_percent is None else say.number(step.correlated_percent, 1),
+                say.number(step.passing_percent, 1),
+                _difference(figure, step.passing_percent, say),
+            )
+            for step in sorted(sieving.steps, key=lambda step: -step.sieve_mm)
+        ],
+    )
+    about = say(
+        "laboratory.about",
+        id=abridged(sieving.id, LONGEST_HEADING),
+        at=say.time(sieving.at),
+        by=abridged(sieving.by or DASH, LONGEST_HEADING),
+    )
+    study = abridged(sieving.correlation, LONGEST_HEADING) if sieving.correlation else None
+    correlated = say("laboratory.study", study=study) if study else say("laboratory.no_study")
+    return Section(say("laboratory.title"), (Note(about), table, Note(correlated)))
+
+
+def _difference(figure: Figure | None, percent: float, say: Words) -> str:
+    if figure is None or figure.value is None:
+        return DASH
+    return say.number(figure.value - percent, 1)

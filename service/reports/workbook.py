@@ -1,0 +1,248 @@
+"""The report as a workbook: curve with its chart, indices, accounting, stones. No text becomes a formula."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from io import BytesIO
+from math import isfinite
+
+from xlsxwriter import Workbook
+from xlsxwriter.worksheet import Worksheet
+
+from service.lots.figures import Decision, Figure
+from service.reports.content import document_of
+from service.reports.document import Facts, Note
+from service.reports.evidence import calibration, uncertainty, versions
+from service.reports.flat import accounting_rows
+from service.reports.report import ReportData, Scalar
+from service.reports.texts import plain
+from service.reports.words import Words, words
+
+LONGEST_CELL = 32_000
+"""A spreadsheet takes 32 767 characters."""
+MOST_ROWS = 1_000_000
+OPTIONS = {
+    "in_memory": True,
+    "strings_to_formulas": False,
+    "strings_to_urls": False,
+    "strings_to_numbers": False,
+}
+
+
+def render_xlsx(data: ReportData) -> bytes:
+    """Return the report as a workbook."""
+    file, say = BytesIO(), words(data.language)
+    with Workbook(file, OPTIONS) as workbook:
+        sheets = _Sheets(workbook)
+        workbook.set_properties({"title": plain(document_of(data).title)[:200], "created": _created(data)})
+        _curve(sheets, data, say)
+        _indices(sheets, data, say)
+        _laboratory(sheets, data, say)
+        _accounting(sheets, data, say)
+        if data.stones is not None:
+            sheet = sheets.add(
+                say("xlsx.stones"), data.stones.columns, (24, *[14] * (len(data.stones.columns) - 1))
+            )
+            sheets.write(sheet, 1, data.stones.rows[:MOST_ROWS])
+            sheet.autofilter(0, 0, max(len(data.stones.rows), 1), max(len(data.stones.columns) - 1, 0))
+        _about(sheets, data, say)
+    return file.getvalue()
+
+
+class _Sheets:
+    """The sheets of a workbook, each with a head that stays in sight."""
+
+    def __init__(self, workbook: Workbook) -> None:
+        self.workbook = workbook
+        self.bold = workbook.add_format({"bold": True, "text_wrap": True, "valign": "top", "bottom": 1})
+        self.wrapped = workbook.add_format({"text_wrap": True, "valign": "top"})
+        self.warning = workbook.add_format(
+            {"bold": True, "font_color": "#B3231A", "text_wrap": True, "valign": "top"}
+        )
+
+    def add(self, name: str, head: Sequence[str], widths: Sequence[float]) -> Worksheet:
+        sheet: Worksheet = self.workbook.add_worksheet(name)
+        for column, (title, width) in enumerate(zip(head, widths, strict=True)):
+            sheet.set_column(column, column, width)
+            sheet.write_string(0, column, plain(title)[:LONGEST_CELL], self.bold)
+        sheet.freeze_panes(1, 0)
+        return sheet
+
+    def write(self, sheet: Worksheet, first_row: int, rows: Iterable[Sequence[Scalar]]) -> int:
+        """Write rows from one on; return the row below."""
+        row = first_row
+        for row, cells in enumerate(rows, first_row):
+            for column, value in enumerate(cells):
+                match value:
+                    case bool():
+                        sheet.write_boolean(row, column, value)
+                    case str():
+                        sheet.write_string(row, column, plain(value)[:LONGEST_CELL])
+                    case int() | float() if isfinite(value):
+                        sheet.write_number(row, column, value)
+        return row + 1
+
+
+def _created(data: ReportData) -> datetime:
+    try:
+        return datetime.fromisoformat(data.created_at).replace(tzinfo=None)
+    except ValueError:
+        return datetime(2000, 1, 1)
+
+
+def _figure(figure: Figure, decision: Decision | None, say: Words) -> tuple[Scalar, ...]:
+    """Return the cells of a figure; that of a value that was not measured is empty: a chart takes a text for 0."""
+    decided: tuple[Scalar, ...] = (None, None, say.known("state", figure.state))
+    if decision is not None:
+        verdict = say.known("verdict", decision.verdict)
+        decided = (decision.limits.min_percent, decision.limits.max_percent, verdict)
+    n_effective = None if figure.value is None else figure.n_effective
+    return (figure.value, figure.low, figure.high, figure.standard_error, n_effective, *decided)
+
+
+def _figure_head(say: Words) -> tuple[str, ...]:
+    keys = ("xlsx.low", "xlsx.high", "xlsx.standard_error", "xlsx.n_effective", "xlsx.min", "xlsx.max")
+    return (*map(say, keys), f"{say('curve.verdict')} / {say('xlsx.state')}")
+
+
+def _curve(sheets: _Sheets, data: ReportData, say: Words) -> None:
+    head = (say("curve.sieve"), say("curve.passing"), *_figure_head(say), say("curve.by_number"))
+    sheet = sheets.add(say("xlsx.curve"), head, (11, 14, 12, 12, 14, 14, 12, 12, 18, 14))
+    rows = [
+        (
+            step.sieve_mm,
+            *_figure(step.passing_percent, step.decision, say),
+            step.passing_by_number_percent.value,
+        )
+        for step in data.figures.curve
+    ]
+    below = sheets.write(sheet, 1, rows)
+    if rows:
+        _chart(sheets, sheet, (1, below - 1), say)
+
+
+def _chart(sheets: _Sheets, sheet: Worksheet, rows: tuple[int, int], say: Words) -> None:
+    """Draw the curve, its interval, and the limits at their sieves beside the table."""
+    chart = sheets.workbook.add_chart({"type": "scatter", "subtype": "straight_with_markers"})
+    curve, limit = "#1C5FA8", "#2F7D46"
+    none = {"none": True}
+    looks: tuple[tuple[int, str, Mapping[str, object], Mapping[str, object]], ...] = (
+        (1, "curve.passing", {"color": curve, "width": 2}, _mark("circle", curve)),
+        (2, "xlsx.low", {"color": curve, "width": 1, "dash_type": "dash"}, {"type": "none"}),
+        (3, "xlsx.high", {"color": curve, "width": 1, "dash_type": "dash"}, {"type": "none"}),
+        (6, "xlsx.min", none, _mark("long_dash", limit)),
+        (7, "xlsx.max", none, _mark("long_dash", limit)),
+    )
+    for column, key, line, mark in looks:
+        series = {
+            "name": say(key),
+            "categories": [sheet.name, rows[0], 0, rows[1], 0],
+            "values": [sheet.name, rows[0], column, rows[1], column],
+            "line": line,
+            "marker": mark,
+        }
+        chart.add_series(series)
+    size_axis = {"name": say("curve.size_axis"), "log_base": 10, "crossing": "min"}
+    chart.set_x_axis(size_axis | {"major_gridlines": {"visible": True}})
+    chart.set_y_axis({"name": say("curve.passing_axis"), "min": 0, "max": 100})
+    chart.set_size({"width": 760, "height": 420})
+    sheet.insert_chart(1, 11, chart)
+
+
+def _mark(kind: str, colour: str) -> Mapping[str, object]:
+    return {"type": kind, "size": 7, "fill": {"color": colour}, "border": {"color": colour}}
+
+
+def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
+    figures, found = data.figures, data.figures.indices
+    head = (say("indices.index"), say("indices.value"), *_figure_head(say))
+    sheet = sheets.add(say("xlsx.indices"), head, (52, 14, 12, 12, 14, 14, 12, 12, 18))
+    named: list[tuple[str, Figure, Decision | None]] = [
+        (say("indices.flakiness"), found.flakiness_percent, figures.flakiness_decision),
+        (say("indices.shape"), found.shape_percent, figures.shape_decision),
+        (say("indices.needle_flaky"), found.needle_flaky_percent, None),
+        (say("indices.fineness_modulus"), found.fineness_modulus, None),
+        (say("indices.uniformity"), found.uniformity, None),
+        (say("indices.curvature"), found.curvature, None),
+        (say("indices.d32"), found.d32_mm, None),
+        (say("indices.d43"), found.d43_mm, None),
+    ]
+    for quantile in figures.quantiles:
+        named.append(
+            (f"D{quantile.percent}: {say('quantiles.interpolated')}", quantile.interpolated_mm, None)
+        )
+        named.append((f"D{quantile.percent}: {say('quantiles.exact')}", quantile.exact_mm, None))
+    for form in found.flat_and_elongated:
+        kinds: Mapping[str, Mapping[str, Figure]] = {
+            "d4791.flat": form.flat_percent,
+            "d4791.elongated": form.elongated_percent,
+            "d4791.flat_and_elongated": form.flat_and_elongated_percent,
+        }
+        for key, by in kinds.items():
+            for counted, figure in by.items():
+                name = f"ASTM D4791 1:{form.ratio}: {say(key)}, {say.known('counted', counted)}"
+                named.append((name, figure, None))
+    sheets.write(sheet, 1, [(name, *_figure(figure, decision, say)) for name, figure, decision in named])
+
+
+def _laboratory(sheets: _Sheets, data: ReportData, say: Words) -> None:
+    if not data.sievings:
+        return
+    keys = ("curve.sieve", "laboratory.raw", "laboratory.correlated", "laboratory.sieved")
+    head = (say("laboratory.title"), *map(say, keys))
+    sheet = sheets.add(say("xlsx.laboratory"), head, (24, 11, 16, 20, 16))
+    raw = {step.sieve_mm: step.passing_percent for step in data.figures.curve}
+    sheets.write(
+        sheet,
+        1,
+        [
+            (
+                sieving.id,
+                step.sieve_mm,
+                raw[step.sieve_mm].value if step.sieve_mm in raw else None,
+                step.correlated_percent,
+                step.passing_percent,
+            )
+            for sieving in data.sievings
+            for step in sieving.steps
+        ],
+    )
+
+
+def _accounting(sheets: _Sheets, data: ReportData, say: Words) -> None:
+    head = (say("xlsx.name"), say("indices.value"))
+    sheet = sheets.add(say("xlsx.accounting"), head, (48, 16))
+    sheets.write(sheet, 1, [(_accounting_name(row.name, say), row.value) for row in accounting_rows(data)])
+
+
+def _accounting_name(name: str, say: Words) -> str:
+    outcome, separator, reason = name.partition(": ")
+    if separator:
+        known = say.known("quality" if outcome == "measured" else "reason", reason)
+        return f"{say.known('outcome', outcome)}: {known}"
+    return say.known("accounting", name)
+
+
+def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:
+    """Write what the lot is and what its figures rest on, as the printed report has it."""
+    document = document_of(data)
+    sheet = sheets.add(say("xlsx.about"), (document.title, ""), (34, 90))
+    row = 1
+    for banner in (*document.banners, document.verdict_title):
+        sheet.write_string(row, 0, plain(banner)[:LONGEST_CELL], sheets.warning)
+        row += 1
+    row = sheets.write(sheet, row, [("", line) for line in document.verdict_lines])
+    sections = (document.sections[0], calibration(data, say), uncertainty(data, say), versions(data, say))
+    for section in sections:
+        row += 1
+        sheet.write_string(row, 0, section.title, sheets.bold)
+        row += 1
+        for block in section.blocks:
+            pairs: Sequence[tuple[str, str]] = ()
+            if isinstance(block, Facts):
+                pairs = block.pairs
+            elif isinstance(block, Note):
+                pairs = (("", block.text),)
+            for name, text in pairs:
+                sheet.write_string(row, 0, name, sheets.wrapped)
+                sheet.write_string(row, 1, text[:LONGEST_CELL], sheets.wrapped)
+                row += 1

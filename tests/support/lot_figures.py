@@ -1,0 +1,275 @@
+"""Figures of a lot made by hand, and the data of its report: an 8/16 that conforms but for one undecided sieve."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pipeline.gradation.estimates import State
+from pipeline.gradation.specification import Verdict
+from service.lots.figures import (
+    CurveStep,
+    Decision,
+    Figure,
+    FlatAndElongated,
+    LotDocument,
+    LotFigures,
+    ProductDocument,
+    Quantile,
+    Range,
+    ShapeIndices,
+    Unmeasured,
+)
+from service.lots.lots import LotState
+from service.reports.report import (
+    GalleryReason,
+    GalleryStone,
+    LaboratorySieving,
+    LastVerification,
+    ReportData,
+    SievingStep,
+    StoneTable,
+    VerificationOutcome,
+)
+
+NOT_MEASURED = Figure(state=State.NOT_MEASURED)
+
+
+def measured(value: float, standard_error: float = 1.0, state: State = State.MEASURED) -> Figure:
+    """A figure with an interval of two standard errors."""
+    return Figure(
+        state=state,
+        value=value,
+        low=value - 2 * standard_error,
+        high=value + 2 * standard_error,
+        standard_error=standard_error,
+        sampling_se=0.9 * standard_error,
+        measuring_se=0.3 * standard_error,
+        systematic_se=0.3 * standard_error,
+        n_effective=640.0,
+    )
+
+
+def decision(
+    verdict: Verdict, low: float, high: float, more_stones: int | None = None, more_s: float | None = None
+) -> Decision:
+    limits = Range(min_percent=low, max_percent=high)
+    return Decision(verdict=verdict, limits=limits, more_stones=more_stones, more_s=more_s)
+
+
+def step(sieve_mm: float, passing: Figure, decided: Decision | None = None) -> CurveStep:
+    """One sieve; half as much passes again by number."""
+    by_number = passing if passing.value is None else measured(min(100.0, 1.2 * passing.value), 0.8)
+    return CurveStep(
+        sieve_mm=sieve_mm, passing_percent=passing, passing_by_number_percent=by_number, decision=decided
+    )
+
+
+def curve() -> list[CurveStep]:
+    """EN 933-1 basic set + set 2, GC90/15 of 8/16; the smaller sieves are out of the range."""
+    return [
+        step(1.0, NOT_MEASURED),
+        step(2.0, NOT_MEASURED, decision(Verdict.NOT_MEASURED, 0, 2)),
+        step(4.0, measured(3.9, 0.7), decision(Verdict.UNDECIDED, 0, 5, 220, 55.0)),
+        step(6.3, measured(6.0, 0.8)),
+        step(8.0, measured(11.2, 1.0), decision(Verdict.CONFORMS, 0, 15)),
+        step(10.0, measured(34.6, 1.9)),
+        step(12.5, measured(61.3, 2.1)),
+        step(14.0, measured(79.0, 1.7)),
+        step(16.0, measured(94.2, 1.0), decision(Verdict.CONFORMS, 90, 99)),
+        step(20.0, measured(99.4, 0.3)),
+        step(22.4, measured(100.0, 0.0), decision(Verdict.CONFORMS, 98, 100)),
+        step(31.5, measured(100.0, 0.0), decision(Verdict.CONFORMS, 100, 100)),
+    ]
+
+
+def lot_document(**changes: Any) -> LotDocument:
+    given: dict[str, Any] = {
+        "lot": "2026-04711",
+        "state": LotState.CLOSED,
+        "product": "basalt-8-16",
+        "product_version": 3,
+        "equipment": "line 2, below screen 3",
+        "sublot": "B",
+        "sample_id": "S-0815",
+        "sampler": "J. Müller",
+        "tonnage_t": 412.5,
+        "remark": "Größe nach dem Wechsel der Siebe geprüft",
+        "opened_at": "2026-11-20T06:02:11.120Z",
+        "closed_at": "2026-11-20T06:58:40.004Z",
+        "void_reason": None,
+        "n_stones": 1012,
+    }
+    return LotDocument(**given | changes)
+
+
+def indices() -> ShapeIndices:
+    forms = [
+        FlatAndElongated(
+            ratio=ratio,
+            flat_percent={"mass": measured(30 / ratio), "number": measured(33 / ratio)},
+            elongated_percent={"mass": measured(24 / ratio), "number": measured(25 / ratio)},
+            flat_and_elongated_percent={"mass": measured(60 / ratio, 2), "number": measured(66 / ratio, 2)},
+        )
+        for ratio in (2, 3, 5)
+    ]
+    return ShapeIndices(
+        fineness_modulus=NOT_MEASURED,
+        uniformity=measured(1.56, 0.03),
+        curvature=measured(1.02, 0.04),
+        d32_mm=measured(11.1, 0.12),
+        d43_mm=measured(12.06, 0.14),
+        flakiness_percent=measured(12.4, 1.3),
+        shape_percent=measured(18.9, 1.6),
+        needle_flaky_percent=measured(9.1, 1.1),
+        flat_and_elongated=forms,
+    )
+
+
+def lot_figures(**changes: Any) -> LotFigures:
+    """Figures of the lot; a change replaces a field."""
+    given: dict[str, Any] = {
+        "lot": lot_document(),
+        "product": ProductDocument(
+            product="basalt-8-16",
+            version=3,
+            title="Basalt 8/16",
+            density_kg_m3=2710.0,
+            specification="EN 13043 GC90/15",
+        ),
+        "since": "2026-11-20T06:02:12.300Z",
+        "until": "2026-11-20T06:58:39.410Z",
+        "triggers": 1012,
+        "measured": 987,
+        "rejected": 21,
+        "lost": 4,
+        "by_quality": {"good": 951, "reduced": 30, "degraded": 6},
+        "mass_kg": 3.12,
+        "n_effective": 640.2,
+        "sieve_set": "EN 933-1 + set 2",
+        "specification": "EN 13043 GC90/15",
+        "specification_source": "EN 13043:2002, table 2",
+        "curve": curve(),
+        "quantiles": [
+            Quantile(
+                percent=percent,
+                interpolated_mm=measured(size_mm, 0.1),
+                exact_mm=measured(size_mm + 0.02, 0.08),
+            )
+            for percent, size_mm in ((10, 7.62), (30, 9.55), (50, 11.38), (60, 12.35), (90, 15.37))
+        ],
+        "indices": indices(),
+        "flakiness_decision": decision(Verdict.CONFORMS, 0, 20),
+        "shape_decision": decision(Verdict.UNDECIDED, 0, 20, 1900, 475.0),
+        "verdict": Verdict.UNDECIDED,
+        "is_partial": True,
+        "countdown": "4 mm sieve undecided: about 220 stones, 55 s more",
+        "unmeasured": Unmeasured(
+            n_stones=25,
+            by_reason={
+                "rejected: clipped": 6,
+                "rejected: multiple": 12,
+                "rejected: unseen": 3,
+                "lost: queue_full": 4,
+            },
+            expected_percent=2.5,
+            at_most_percent=18.4,
+        ),
+        "least_portion_kg": 2.6,
+        "scale_sd_percent": 0.043,
+        "calibration_ids": ["0007-9f2c1a"],
+        "algorithm_versions": ["10"],
+        "is_simulated": False,
+        "is_replay": False,
+    }
+    return LotFigures(**given | changes)
+
+
+def preview_png(seed: int = 0, side_px: int = 96) -> bytes:
+    """A grey stone before a light wall."""
+    picture = np.full((side_px, side_px * 4 // 3), 225, np.uint8)
+    rng = np.random.default_rng(seed)
+    angles = np.linspace(0, 2 * np.pi, 9, endpoint=False)
+    radii = side_px * rng.uniform(0.25, 0.45, 9)
+    middle = np.array([side_px * 2 / 3, side_px / 2])
+    corners = middle + np.stack([radii * np.cos(angles) * 1.2, radii * np.sin(angles)], 1)
+    cv2.fillPoly(picture, [corners.astype(np.int32)], (90,))
+    return bytes(cv2.imencode(".png", picture)[1])
+
+
+def gallery() -> Sequence[GalleryStone]:
+    reasons = [
+        (GalleryReason.HEAVIEST, GalleryReason.LARGEST),
+        (GalleryReason.HEAVIEST,),
+        (GalleryReason.NEAREST_LIMIT,),
+        (GalleryReason.NEAREST_LIMIT,),
+        (GalleryReason.LARGEST,),
+        (GalleryReason.MOST_ELONGATED,),
+    ]
+    return [
+        GalleryStone(
+            id=f"3f1c-00{i:04d}",
+            reasons=why,
+            sieve_size_mm=19.4 - 1.7 * i,
+            volume_mm3=5210.0 - 700 * i,
+            quality="good" if i else "reduced",
+            preview_png=None if i == 4 else preview_png(i),
+        )
+        for i, why in enumerate(reasons)
+    ]
+
+
+def sieving() -> LaboratorySieving:
+    passing = {4.0: 2.8, 8.0: 12.0, 10.0: 36.1, 12.5: 62.4, 14.0: 80.2, 16.0: 93.5, 22.4: 100.0}
+    return LaboratorySieving(
+        id="L-221",
+        at="2026-11-20T11:30:00Z",
+        by="Labor Süd",
+        steps=[
+            SievingStep(sieve_mm=size_mm, passing_percent=percent, correlated_percent=percent - 0.3)
+            for size_mm, percent in passing.items()
+        ],
+        correlation="basalt-8-16/2",
+    )
+
+
+def stones(n: int) -> StoneTable:
+    """Rows like those of the feed."""
+    rng = np.random.default_rng(0)
+    rows = [
+        (f"3f1c-{i:06d}", "measured", "good", size_mm**3 / 2, size_mm, 1.4 * size_mm, 0.6 * size_mm, None)
+        for i, size_mm in enumerate(rng.uniform(4, 20, n).tolist())
+    ]
+    columns = (
+        "id",
+        "outcome",
+        "quality",
+        "volume_mm3",
+        "sieve_size_mm",
+        "length_mm",
+        "thickness_mm",
+        "mass_g",
+    )
+    return StoneTable(columns=columns, rows=rows)
+
+
+def report_data(figures: Mapping[str, Any] | None = None, **changes: Any) -> ReportData:
+    """The data of a report; `figures` replaces fields of the figures, the rest those of the report."""
+    data = ReportData(
+        figures=lot_figures(**(figures or {})),
+        created_at="2026-11-20T07:00:03.000Z",
+        software_version="0.3.0",
+        api_version="1.8.0",
+        verification=LastVerification(
+            id="v-0031",
+            at="2026-11-20T05:50:12.000Z",
+            outcome=VerificationOutcome.PASSED,
+            diameter_mm=15.0,
+            error_mm=0.021,
+        ),
+        gallery=gallery(),
+        sievings=(sieving(),),
+    )
+    return replace(data, **changes)

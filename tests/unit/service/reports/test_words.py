@@ -1,0 +1,90 @@
+"""The words of the reports: every key in every language, every key used, numbers as the language writes them."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from string import Formatter
+
+import pytest
+from support.lot_figures import NOT_MEASURED, measured
+
+from pipeline.errors import RejectReason
+from pipeline.gradation.estimates import State
+from pipeline.gradation.specification import Verdict
+from pipeline.views.quality import Quality
+from service.lots.lots import LotState
+from service.reports.report import GalleryReason, Language, VerificationOutcome
+from service.reports.words import words
+from service.results.fields import LossReason, Outcome
+
+SOURCES = Path(__file__).parents[4] / "service" / "reports"
+FAMILIES = {
+    "verdict": list(Verdict),
+    "state": list(State),
+    "lot_state": list(LotState),
+    "outcome": list(Outcome),
+    "reason": [*RejectReason, *LossReason],
+    "quality": list(Quality),
+    "verification": list(VerificationOutcome),
+    "gallery_reason": list(GalleryReason),
+    "counted": ["mass", "number"],
+    "accounting": [
+        "unmeasured_expected_percent",
+        "unmeasured_at_most_percent",
+        "mass_kg",
+        "least_portion_kg",
+    ],
+}
+ENGLISH, GERMAN = words(Language.ENGLISH), words(Language.GERMAN)
+
+
+def used_keys() -> Iterator[str]:
+    """Yield the keys that the sources name, and those of the words of the REST contract."""
+    sections = "|".join({key.partition(".")[0] for key in ENGLISH.texts})
+    for path in SOURCES.glob("*.py"):
+        yield from re.findall(rf"""["']((?:{sections})\.\w+)["']""", path.read_text(encoding="utf-8"))
+    for family, members in FAMILIES.items():
+        yield from (f"{family}.{word}" for word in members)
+
+
+@pytest.mark.parametrize("language", Language)
+def test_every_language_has_the_same_keys_and_each_is_used(language: Language) -> None:
+    assert set(words(language).texts) == set(used_keys())
+
+
+@pytest.mark.parametrize("language", Language)
+def test_every_text_has_the_same_places_in_every_language(language: Language) -> None:
+    def places(text: str) -> set[str | None]:
+        return {name for _, name, _, _ in Formatter().parse(text) if name is not None}
+
+    texts = words(language).texts
+    assert {key: places(text) for key, text in texts.items()} == {
+        key: places(text) for key, text in ENGLISH.texts.items()
+    }
+    assert all(text.strip() for text in texts.values())
+
+
+def test_numbers_are_written_as_the_language_does() -> None:
+    assert ENGLISH.number(12345.678, 1) == "12\u00a0345.7"
+    assert GERMAN.number(12345.678, 1) == "12\u00a0345,7"
+    assert GERMAN.number(-0.5, 2) == "\u22120,50"
+    assert ENGLISH.number(-0.0001, 1) == "0.0"
+    assert (ENGLISH.size(31.5), GERMAN.size(31.5), ENGLISH.size(8.0), ENGLISH.size(0.063)) == (
+        "31.5",
+        "31,5",
+        "8",
+        "0.063",
+    )
+    assert GERMAN.interval(measured(10.0, 1.0), 1) == "8,0 – 12,0"
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
+def test_what_is_no_number_was_not_measured(value: float | None) -> None:
+    assert ENGLISH.number(value, 1) == "not measured"
+    assert ENGLISH.interval(NOT_MEASURED, 1) == "–"
+
+
+def test_times_are_utc_and_what_is_no_time_stays() -> None:
+    assert ENGLISH.time("2026-11-20T06:02:11.120Z") == "2026-11-20 06:02:11 UTC"
+    assert GERMAN.time("2026-11-20T08:02:11+02:00") == "20.11.2026 06:02:11 UTC"
+    assert ENGLISH.time("yesterday") == "yesterday"
