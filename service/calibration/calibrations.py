@@ -34,6 +34,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationPlan, Verifications
 from service.errors import StoreError
+from service.results.fields import Verified
 from service.status import AcquisitionState, CalibrationFacts
 
 log = logging.getLogger(__name__)
@@ -92,6 +93,11 @@ class Calibrations:
 
         kind = BundleKind.PARTICLE if current.method == Method.STONES else BundleKind.BALL
         return DropCollector(kind=kind, diameters_mm=current.ball_diameters_mm, add=add)
+
+    @property
+    def verified(self) -> Verified:
+        """Return what the last balls said of the calibration in use."""
+        return self.verifications.verified(self.rig_file.calibration_id, datetime.now(UTC))
 
     @property
     def wants_balls(self) -> bool:

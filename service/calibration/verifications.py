@@ -30,6 +30,7 @@ from service.calibration.verification_limits import (
     size_refusal,
     summarize,
 )
+from service.results.fields import Verified
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +45,8 @@ class VerificationState(StrEnum):
     PASSED = "passed"
     FAILED = "failed"
     CANCELLED = "cancelled"
+    VOID = "void"
+    """It had a verdict, which counts no more: another ball was dropped, or the wrong diameter entered."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,20 +161,37 @@ class Verifications:
             None,
         )
 
+    def verified(self, calibration_id: str, now: datetime) -> Verified:
+        """Return what the last balls said of a calibration."""
+        last = self.last(calibration_id)
+        if last is None:
+            return Verified.NEVER
+        if last.state is VerificationState.FAILED:
+            return Verified.FAILED
+        every_h = self._parameters.every_h
+        is_overdue = every_h > 0 and _age(last, now) > timedelta(hours=every_h)
+        return Verified.OVERDUE if is_overdue else Verified.PASSED
+
     def trouble(self, calibration_id: str, now: datetime) -> str | None:
         """Return why results of this calibration are not to be trusted: it failed, or its verification is overdue."""
         last = self.last(calibration_id)
-        if last is not None and last.state is VerificationState.FAILED:
-            return f"verification {last.id} failed: {'; '.join(last.problems)}"
-        every_h = self._parameters.every_h
-        if every_h == 0:
-            return None
-        if last is None:
-            return "this calibration was never verified: start a verification and drop the ball"
-        age = now - datetime.fromisoformat(last.changed_at)
-        if age > timedelta(hours=every_h):
-            return f"the last verification was {age / timedelta(hours=1):.0f} hours ago: start one"
+        match self.verified(calibration_id, now):
+            case Verified.FAILED if last is not None:
+                return f"verification {last.id} failed: {'; '.join(last.problems)}"
+            case Verified.OVERDUE if last is not None:
+                return f"the last verification was {_age(last, now) / timedelta(hours=1):.0f} hours ago: start one"
+            case Verified.NEVER if self._parameters.every_h > 0:
+                return "this calibration was never verified: start a verification and drop the ball"
         return None
+
+    def series(self, diameter_mm: float) -> list[Verification]:
+        """Return the verifications with balls of a diameter that have a verdict, oldest first, for a control chart."""
+        return [
+            each
+            for each in reversed(self.all())
+            if each.state in (VerificationState.PASSED, VerificationState.FAILED)
+            and each.diameter_mm == diameter_mm
+        ]
 
     async def start(self, plan: VerificationPlan, calibration_id: str) -> Verification:
         """Open a verification; the caller makes sure that neither another one nor a calibration is open."""
@@ -198,6 +218,19 @@ class Verifications:
             verification = _cancelled(verification, reason)
             await self._keep(verification)
             log.warning("verification cancelled: %s verification=%s", reason, name)
+        return verification
+
+    async def void(self, name: str, reason: str) -> Verification | None:
+        """Declare a verdict void and return the verification, as it is without a verdict; None when there is none."""
+        verification = self._known.get(name)
+        if verification is not None and verification.state in (
+            VerificationState.PASSED,
+            VerificationState.FAILED,
+        ):
+            problems = (*verification.problems, f"void: {reason}")
+            verification = replace(verification, state=VerificationState.VOID, problems=problems)
+            await self._keep(verification)
+            log.warning("verification void: %s verification=%s", reason, name)
         return verification
 
     async def cancel_idle(self) -> None:
@@ -239,6 +272,10 @@ class Verifications:
         document = self._adapter.dump_python(verification, mode="json")
         async with self._writing:  # a ball may arrive during a cancellation
             await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
+
+
+def _age(verification: Verification, now: datetime) -> timedelta:
+    return now - datetime.fromisoformat(verification.changed_at)
 
 
 def _cancelled(verification: Verification, reason: str) -> Verification:

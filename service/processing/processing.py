@@ -32,7 +32,7 @@ from service.processing.measure_job import (
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, WorkerPool
-from service.results.fields import LossReason
+from service.results.fields import LossReason, Verified
 from service.results.record import lost_record
 
 log = logging.getLogger(__name__)
@@ -77,6 +77,9 @@ class CalibrationInUse(Protocol):
     @property
     def collector(self) -> DropCollector | None: ...
 
+    @property
+    def verified(self) -> Verified | None: ...
+
 
 @dataclass(frozen=True, slots=True)
 class FixedCalibration:
@@ -84,6 +87,7 @@ class FixedCalibration:
 
     rig_file: RigFile
     collector: DropCollector | None = None
+    verified: Verified | None = None
 
 
 class ResultSink(Protocol):
@@ -274,7 +278,8 @@ class Processing:
             case _Measured(MeasuredBundle(record, network), folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
                 self._last_loss = None
-                seq = await self._results.finish(session, bundle.name, record, files)
+                marked = {**record, "verification": self._calibration.verified}
+                seq = await self._results.finish(session, bundle.name, marked, files)
                 self._on_network(network)
                 if keep_drop is not None:
                     try:

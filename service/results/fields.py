@@ -101,6 +101,16 @@ Numbers = Annotated[list[float] | None, ONLY_IF_MEASURED]
 Text = Annotated[str | None, ONLY_IF_MEASURED]
 
 
+class Verified(StrEnum):
+    """Whether balls of known diameter show that the calibration in use is right."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    OVERDUE = "overdue"
+    """The last time is longer ago than `[verification] every_h`."""
+    NEVER = "never"
+
+
 class Result(BaseModel):
     """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
 
@@ -208,6 +218,9 @@ class Result(BaseModel):
     optics: dict[str, ViewOptics] = Field(default={}, description="How well each camera saw this stone")
     timings_ms: dict[str, float] = Field(default={}, description="Computing time of each stage, ms")
     calibration_id: str | None = Field(default=None, description="Calibration that was measured with")
+    verification: Verified | None = Field(
+        default=None, description="What the last balls said of the rig when the stone was measured"
+    )
     algorithm_version: str | None = Field(default=None, description="Changes whenever results may")
     is_simulated: bool | None = Field(default=None, description="True when the images are synthetic")
     is_replay: bool | None = Field(

@@ -143,6 +143,13 @@ async def test_a_verification_and_its_verdict(client: httpx.AsyncClient, control
     assert (await client.get("/verifications")).json()["items"] == [verdict]
     assert (await client.post("/verifications/0001/cancel")).json() == verdict
     assert "verification 0001 failed" in str(control.calibrations.facts().trouble)
+    chart = (await client.get("/verifications/chart?diameter_mm=15")).json()
+    assert (chart["lower_mm"], [point["verification"] for point in chart["points"]]) == (None, ["0001"])
+    assert chart["points"][0]["error_mm"] == verdict["summary"]["error_mm"]
+    voided = await client.post("/verifications/0001/void", json={"reason": "another ball"})
+    assert voided.json()["state"] == "void"
+    assert control.calibrations.facts().trouble is None
+    assert (await client.get("/verifications/chart")).json()["points"] == []
 
 
 async def test_who_may_do_what(store: Store, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob,
 from service.processing.processing import Processing, ProcessingContext
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
+from service.results.fields import Verified
 
 RIG = RigFile(Path("rig.json"), "rig")
 
@@ -99,6 +100,7 @@ class Desk:
 
     rig_file: RigFile = RIG
     kind: BundleKind | None = None
+    verified: Verified | None = None
     collected: list[tuple[ObservedDrop, str, bool]] = field(default_factory=list)
 
     @property

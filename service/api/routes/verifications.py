@@ -3,9 +3,10 @@
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Response
+from fastapi import APIRouter, Depends, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.gradation.control_chart import control_chart
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import existing, problem_responses
@@ -75,6 +76,35 @@ class VerificationDocument(BaseModel):
     problems: list[str] = Field(description="Why it failed or was cancelled, with the remedy")
 
 
+class VoidRequest(BaseModel):
+    """Why a verdict counts no more."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reason: Annotated[str, Field(min_length=1, max_length=2000)]
+
+
+class ChartPoint(BaseModel):
+    """One verification of the chart."""
+
+    verification: str
+    at: str = Field(json_schema_extra=TIME)
+    state: VerificationState
+    error_mm: float = Field(description="Mean of the equivalent diameters minus the true one")
+    is_beyond_limits: bool = Field(description="Further than three standard deviations from the centre")
+    is_shifted: bool = Field(description="The ninth in a row on one side of the centre, or one after it")
+
+
+class ChartDocument(BaseModel):
+    """Control chart of the verifications with one ball, ISO 7870-2: void ones are left out."""
+
+    diameter_mm: float
+    centre_mm: float
+    lower_mm: float | None = Field(description="Null with fewer than 8 verifications")
+    upper_mm: float | None
+    points: list[ChartPoint] = Field(description="Oldest first")
+
+
 class Verifications(BaseModel):
     """All verifications, newest first."""
 
@@ -116,6 +146,39 @@ async def start_verification(
 
 
 @router.get(
+    "/chart",
+    response_model=ChartDocument,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
+)
+async def verification_chart(
+    context: Context,
+    diameter_mm: Annotated[float, Query(gt=0, le=100, description="Of the ball")] = 15.0,
+) -> dict[str, Any]:
+    """Return the control chart of all verifications with a ball: centre, limits, and which are out of control."""
+    series = context.control.calibrations.verifications.series(diameter_mm)
+    points = [(each, summary) for each in series if (summary := each.summary) is not None]
+    found = control_chart([summary.error_mm for _, summary in points], centre=0.0) if points else None
+    return {
+        "diameter_mm": diameter_mm,
+        "centre_mm": 0.0,
+        "lower_mm": found and found.lower,
+        "upper_mm": found and found.upper,
+        "points": [
+            {
+                "verification": each.id,
+                "at": each.changed_at,
+                "state": each.state,
+                "error_mm": summary.error_mm,
+                "is_beyond_limits": found is not None and number in found.beyond_limits,
+                "is_shifted": found is not None and number in found.shifted,
+            }
+            for number, (each, summary) in enumerate(points)
+        ],
+    }
+
+
+@router.get(
     "/{verification}",
     response_model=VerificationDocument,
     dependencies=[Depends(require(Scope.READ))],
@@ -137,6 +200,20 @@ async def cancel_verification(context: Context, verification: VerificationName) 
     """Cancel a verification: it ends without a verdict. One that has ended stays as it is."""
     cancelled = await context.control.calibrations.verifications.cancel(verification, "cancelled on request")
     return _document(existing(cancelled, "verification", verification))
+
+
+@router.post(
+    "/{verification}/void",
+    response_model=VerificationDocument,
+    dependencies=[Depends(require(Scope.CONFIGURE))],
+    responses=problem_responses(404),
+)
+async def void_verification(
+    context: Context, verification: VerificationName, wanted: VoidRequest
+) -> dict[str, Any]:
+    """Declare a verdict void: it counts no more, for health and results the one before does."""
+    voided = await context.control.calibrations.verifications.void(verification, wanted.reason)
+    return _document(existing(voided, "verification", verification))
 
 
 def _document(verification: Verification) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from service.calibration.verifications import (
     VerificationState,
     open_verifications,
 )
+from service.results.fields import Verified
 
 PLAN = VerificationPlan(diameter_mm=15.0, count=3)
 
@@ -112,6 +113,25 @@ async def test_overdue_is_trouble_where_a_verification_is_asked_for(tmp_path: Pa
     await let_fall(desk, [15.0, 15.0, 15.0])
     assert desk.trouble("rig", datetime.now(UTC)) is None
     assert "9 hours ago" in str(desk.trouble("rig", datetime.now(UTC) + timedelta(hours=9)))
+
+
+async def test_the_word_for_results_and_a_verdict_that_is_void(tmp_path: Path):
+    desk, now = opened(tmp_path, every_h=8.0), datetime.now(UTC)
+    assert desk.verified("rig", now) is Verified.NEVER
+    await desk.start(PLAN, "rig")
+    await let_fall(desk, [15.0, 15.0, 15.0])
+    assert desk.verified("rig", datetime.now(UTC)) is Verified.PASSED
+    assert desk.verified("rig", datetime.now(UTC) + timedelta(hours=9)) is Verified.OVERDUE
+    wrong = await desk.start(PLAN, "rig")
+    await let_fall(desk, [15.5, 15.5, 15.5])
+    assert desk.verified("rig", datetime.now(UTC)) is Verified.FAILED
+    assert len(desk.series(15.0)) == 2
+    voided = await desk.void(wrong.id, "the ball of the other rig")
+    assert voided is not None
+    assert (voided.state, voided.problems[-1]) == (VerificationState.VOID, "void: the ball of the other rig")
+    assert desk.verified("rig", datetime.now(UTC)) is Verified.PASSED
+    assert [each.state for each in opened(tmp_path, every_h=8.0).series(15.0)] == [VerificationState.PASSED]
+    assert await desk.void("0009", "why") is None
 
 
 async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
