@@ -22,6 +22,8 @@ COMMANDS = {
     "calibrate": "service.commands.calibrate",
     "calibration": "service.commands.calibration",
     "measure": "service.commands.measure",
+    "lots": "service.commands.lots",
+    "report": "service.commands.report",
     "models": "service.commands.models",
     "record": "service.commands.record",
     "backup": "service.commands.backup",

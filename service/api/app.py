@@ -17,16 +17,21 @@ from service.api.reader_process import Reading
 from service.api.routes import (
     accounting,
     acquisition,
+    audit,
     calibrations,
     cameras,
     consumers,
     health,
+    laboratory,
+    lots,
     particle_files,
     particles,
     pins,
+    products,
     recordings,
     results,
     verifications,
+    windows,
 )
 from service.api.settings import ApiSettings, Scope
 from service.api.version import API_VERSION, BASE
@@ -62,10 +67,21 @@ def build_routes() -> FastAPI:
         generate_unique_id_function=lambda route: route.name,
     )
     # each route of these names its scope: live and ready need no key, others another scope than `read`
-    for module in (health, acquisition, recordings, calibrations, verifications, consumers, pins):
+    for module in (
+        health,
+        acquisition,
+        recordings,
+        calibrations,
+        verifications,
+        consumers,
+        pins,
+        products,
+        lots,
+        laboratory,
+    ):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
-    for module in (results, particles, particle_files, cameras, accounting):
+    for module in (results, particles, particle_files, cameras, accounting, windows, audit):
         readable.include_router(module.router)
     app.include_router(readable, prefix=BASE)
 

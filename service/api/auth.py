@@ -18,6 +18,9 @@ from service.api.context import Context
 from service.api.problems import Problem
 from service.api.settings import ApiKey, Scope
 
+THIS_MACHINE = "this machine"
+"""Who asks while no key is configured."""
+
 bearer = HTTPBearer(
     auto_error=False,
     scheme_name="key",
@@ -34,6 +37,7 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
         if not keys:
             if scope is not Scope.READ and not _is_from_this_machine(request):
                 raise Problem(403, "forbidden", "only this machine may write while no key is configured")
+            request.state.who = THIS_MACHINE
             return
         if credentials is None:
             raise Problem(
@@ -69,8 +73,17 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
                 f"key {key.name!r} lacks the scope {str(scope)!r}",
                 headers={"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'},
             )
+        request.state.who = f"key {key.name}"
 
     return check
+
+
+def who(request: Request) -> str:
+    """Return who asks, for the audit; on a route that requires a scope."""
+    return str(request.state.who)
+
+
+Who = Annotated[str, Depends(who)]
 
 
 def _key_of(token: str, keys: tuple[ApiKey, ...]) -> ApiKey | None:

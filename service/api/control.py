@@ -8,6 +8,7 @@ from typing import Protocol
 
 from pipeline.frames import CameraId, Image
 from service.calibration.calibrations import Calibrations
+from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 
@@ -20,6 +21,9 @@ class Control(Protocol):
 
     @property
     def calibrations(self) -> Calibrations: ...
+
+    @property
+    def lots(self) -> LotsSettings: ...
 
     def acquisition_status(self) -> AcquisitionStatus: ...
 

@@ -6,6 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import BaseModel
+
+from service.lots.evaluation import lot_figures, window_figures
+from service.lots.yardsticks import Request
 from service.results.fields import completed
 from service.store import ParticleFilter, Record
 from service.store.reads import particles, results_after
@@ -41,6 +45,22 @@ def particles_page(
     records = particles(connection, wanted, before_seq, limit + 1)
     items = records[:limit]
     return _page_json({"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}, items)
+
+
+def lot_figures_json(connection: sqlite3.Connection, lot: str, request: Request) -> bytes | None:
+    """Return the figures of a lot, None if there is none."""
+    return _model_json(lot_figures(connection, lot, request))
+
+
+def window_figures_json(
+    connection: sqlite3.Connection, since: str, until: str, request: Request, product: str | None
+) -> bytes | None:
+    """Return the figures of a time, None if the product is unknown."""
+    return _model_json(window_figures(connection, since, until, request, product))
+
+
+def _model_json(model: BaseModel | None) -> bytes | None:
+    return None if model is None else model.model_dump_json().encode()
 
 
 def _page_json(head: Mapping[str, Any], items: Sequence[Record]) -> bytes:

@@ -18,7 +18,9 @@ class DaemonError(ServiceError):
     """The daemon cannot be reached, or refuses a request."""
 
 
-def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def ask(
+    url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None, *, method: str | None = None
+) -> dict[str, Any]:
     """Return the answer to a GET request, or with a `body` to a POST request; members that are None are not sent.
 
     Raises
@@ -26,19 +28,31 @@ def ask(url: str, path: str, key: str | None, body: Mapping[str, Any] | None = N
     DaemonError
         It does not answer, or refuses; carries the reason it gives.
     """
+    content = fetch(url, path, key, body, method=method)
+    try:
+        return dict(json.loads(content))
+    except ValueError as err:
+        raise DaemonError(f"no answer from {url}: {err}: is the daemon running there?") from None
+
+
+def fetch(
+    url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None, *, method: str | None = None
+) -> bytes:
+    """Return the content of an answer, whatever it is; otherwise as `ask`."""
     if urlsplit(url).scheme not in ("http", "https"):
         raise DaemonError(f"--url {url}: must begin with http:// or https://")
-    headers = {"Accept": "application/json"}
+    headers: dict[str, str] = {}
     data = None
     if body is not None:
         headers["Content-Type"] = "application/json"
         data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
     if key is not None:
         headers["Authorization"] = f"Bearer {key}"
-    request = urllib.request.Request(f"{url.rstrip('/')}{BASE}{path}", data, headers)  # noqa: S310 - http or https, see above
+    address = f"{url.rstrip('/')}{BASE}{path}"
+    request = urllib.request.Request(address, data, headers, method=method)  # noqa: S310 - http or https, see above
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:  # noqa: S310 - as above
-            return dict(json.load(answer))
+            return bytes(answer.read())
     except urllib.error.HTTPError as err:
         with err:
             raise DaemonError(_refusal(err)) from None

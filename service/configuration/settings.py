@@ -28,6 +28,7 @@ from service.configuration.segmentation_settings import SegmentationSettings, pl
 from service.configuration.volume_models import MeasuringSettings
 from service.errors import SettingsError, VolumeModelError
 from service.health.optical_watch import OpticalParameters
+from service.lots.shifts import LotsSettings
 from service.recording.recordings import RecordingsSettings
 from service.store import KEEP_RAW
 from service.store.retention import RetentionLimits
@@ -101,6 +102,7 @@ class Settings(BaseModel):
     verification: VerificationParameters = VerificationParameters()
     workers: WorkersSettings = WorkersSettings()
     recordings: RecordingsSettings = RecordingsSettings()
+    lots: LotsSettings = LotsSettings()
     api: ApiSettings = ApiSettings()
 
     @property

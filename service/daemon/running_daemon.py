@@ -20,6 +20,7 @@ from service.health.assessment import Facts, assess
 from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
+from service.lots.shifts import LotsSettings
 from service.processing.processing import Processing
 from service.processing.quarantine import Quarantine
 from service.processing.segmenters import SegmenterPlan
@@ -65,6 +66,10 @@ class Daemon:
     processing: Processing
     heartbeats: Heartbeats
     watches: Watches
+
+    @property
+    def lots(self) -> LotsSettings:
+        return self.settings.lots
 
     def acquisition_status(self) -> AcquisitionStatus:
         return self.acquisition.status()

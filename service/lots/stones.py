@@ -11,13 +11,8 @@ SURFACES = sqrt(2.0)
 """Standard deviation of a distance between two surfaces by that of one: their errors are taken for independent."""
 
 
-def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone | None:
-    """Return the stone of a record, None of what is none: a ball.
-
-    Whether a replay counts is for the caller: in a store of replays it does.
-    """
-    if record["kind"] == BundleKind.BALL:
-        return None
+def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
+    """Return the stone of a record; whether a replay counts is for the caller: in a store of replays it does."""
     fate = Fate(record["outcome"])
     if fate is not Fate.MEASURED:
         return UnmeasuredStone(fate=fate, reason=record["reason"])
@@ -32,5 +27,5 @@ def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone | None:
 
 
 def lot_of_records(records: Iterable[Mapping[str, Any]]) -> Lot:
-    """Return the lot of all stones in these records."""
-    return lot_of(stone for stone in map(stone_of, records) if stone is not None)
+    """Return the lot of all stones in these records; balls are none."""
+    return lot_of(stone_of(record) for record in records if record["kind"] != BundleKind.BALL)

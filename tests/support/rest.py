@@ -17,6 +17,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Tri
 from service.api.app import create_app
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
+from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.status import (
     AcquisitionState,
@@ -61,6 +62,7 @@ class FakeControl:
     condition: Health = GOOD_HEALTH
     images: dict[str, Image] = field(default_factory=dict)
     calibrations: Calibrations | None = None
+    lots: LotsSettings = field(default_factory=LotsSettings)
 
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pipeline.gradation.stones import Fate
-from service.lots.stones import lot_of_records, stone_of
+from service.lots.stones import lot_of_records
 from service.results.fields import EMPTY
 
 RECORD: dict[str, Any] = EMPTY | {
@@ -39,7 +39,7 @@ def test_results_of_versions_without_uncertainty_have_no_errors() -> None:
 def test_what_was_not_measured_counts_and_balls_do_not() -> None:
     lost = EMPTY | {"kind": None, "outcome": "lost", "reason": "crash"}
     rejected = EMPTY | {"kind": "particle", "outcome": "rejected", "reason": "clipped"}
-    assert stone_of(RECORD | {"kind": "ball"}) is None
+    assert lot_of_records([RECORD | {"kind": "ball"}]).n_measured == 0
     lot = lot_of_records([lost, rejected, RECORD | {"kind": "ball"}])
     assert lot.n_measured == 0
     assert lot.counts == {(Fate.LOST, "crash"): 1, (Fate.REJECTED, "clipped"): 1}

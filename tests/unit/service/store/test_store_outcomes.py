@@ -4,6 +4,7 @@ import asyncio
 import sqlite3
 import threading
 from contextlib import closing
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from support.stores import folder_of
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, GateCount, rfc3339
 from service.errors import StoreError
+from service.lots.stored_stones import stones_between
 from service.results.fields import Result
 from service.results.version import ALGORITHM_VERSION
 from service.store import ParticleFilter, Store, open_store, writes
@@ -176,18 +178,20 @@ async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
         session = await store.begin_session({})
         await add(store, session, 1, measured(sieve_size_mm=12.0))
         await add(store, session, 2, rejected("empty"))
-    database = sqlite3.connect(state_dir / "results.sqlite")
-    database.executescript(
-        """DROP TABLE files; DROP TABLE pins; DROP TABLE consumers;
-        DROP TRIGGER count_removed; DROP TABLE removed_results;
-        ALTER TABLE store DROP COLUMN first_seq; ALTER TABLE store DROP COLUMN files_bytes;
-        DROP TRIGGER list_result; DROP TRIGGER unlist_result; DROP TABLE listed;
-        ALTER TABLE store DROP COLUMN first_raw;
-        CREATE INDEX results_by_outcome ON results (session, outcome, reason, quality);
-        CREATE INDEX results_by_time ON results (captured_at);
+    database = state_dir / "results.sqlite"
+    database.rename(state_dir / "today.sqlite")
+    old = sqlite3.connect(database)
+    old.executescript((files("service.store") / "001_initial.sql").read_text(encoding="utf-8"))
+    old.execute("ATTACH ? AS today", (str(state_dir / "today.sqlite"),))
+    old.executescript(
+        """INSERT INTO store SELECT one, instance_id, last_seq FROM today.store;
+        INSERT INTO sessions SELECT session, started_at, info FROM today.sessions;
+        INSERT INTO triggers SELECT trigger, session, bundle, sequence, kind, captured_at, state FROM today.triggers;
+        INSERT INTO results (seq, id, trigger, session, record)
+            SELECT seq, id, trigger, session, record FROM today.results;
         PRAGMA user_version = 1"""
     )
-    database.close()
+    old.close()
     with await asyncio.to_thread(open_store, state_dir) as store:
         session = await store.begin_session({})
         await add(store, session, 3, measured(sieve_size_mm=30.0))
@@ -195,6 +199,8 @@ async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
         assert [record["seq"] for record in large] == [3, 1]
         counts = await store.accounting()
         assert (counts.triggers, counts.measured, counts.by_reason) == (3, 2, {"empty": 1})
+        stones = await store.read(stones_between, "2000", "3000")
+        assert len(stones.stones) == 3
 
 
 async def test_readers_have_threads_of_their_own(store: Store, session: int) -> None:

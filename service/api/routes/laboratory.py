@@ -1,0 +1,206 @@
+"""The laboratory's sievings of lots, and the correlation study of a product."""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.gradation.correlation import Form
+from service.api.auth import Who, require
+from service.api.context import Context
+from service.api.problems import Problem, existing, problem_responses
+from service.api.routes.lots import LotName
+from service.api.routes.products import ProductName, Text
+from service.api.settings import Scope
+from service.lots.laboratory import (
+    Correlation,
+    NothingToStudyError,
+    Sieving,
+    SievingError,
+    StoredSieving,
+    add_sieving,
+    correlations,
+    keep_study,
+    parse_table,
+    sievings,
+    study_of,
+)
+from service.lots.lots import find_lot
+from service.lots.products import find_product
+from service.results.fields import TIME
+from service.store import read
+
+router = APIRouter(tags=["laboratory"])
+
+READABLE = [Depends(require(Scope.READ))]
+OPERABLE = [Depends(require(Scope.OPERATE))]
+CONFIGURABLE = [Depends(require(Scope.CONFIGURE))]
+
+
+class SievingRequest(BaseModel):
+    """What a laboratory found: `retained_g` with `pan_g`, or a `table` as it is copied from a spreadsheet."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    retained_g: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], float] | None = Field(
+        default=None, description="Grams retained on each sieve, by aperture in mm"
+    )
+    pan_g: float = Field(default=0.0, description="Grams in the pan")
+    table: Annotated[str, Field(max_length=20_000)] | None = Field(
+        default=None,
+        description="Lines of aperture in mm (or `pan`), semicolon or tab, mass in g, or in kg where it says so",
+    )
+    sample_id: Text | None = None
+    by: Text | None = None
+    remark: Annotated[str, Field(max_length=2000)] | None = None
+
+
+class SievingDocument(BaseModel):
+    """A sieving of a lot."""
+
+    sieving: int
+    at: str = Field(json_schema_extra=TIME)
+    retained_g: dict[str, float]
+    pan_g: float
+    mass_g: float
+    passing_percent: dict[str, float] = Field(description="By aperture in mm")
+    sample_id: str | None
+    by: str | None
+    remark: str | None
+
+
+class Sievings(BaseModel):
+    """All sievings of a lot, in their order."""
+
+    items: list[SievingDocument]
+
+
+class StudyRequest(BaseModel):
+    """A correlation study over all lots of a product that were sieved."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    form: Form = Field(default=Form.FACTOR, description="One factor for all sizes, or a rising mapping")
+
+
+class CorrelationDocument(BaseModel):
+    """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
+
+    product: str
+    version: int
+    at: str = Field(json_schema_extra=TIME)
+    form: Form
+    factor: float = Field(description="Sieve's size by the instrument's, mean of all sizes")
+    instrument_mm: list[float] = Field(description="Knots of the mapping; one knot is one factor")
+    sieve_mm: list[float]
+    relative_se: list[float | None] = Field(
+        description="Standard error at each knot, from lot to lot; null with one lot"
+    )
+    n_lots: int
+    n_points: int
+    raw_rmse: float = Field(description="Points of passing by which raw curves miss the laboratory's")
+    raw_bias: float
+    rmse: float = Field(description="The same with the mapping, on the lots that it was fitted to")
+    held_out_rmse: float | None = Field(
+        description="Each lot by the mapping of the others; null with one lot"
+    )
+    held_out_bias: float | None
+
+
+class Correlations(BaseModel):
+    """All versions of a product's study, the newest first; the newest is in use."""
+
+    items: list[CorrelationDocument]
+
+
+@router.post(
+    "/lots/{lot}/sieving",
+    status_code=201,
+    response_model=SievingDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 422),
+)
+async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> dict[str, Any]:
+    """Store what a laboratory found in a portion of a lot, to be shown beside the instrument's curve."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    try:
+        sieving = _sieving(wanted)
+    except SievingError as err:
+        raise Problem(422, "invalid-request", str(err)) from err
+    context.store.require_writable()
+    return _document(await context.store.write(add_sieving, lot, sieving, asking))
+
+
+@router.get(
+    "/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE, responses=problem_responses(404)
+)
+async def list_sievings(context: Context, lot: LotName) -> dict[str, Any]:
+    """Return what laboratories found in a lot."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    return {"items": [_document(each) for each in await context.store.read(sievings, lot)]}
+
+
+@router.post(
+    "/products/{product}/correlations",
+    status_code=201,
+    response_model=CorrelationDocument,
+    dependencies=CONFIGURABLE,
+    responses=problem_responses(404, 409),
+)
+async def post_correlation(
+    context: Context, product: ProductName, wanted: StudyRequest, asking: Who
+) -> dict[str, Any]:
+    """Study how the sievings of a product's lots and the instrument agree; lots show both curves from now on."""
+    existing(await context.store.read(find_product, product), "product", product)
+    context.store.require_writable()
+    try:
+        found = await context.reading.run(read, context.store.path, study_of, product, wanted.form)
+    except NothingToStudyError as err:
+        raise Problem(409, "nothing-to-study", str(err)) from err
+    return _flat(await context.store.write(keep_study, product, found, asking))
+
+
+@router.get(
+    "/products/{product}/correlations",
+    response_model=Correlations,
+    dependencies=READABLE,
+    responses=problem_responses(404),
+)
+async def list_correlations(context: Context, product: ProductName) -> dict[str, Any]:
+    """Return all versions of a product's correlation study, the newest first."""
+    existing(await context.store.read(find_product, product), "product", product)
+    return {"items": [_flat(each) for each in await context.store.read(correlations, product)]}
+
+
+def _sieving(wanted: SievingRequest) -> Sieving:
+    words = wanted.model_dump(include={"sample_id", "by", "remark"})
+    if (wanted.retained_g is None) == (wanted.table is None):
+        raise SievingError("retained_g, table: give one of them")
+    if wanted.table is not None:
+        return parse_table(wanted.table, **words)
+    retained_g = {float(aperture): grams for aperture, grams in (wanted.retained_g or {}).items()}
+    return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words)
+
+
+def _document(stored: StoredSieving) -> dict[str, Any]:
+    sieving = stored.document
+    return {
+        **asdict(sieving),
+        "sieving": stored.sieving,
+        "at": stored.at,
+        "mass_g": sieving.mass_g,
+        "retained_g": {f"{sieve_mm:g}": grams for sieve_mm, grams in sieving.retained_g.items()},
+        "passing_percent": {f"{sieve_mm:g}": share for sieve_mm, share in sieving.passing_percent.items()},
+    }
+
+
+def _flat(correlation: Correlation) -> dict[str, Any]:
+    found = correlation.study
+    document = {
+        **asdict(correlation),
+        **asdict(found),
+        **asdict(found.mapping),
+        "factor": found.mapping.factor,
+    }
+    return {name: value for name, value in document.items() if name not in ("study", "mapping")}

@@ -1,0 +1,354 @@
+"""Lots of the plant: opened, closed, voided; their stones, and the figures that these make up."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Annotated, Any, TypeVar
+
+from fastapi import APIRouter, Depends, Path, Query, Response
+from fastapi import Request as HttpRequest
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.api.auth import Who, require
+from service.api.context import ApiContext, Context
+from service.api.lot_reports import ReportRequest, lot_report
+from service.api.pages import lot_figures_json
+from service.api.problems import Problem, existing, problem_responses
+from service.api.routes.particle_files import best_match
+from service.api.routes.particles import Time
+from service.api.routes.products import Text
+from service.api.settings import Scope
+from service.api.version import BASE
+from service.calibration.verifications import Verification, VerificationState
+from service.lots.evaluation import lot_document
+from service.lots.figures import LotDocument, LotFigures
+from service.lots.lots import (
+    LotConflictError,
+    LotDefinition,
+    LotRecord,
+    LotState,
+    UnknownProductError,
+    assign,
+    close_lot,
+    find_lot,
+    lots,
+    open_lot,
+    void_lot,
+)
+from service.lots.products import find_product
+from service.lots.stored_stones import stones_behind
+from service.lots.yardsticks import Request, UnknownYardstickError, yardstick_of
+from service.reports.report import Language, LastVerification, ReportFormat, VerificationOutcome
+from service.results.fields import TIME, Verified
+from service.store import read
+
+router = APIRouter(prefix="/lots", tags=["lots"])
+
+T = TypeVar("T")
+
+LotName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Tonnage = Annotated[float | None, Field(ge=0, le=1e6, description="Of the whole lot, t")]
+SieveSetName = Annotated[str | None, Query(max_length=200, description="Another than the product's")]
+SpecificationName = Annotated[str | None, Query(max_length=200, description="Another than the product's")]
+READABLE = [Depends(require(Scope.READ))]
+OPERABLE = [Depends(require(Scope.OPERATE))]
+
+
+REPORTS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {each.media_type.partition(";")[0]: {} for each in ReportFormat}}
+}
+REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""What a browser lets the HTML do: it has no scripts and loads nothing."""
+
+
+class LotRequest(BaseModel):
+    """A lot to open, in the words of ISA-95."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    lot: Id = Field(description="Material lot")
+    product: Id = Field(description="Material definition")
+    product_version: int | None = Field(default=None, ge=1, strict=True, description="The newest when absent")
+    equipment: Text | None = Field(default=None, description="The crusher or belt that it comes from")
+    sublot: Text | None = None
+    sample_id: Text | None = None
+    sampler: Text | None = None
+    tonnage_t: Tonnage = None
+    remark: Annotated[str, Field(max_length=2000)] | None = None
+
+
+class CloseRequest(BaseModel):
+    """What is known of a lot at its end."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    tonnage_t: Tonnage = None
+
+
+class VoidRequest(BaseModel):
+    """Why a lot counts no more."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reason: Annotated[str, Field(min_length=1, max_length=2000)]
+
+
+class AssignRequest(BaseModel):
+    """A time, whose stones outside of any lot are to be in this one."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    since: Annotated[Time, Field(description="Captured at or after", json_schema_extra=TIME)]
+    until: Annotated[Time, Field(description="Captured before", json_schema_extra=TIME)]
+
+
+class LotsPage(BaseModel):
+    """Lots, newest first."""
+
+    items: list[LotDocument]
+    next_before: str | None = Field(description="Pass as `before` for the next page; null on the last")
+
+
+class Assigned(BaseModel):
+    """What an assignment changed."""
+
+    lot: LotDocument
+    n_assigned: int = Field(description="Stones that are in the lot now and were in none")
+
+
+class StoneBehindStep(BaseModel):
+    """A stone between two neighbouring sieves of the curve."""
+
+    seq: int
+    id: str
+    captured_at: str = Field(json_schema_extra=TIME)
+    quality: str
+    sieve_size_mm: float
+    volume_mm3: float
+    influence_percent: float = Field(description="Its share of the lot's mass")
+
+
+class StonesBehindStep(BaseModel):
+    """The stones that pass one sieve and not the next smaller one, the heaviest first."""
+
+    above_mm: float
+    up_to_mm: float
+    items: list[StoneBehindStep]
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=LotDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 409),
+)
+async def post_lot(context: Context, wanted: LotRequest, response: Response, asking: Who) -> LotDocument:
+    """Open a lot: what falls from now on is in it, whenever it is measured.
+
+    The same request again returns the open lot. 409 `lot-conflict` while another is open, or if this one was.
+    """
+    given = wanted.model_dump(exclude={"product", "product_version"})
+    definition = LotDefinition(**given)
+    context.store.require_writable()
+    try:
+        record = await context.store.write(
+            open_lot, definition, wanted.product, wanted.product_version, asking
+        )
+    except UnknownProductError as err:
+        raise Problem(404, "unknown-product", f"there is no product {err}") from err
+    except LotConflictError as err:
+        raise Problem(409, "lot-conflict", str(err)) from err
+    response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
+    return lot_document(record)
+
+
+@router.get("", response_model=LotsPage, dependencies=READABLE, responses=problem_responses())
+async def list_lots(
+    context: Context,
+    state: LotState | None = None,
+    product: Annotated[str | None, Query(max_length=64)] = None,
+    before: Annotated[Time | None, Query(description="Opened before, RFC 3339")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> LotsPage:
+    """Return lots, newest first."""
+    found = await context.store.read(lots, state, product, before, limit + 1)
+    items = [lot_document(each) for each in found[:limit]]
+    return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
+
+
+@router.get("/{lot}", response_model=LotDocument, dependencies=READABLE, responses=problem_responses(404))
+async def get_lot(context: Context, lot: LotName) -> LotDocument:
+    """Return a lot."""
+    return lot_document(existing(await context.store.read(find_lot, lot), "lot", lot))
+
+
+@router.post(
+    "/{lot}/close",
+    response_model=LotDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 409),
+)
+async def post_close(context: Context, lot: LotName, wanted: CloseRequest, asking: Who) -> LotDocument:
+    """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
+    return _served(lot, await _changed(context, close_lot, lot, wanted.tonnage_t, asking))
+
+
+@router.post(
+    "/{lot}/void", response_model=LotDocument, dependencies=OPERABLE, responses=problem_responses(404)
+)
+async def post_void(context: Context, lot: LotName, wanted: VoidRequest, asking: Who) -> LotDocument:
+    """Declare a lot void: it counts no more, and is kept."""
+    return _served(lot, await _changed(context, void_lot, lot, wanted.reason, asking))
+
+
+@router.post(
+    "/{lot}/assign", response_model=Assigned, dependencies=OPERABLE, responses=problem_responses(404, 409)
+)
+async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, asking: Who) -> Assigned:
+    """Put the stones of a time that are in no lot into this one; the audit keeps who did it."""
+    done = await _changed(context, assign, lot, wanted.since, wanted.until, asking)
+    record, n_assigned = existing(done, "lot", lot)
+    return Assigned(lot=lot_document(record), n_assigned=n_assigned)
+
+
+@router.get(
+    "/{lot}/gradation",
+    response_model=LotFigures,
+    dependencies=READABLE,
+    responses=problem_responses(404, 422),
+)
+async def gradation(
+    context: Context,
+    lot: LotName,
+    sieve_set: SieveSetName = None,
+    specification: SpecificationName = None,
+) -> Response:
+    """Return the figures of a lot through the sieves and the specification of its product, or through any other."""
+    wanted = Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
+    try:
+        content = await context.reading.run(read, context.store.path, lot_figures_json, lot, wanted)
+    except UnknownYardstickError as err:
+        raise Problem(422, "invalid-request", str(err)) from err
+    return Response(existing(content, "lot", lot), media_type="application/json")
+
+
+@router.get(
+    "/{lot}/report",
+    response_class=Response,
+    dependencies=READABLE,
+    responses={**REPORTS, **problem_responses(404, 406, 422)},
+)
+async def report(
+    context: Context,
+    asked: HttpRequest,
+    lot: LotName,
+    language: Language = Language.ENGLISH,
+    sieve_set: SieveSetName = None,
+    specification: SpecificationName = None,
+) -> Response:
+    """Return the report of a lot in the format that `Accept` prefers: HTML, PDF, CSV or XLSX."""
+    offers = [each.media_type.partition(";")[0] for each in ReportFormat]
+    choice = best_match(asked.headers.get("accept"), offers)
+    if choice is None:
+        raise Problem(
+            406, "not-acceptable", "a report comes as " + ", ".join(offers), headers={"Vary": "Accept"}
+        )
+    return await _report(context, lot, list(ReportFormat)[choice], language, sieve_set, specification)
+
+
+@router.get(
+    "/{lot}/report.{report_format}",
+    response_class=Response,
+    dependencies=READABLE,
+    responses={**REPORTS, **problem_responses(404, 422)},
+)
+async def report_file(
+    context: Context,
+    lot: LotName,
+    report_format: ReportFormat,
+    language: Language = Language.ENGLISH,
+    sieve_set: SieveSetName = None,
+    specification: SpecificationName = None,
+) -> Response:
+    """Return the report of a lot as a file of this format."""
+    return await _report(context, lot, report_format, language, sieve_set, specification)
+
+
+@router.get(
+    "/{lot}/particles",
+    response_model=StonesBehindStep,
+    dependencies=READABLE,
+    responses=problem_responses(404, 422),
+)
+async def particles_behind_step(
+    context: Context,
+    lot: LotName,
+    sieve: Annotated[float, Query(gt=0, le=1000, description="Aperture of the upper sieve, mm")],
+    sieve_set: SieveSetName = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> dict[str, Any]:
+    """Return the stones behind a step of the curve: that pass this sieve and not the next smaller one of the set."""
+    record = existing(await context.store.read(find_lot, lot), "lot", lot)
+    try:
+        product = await context.store.read(find_product, record.product, record.version)
+        definition = None if product is None else product.definition
+        apertures_mm = yardstick_of(definition, Request(sieve_set=sieve_set)).apertures_mm
+    except UnknownYardstickError as err:
+        raise Problem(422, "invalid-request", str(err)) from err
+    above_mm = max((each for each in apertures_mm if each < sieve), default=0.0)
+    items = await context.store.read(stones_behind, lot, above_mm, sieve, limit)
+    return {"above_mm": above_mm, "up_to_mm": sieve, "items": [asdict(each) for each in items]}
+
+
+async def _changed(context: ApiContext, change: Callable[..., T], lot: str, *arguments: object) -> T:
+    """Change a lot in the store; raise the problem 409 where its state does not allow it."""
+    context.store.require_writable()
+    try:
+        return await context.store.write(change, lot, *arguments)
+    except LotConflictError as err:
+        raise Problem(409, "lot-conflict", str(err)) from err
+
+
+def _served(lot: str, record: LotRecord | None) -> LotDocument:
+    return lot_document(existing(record, "lot", lot))
+
+
+async def _report(
+    context: ApiContext,
+    lot: str,
+    report_format: ReportFormat,
+    language: Language,
+    sieve_set: str | None,
+    specification: str | None,
+) -> Response:
+    calibrations = context.control.calibrations
+    last = calibrations.verifications.last(calibrations.rig_file.calibration_id)
+    wanted = ReportRequest(
+        figures=Request(
+            sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured
+        ),
+        report_format=report_format,
+        language=language,
+        verification=None if last is None else _last_verification(last),
+        is_verification_overdue=calibrations.verified is Verified.OVERDUE,
+    )
+    store = context.store
+    try:
+        content = await context.reading.run(read, store.path, lot_report, store.particles_dir, lot, wanted)
+    except UnknownYardstickError as err:
+        raise Problem(422, "invalid-request", str(err)) from err
+    name = f'inline; filename="{lot}.{report_format}"'
+    headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
+    return Response(existing(content, "lot", lot), media_type=report_format.media_type, headers=headers)
+
+
+def _last_verification(last: Verification) -> LastVerification:
+    passed = last.state is VerificationState.PASSED
+    return LastVerification(
+        id=last.id,
+        at=last.changed_at,
+        outcome=VerificationOutcome.PASSED if passed else VerificationOutcome.FAILED,
+        diameter_mm=last.diameter_mm,
+        error_mm=None if last.summary is None else last.summary.error_mm,
+    )

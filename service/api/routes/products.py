@@ -1,0 +1,164 @@
+"""Products, with what they must be; the sieve sets and specifications that are known by name."""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Query
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.api.auth import Who, require
+from service.api.context import Context
+from service.api.problems import Problem, existing, problem_responses
+from service.api.settings import Scope
+from service.lots.products import (
+    definition_of,
+    find_product,
+    products,
+    save_product,
+)
+from service.lots.yardsticks import (
+    Request,
+    UnknownYardstickError,
+    specification_names,
+    yardstick_of,
+)
+from service.lots.yardsticks import standards as known_standards
+from service.results.fields import TIME
+
+router = APIRouter(prefix="/products", tags=["lots"])
+
+ProductName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Percent = Annotated[float, Field(ge=0, le=100)]
+PercentRange = Annotated[
+    list[Percent], Field(min_length=2, max_length=2, description="Least and greatest percent, both allowed")
+]
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+ApertureMm = Annotated[float, Field(gt=0, le=1000)]
+
+
+class OwnSpecification(BaseModel):
+    """Limits of the site's own."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Text
+    passing: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], PercentRange] = Field(
+        description="Percent passing by mass, by aperture in mm"
+    )
+    flakiness: PercentRange | None = Field(default=None, description="Flakiness index, EN 933-3")
+    shape: PercentRange | None = Field(default=None, description="Shape index, EN 933-4")
+
+
+class ProductRequest(BaseModel):
+    """What a product is; what is absent is not known."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: Text
+    density_kg_m3: float = Field(gt=0, le=20_000, description="Of the particles, EN 1097-6, kg/m³")
+    lower_mm: ApertureMm | None = Field(default=None, description="d of a product d/D, mm")
+    upper_mm: ApertureMm | None = Field(default=None, description="D of it, mm")
+    sieve_set: Text | Annotated[list[ApertureMm], Field(min_length=1, max_length=100)] = Field(
+        default="en-basic-2", description="Name of a set, see `/products/standards`; or apertures, mm"
+    )
+    specification: Text | OwnSpecification | None = Field(
+        default=None,
+        description="Name of a category or size, see `/products/standards`; or limits of your own",
+    )
+    flakiness_category: Text | None = Field(default=None, description="Such as `FI20`")
+    shape_category: Text | None = Field(default=None, description="Such as `SI20`")
+
+
+class ProductVersion(ProductRequest):
+    """One version of a product."""
+
+    model_config = ConfigDict(extra="allow")
+
+    product: str
+    version: int
+    created_at: str = Field(json_schema_extra=TIME)
+
+
+class ProductsDocument(BaseModel):
+    """The newest version of all products, by name."""
+
+    items: list[ProductVersion]
+
+
+class SieveSetDocument(BaseModel):
+    """A set of sieves."""
+
+    name: str
+    source: str
+    apertures_mm: list[float]
+
+
+class Standards(BaseModel):
+    """What can be named in a product."""
+
+    sieve_sets: list[SieveSetDocument]
+    specifications: list[str]
+
+
+@router.get(
+    "",
+    response_model=ProductsDocument,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
+)
+async def list_products(context: Context) -> dict[str, Any]:
+    """Return the newest version of all products."""
+    return {"items": [_document(asdict(each)) for each in await context.store.read(products)]}
+
+
+@router.get(
+    "/standards",
+    response_model=Standards,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(),
+)
+async def standards() -> dict[str, Any]:
+    """Return the sieve sets and specifications that are known by name."""
+    return {
+        "sieve_sets": [asdict(each) for each in known_standards().sieve_sets.values()],
+        "specifications": specification_names(),
+    }
+
+
+@router.put(
+    "/{product}",
+    response_model=ProductVersion,
+    dependencies=[Depends(require(Scope.CONFIGURE))],
+    responses=problem_responses(422),
+)
+async def put_product(
+    context: Context, product: ProductName, wanted: ProductRequest, asking: Who
+) -> dict[str, Any]:
+    """Define a product, or change it: a change is a new version, and lots keep theirs."""
+    definition = definition_of(wanted.model_dump())
+    try:
+        yardstick_of(definition, Request())
+    except UnknownYardstickError as err:
+        raise Problem(422, "invalid-request", str(err)) from err
+    context.store.require_writable()
+    return _document(asdict(await context.store.write(save_product, product, definition, asking)))
+
+
+@router.get(
+    "/{product}",
+    response_model=ProductVersion,
+    dependencies=[Depends(require(Scope.READ))],
+    responses=problem_responses(404),
+)
+async def product(
+    context: Context,
+    product: ProductName,
+    version: Annotated[int | None, Query(ge=1, description="The newest when absent")] = None,
+) -> dict[str, Any]:
+    """Return a version of a product."""
+    found = await context.store.read(find_product, product, version)
+    return _document(asdict(existing(found, "product", product)))
+
+
+def _document(product: dict[str, Any]) -> dict[str, Any]:
+    return {**product.pop("definition"), **product}

@@ -1,0 +1,209 @@
+"""`stonefall lots`: products and lots of a running daemon, as a client of its REST interface."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import quote, urlencode
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from drivers.files.durable import replacing
+from service.commands.daemon_client import ask, fetch
+from service.errors import UsageError
+
+DEFAULT_URL = "http://127.0.0.1:8080"
+FORMATS = ("html", "pdf", "csv", "xlsx")
+
+command = typer.Typer(
+    no_args_is_help=True, help="Products and lots of a running daemon: gradation, verdict, report."
+)
+
+Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
+Key = Annotated[
+    str | None,
+    typer.Option(
+        help="Token of a key, if the daemon requires one.", envvar="STONEFALL_KEY", show_envvar=True
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
+Lot = Annotated[str, typer.Argument(metavar="LOT", help="Name of the lot.")]
+SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in the place of the product's.")]
+Specification = Annotated[str | None, typer.Option(help="Specification, in the place of the product's.")]
+
+
+@command.command()
+def product(
+    name: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")],
+    density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, EN 1097-6, kg/m3.")],
+    title: Annotated[str | None, typer.Option(help="For people; the name when absent.")] = None,
+    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None,
+    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None,
+    sieve_set: SieveSet = None,
+    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None,
+    flakiness_category: Annotated[str | None, typer.Option(help="Such as FI20.")] = None,
+    shape_category: Annotated[str | None, typer.Option(help="Such as SI20.")] = None,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Define a product, or change it: a change is a new version, and lots keep theirs."""
+    wanted = {
+        "title": title or name,
+        "density_kg_m3": density_kg_m3,
+        "lower_mm": lower_mm,
+        "upper_mm": upper_mm,
+        "sieve_set": sieve_set,
+        "specification": specification,
+        "flakiness_category": flakiness_category,
+        "shape_category": shape_category,
+    }
+    saved = ask(url, f"/products/{quote(name)}", key, wanted, method="PUT")
+    typer.echo(json.dumps(saved) if as_json else f"product {name}, version {saved['version']}")
+
+
+@command.command("open")
+def open_(
+    lot: Lot,
+    product: Annotated[str, typer.Option(help="Name of the product.")],
+    equipment: Annotated[str | None, typer.Option(help="The crusher or belt that it comes from.")] = None,
+    sublot: str | None = None,
+    sample_id: str | None = None,
+    sampler: str | None = None,
+    tonnage_t: float | None = None,
+    remark: str | None = None,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Open a lot: what falls from now on is in it."""
+    words = {"equipment": equipment, "sublot": sublot, "sample_id": sample_id, "sampler": sampler}
+    wanted = {"lot": lot, "product": product, "tonnage_t": tonnage_t, "remark": remark, **words}
+    _show(ask(url, "/lots", key, wanted), as_json)
+
+
+@command.command()
+def close(
+    lot: Lot,
+    tonnage_t: float | None = None,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Close a lot; what fell before stays in it."""
+    _show(ask(url, f"/lots/{quote(lot)}/close", key, {"tonnage_t": tonnage_t}), as_json)
+
+
+@command.command()
+def void(
+    lot: Lot,
+    reason: Annotated[str, typer.Option(help="Why it counts no more.")],
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Declare a lot void; it is kept."""
+    _show(ask(url, f"/lots/{quote(lot)}/void", key, {"reason": reason}), as_json)
+
+
+@command.command()
+def assign(
+    lot: Lot,
+    since: Annotated[str, typer.Option(help="Captured at or after, RFC 3339.")],
+    until: Annotated[str, typer.Option(help="Captured before, RFC 3339.")],
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Put the stones of a time that are in no lot into this one."""
+    done = ask(url, f"/lots/{quote(lot)}/assign", key, {"since": since, "until": until})
+    typer.echo(json.dumps(done) if as_json else f"{done['n_assigned']} stones more are in lot {lot}")
+
+
+@command.command("list")
+def list_(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -> None:
+    """List lots, the newest first."""
+    page = ask(url, "/lots", key)
+    if as_json:
+        typer.echo(json.dumps(page))
+        return
+    table = Table("lot", "state", "product", "opened", "closed", "stones")
+    for lot in page["items"]:
+        version = f"{lot['product']} ({lot['product_version']})"
+        table.add_row(
+            lot["lot"], lot["state"], version, lot["opened_at"], lot["closed_at"], str(lot["n_stones"])
+        )
+    Console().print(table)
+
+
+@command.command()
+def show(
+    lot: Lot,
+    sieve_set: SieveSet = None,
+    specification: Specification = None,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show curve, indices and verdict of a lot, through its product's sieves or through any other."""
+    asked = {"sieve_set": sieve_set, "specification": specification}
+    query = urlencode({name: value for name, value in asked.items() if value is not None})
+    figures = ask(url, f"/lots/{quote(lot)}/gradation?{query}", key)
+    if as_json:
+        typer.echo(json.dumps(figures))
+        return
+    console = Console()
+    console.print(curve_table(figures))
+    console.print(
+        f"{figures['triggers']} stones fell = {figures['measured']} measured + {figures['rejected']} rejected"
+        f" + {figures['lost']} lost"
+    )
+    if figures["verdict"] is not None:
+        partly = " (partly measured)" if figures["is_partial"] else ""
+        console.print(
+            f"{figures['specification']}: [bold]{figures['verdict'].replace('_', ' ')}[/bold]{partly}"
+        )
+        console.print(figures["countdown"])
+
+
+@command.command()
+def report(
+    lot: Lot,
+    out: Annotated[Path, typer.Option(help=f"File to write; its ending is one of {', '.join(FORMATS)}.")],
+    language: Annotated[str, typer.Option(help="en or de.")] = "en",
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+) -> None:
+    """Write the report of a lot."""
+    kind = out.suffix.removeprefix(".")
+    if kind not in FORMATS:
+        raise UsageError(f"--out {out}: must end with .{', .'.join(FORMATS)}")
+    content = fetch(url, f"/lots/{quote(lot)}/report.{kind}?{urlencode({'language': language})}", key)
+    with replacing(out) as unfinished:
+        unfinished.write_bytes(content)
+    typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
+
+
+def curve_table(figures: dict[str, Any]) -> Table:
+    """Return the curve as a table for a terminal: passing with its interval, limits and verdict."""
+    table = Table(title=f"{figures['sieve_set']}: {figures['measured']} stones")
+    for name in ("sieve, mm", "passing, %", "95 %", "limits", "verdict"):
+        table.add_column(name, justify="right")
+    for step in figures["curve"]:
+        passing, decision = step["passing_percent"], step["decision"]
+        is_measured = passing["value"] is not None
+        limits = decision and decision["limits"]
+        table.add_row(
+            f"{step['sieve_mm']:g}",
+            f"{passing['value']:.1f}" if is_measured else "not measured",
+            f"{passing['low']:.1f} to {passing['high']:.1f}" if is_measured else "",
+            f"{limits['min_percent']:g} to {limits['max_percent']:g}" if limits else "",
+            decision["verdict"].replace("_", " ") if decision else "",
+        )
+    return table
+
+
+def _show(lot: dict[str, Any], as_json: bool) -> None:
+    text = f"lot {lot['lot']} of {lot['product']} is {lot['state']}: {lot['n_stones']} stones"
+    typer.echo(json.dumps(lot) if as_json else text)

@@ -1,0 +1,82 @@
+"""`stonefall report`: the report of offline results, as of a lot."""
+
+import json
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from drivers.files.durable import replacing
+from drivers.files.times import utc_now
+from pipeline.frames import BundleKind
+from service.api.version import API_VERSION
+from service.commands.measure import RESULTS
+from service.errors import ServiceError, UsageError
+from service.lots.evaluation import figures_of
+from service.lots.products import Product, ProductDefinition
+from service.lots.stored_stones import stones_in
+from service.lots.yardsticks import Request, UnknownYardstickError
+from service.reports.render import render
+from service.reports.report import Language, ReportData, ReportFormat
+from service.results.fields import completed
+
+
+def command(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Folder that `stonefall measure` wrote.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")],
+    title: Annotated[str, typer.Option(help="Name of the product.")] = "offline results",
+    density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, kg/m3.")] = 2700.0,
+    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None,
+    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None,
+    sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall",
+    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None,
+    language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
+) -> None:
+    """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
+    records = [each for each in _records(results / RESULTS) if each["kind"] != BundleKind.BALL]
+    definition = ProductDefinition(
+        title=title,
+        density_kg_m3=density_kg_m3,
+        lower_mm=lower_mm,
+        upper_mm=upper_mm,
+        sieve_set=sieve_set,
+        specification=specification,
+    )
+    product = Product(product=title, version=1, created_at=utc_now(), definition=definition)
+    try:
+        figures = figures_of(stones_in(records), Request(), product)
+    except UnknownYardstickError as err:
+        raise UsageError(str(err)) from err
+    data = ReportData(
+        figures=figures,
+        created_at=utc_now(),
+        language=language,
+        software_version=metadata.version("stonefall"),
+        api_version=API_VERSION,
+    )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for report_format in ReportFormat:
+            with replacing(out / f"report.{report_format}") as unfinished:
+                unfinished.write_bytes(render(data, report_format))
+    except OSError as err:
+        raise ServiceError(f"--out {out}: {err.strerror}") from err
+    verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"
+    typer.echo(f"{out}: report of {figures.measured} stones{verdict}")
+
+
+def _records(path: Path) -> list[dict[str, Any]]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as err:
+        raise ServiceError(f"{path}: {err}") from err
+    records = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            records.append(completed(dict(json.loads(line))))
+        except (ValueError, TypeError) as err:
+            raise ServiceError(f"{path}: line {number}: {err}") from err
+    return records

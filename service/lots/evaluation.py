@@ -1,0 +1,252 @@
+"""From the stones of a lot to its figures and its verdict; pure, in whichever process."""
+
+import sqlite3
+from collections import Counter
+from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
+
+from pipeline.frames import rfc3339
+from pipeline.gradation.correlation import correlated
+from pipeline.gradation.evaluation import Gradation, evaluate
+from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
+from pipeline.gradation.stones import Fate, Lot, lot_of
+from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
+from service.lots.figures import (
+    CorrelatedCurve,
+    CorrelatedStep,
+    CurveStep,
+    Decision,
+    FlatAndElongated,
+    LotDocument,
+    LotFigures,
+    ProductDocument,
+    Quantile,
+    Range,
+    ShapeIndices,
+    Unmeasured,
+    figure,
+)
+from service.lots.laboratory import Correlation, correlations
+from service.lots.lots import LotRecord, find_lot
+from service.lots.products import Product, find_product
+from service.lots.stored_stones import Stones, stones_between, stones_of_lot
+from service.lots.yardsticks import Request, Yardstick, standards, yardstick_of
+
+LEAST_PORTIONS = "en-933-1"
+RATE_OVER_S = 60.0
+"""Time over which the present rate of stones is taken."""
+
+
+def lot_figures(connection: sqlite3.Connection, lot: str, request: Request) -> LotFigures | None:
+    """Return the figures of a lot, None if there is none; raise `UnknownYardstickError` as `yardstick_of` does."""
+    record = find_lot(connection, lot)
+    if record is None:
+        return None
+    product = find_product(connection, record.product, record.version)
+    stones = stones_of_lot(connection, lot)
+    found = correlations(connection, record.product)
+    return figures_of(stones, request, product, record, stones_per_s(connection), found[0] if found else None)
+
+
+def window_figures(
+    connection: sqlite3.Connection, since: str, until: str, request: Request, product: str | None
+) -> LotFigures | None:
+    """Return the figures of what fell within a time, by a product's newest version; None if that is unknown."""
+    found = None if product is None else find_product(connection, product)
+    if product is not None and found is None:
+        return None
+    stones = stones_between(connection, since, until)
+    return figures_of(stones, request, found, None, stones_per_s(connection))
+
+
+def stones_per_s(connection: sqlite3.Connection) -> float:
+    """Return how many stones were measured a second within the last minute."""
+    since = rfc3339(datetime.now(UTC) - timedelta(seconds=RATE_OVER_S))
+    (n_stones,) = connection.execute(
+        "SELECT count(*) FROM stones WHERE captured_at >= ? AND outcome = 'measured'", (since,)
+    ).fetchone()
+    return float(n_stones / RATE_OVER_S)
+
+
+def figures_of(
+    stones: Stones,
+    request: Request,
+    product: Product | None = None,
+    record: LotRecord | None = None,
+    rate_per_s: float = 0.0,
+    correlation: Correlation | None = None,
+) -> LotFigures:
+    """Return the figures of stones, with the verdict by the specification of their product or of the request."""
+    definition = None if product is None else product.definition
+    yardstick = yardstick_of(definition, request)
+    specification, scale_sd = yardstick.specification, LENGTH_SD_PERCENT / 100
+    lot = lot_of(stones.stones)
+    gradation = evaluate(lot, yardstick.apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
+    judgement = None if specification is None else judge(specification, gradation)
+    fates: Counter[Fate] = Counter()
+    for (fate, _), n_stones in lot.counts.items():
+        fates[fate] += n_stones
+    upper_mm = None if definition is None else definition.upper_mm
+    return LotFigures(
+        lot=None if record is None else lot_document(record),
+        product=None if product is None else _product(product, specification),
+        since=stones.since,
+        until=stones.until,
+        triggers=sum(fates.values()),
+        measured=fates[Fate.MEASURED],
+        rejected=fates[Fate.REJECTED],
+        lost=fates[Fate.LOST],
+        by_quality={word: n for (fate, word), n in lot.counts.items() if fate is Fate.MEASURED},
+        mass_kg=None if definition is None else gradation.volume_mm3 * 1e-9 * definition.density_kg_m3,
+        n_effective=gradation.n_effective,
+        sieve_set=yardstick.sieves.name,
+        specification=None if specification is None else specification.name,
+        specification_source=None if specification is None else specification.source,
+        curve=_curve(gradation, judgement, rate_per_s),
+        correlated=None if correlation is None else _correlated(lot, correlation, yardstick, scale_sd),
+        quantiles=_quantiles(gradation),
+        indices=_indices(gradation),
+        flakiness_decision=_decision(None if judgement is None else judgement.flakiness, rate_per_s),
+        shape_decision=_decision(None if judgement is None else judgement.shape, rate_per_s),
+        verdict=None if judgement is None else judgement.verdict,
+        is_partial=judgement is not None and judgement.is_partial,
+        countdown=None if judgement is None else countdown(judgement, rate_per_s),
+        unmeasured=_unmeasured(gradation),
+        least_portion_kg=None
+        if upper_mm is None
+        else standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
+        scale_sd_percent=LENGTH_SD_PERCENT,
+        calibration_ids=list(stones.calibration_ids),
+        algorithm_versions=list(stones.algorithm_versions),
+        is_simulated=stones.is_simulated,
+        is_replay=stones.is_replay,
+    )
+
+
+def countdown(judgement: LotJudgement, rate_per_s: float) -> str:
+    """Return what is decided and what is not, as "16 mm: conforms; 4 mm (about 220 stones, 55 s more): undecided"."""
+    named = [(f"{sieve_mm:g} mm", each) for sieve_mm, each in sorted(judgement.passing.items(), reverse=True)]
+    named += [(name, each) for name, each in (("FI", judgement.flakiness), ("SI", judgement.shape)) if each]
+    by_verdict: dict[Verdict, list[str]] = {}
+    for name, each in named:
+        by_verdict.setdefault(each.verdict, []).append(name + _wait(each, rate_per_s))
+    return "; ".join(
+        f"{', '.join(names)}: {verdict.replace('_', ' ')}" for verdict, names in sorted(by_verdict.items())
+    )
+
+
+def lot_document(record: LotRecord) -> LotDocument:
+    """Return a lot as it is served."""
+    return LotDocument(
+        **asdict(record.definition),
+        state=record.state,
+        product=record.product,
+        product_version=record.version,
+        opened_at=record.opened_at,
+        closed_at=record.closed_at,
+        void_reason=record.void_reason,
+        n_stones=record.n_stones,
+    )
+
+
+def _wait(judgement: Judgement, rate_per_s: float) -> str:
+    if judgement.more_stones is None:
+        return ""
+    seconds = judgement.seconds(rate_per_s)
+    return f" (about {judgement.more_stones} stones{'' if seconds is None else f', {seconds:.0f} s'} more)"
+
+
+def _product(product: Product, specification: Specification | None) -> ProductDocument:
+    return ProductDocument(
+        product=product.product,
+        version=product.version,
+        title=product.definition.title,
+        density_kg_m3=product.definition.density_kg_m3,
+        specification=None if specification is None else specification.name,
+    )
+
+
+def _curve(gradation: Gradation, judgement: LotJudgement | None, rate_per_s: float) -> list[CurveStep]:
+    decisions = {} if judgement is None else judgement.passing
+    return [
+        CurveStep(
+            sieve_mm=point.sieve_mm,
+            passing_percent=figure(point.by_mass),
+            passing_by_number_percent=figure(point.by_number),
+            decision=_decision(decisions.get(point.sieve_mm), rate_per_s),
+        )
+        for point in gradation.curve
+    ]
+
+
+def _correlated(lot: Lot, correlation: Correlation, yardstick: Yardstick, scale_sd: float) -> CorrelatedCurve:
+    found = correlation.study
+    seen = evaluate(
+        correlated(lot, found.mapping), yardstick.apertures_mm, measured=yardstick.measured, scale_sd=scale_sd
+    )
+    return CorrelatedCurve(
+        version=correlation.version,
+        factor=found.mapping.factor,
+        n_lots=found.n_lots,
+        held_out_rmse=found.held_out_rmse,
+        curve=[
+            CorrelatedStep(sieve_mm=point.sieve_mm, passing_percent=figure(point.by_mass))
+            for point in seen.curve
+        ],
+    )
+
+
+def _quantiles(gradation: Gradation) -> list[Quantile]:
+    return [
+        Quantile(
+            percent=percent,
+            interpolated_mm=figure(interpolated),
+            exact_mm=figure(gradation.quantiles_exact_mm[percent]),
+        )
+        for percent, interpolated in sorted(gradation.quantiles_interpolated_mm.items())
+    ]
+
+
+def _indices(gradation: Gradation) -> ShapeIndices:
+    indices = gradation.indices
+    return ShapeIndices(
+        fineness_modulus=figure(indices.fineness_modulus),
+        uniformity=figure(indices.uniformity),
+        curvature=figure(indices.curvature),
+        d32_mm=figure(indices.d32_mm),
+        d43_mm=figure(indices.d43_mm),
+        flakiness_percent=figure(indices.flakiness),
+        shape_percent=figure(indices.shape),
+        needle_flaky_percent=figure(indices.needle_flaky),
+        flat_and_elongated=[
+            FlatAndElongated(
+                ratio=ratio,
+                flat_percent={by: figure(each) for by, each in indices.flat[ratio].items()},
+                elongated_percent={by: figure(each) for by, each in indices.elongated[ratio].items()},
+                flat_and_elongated_percent={by: figure(each) for by, each in both.items()},
+            )
+            for ratio, both in sorted(indices.flat_and_elongated.items())
+        ],
+    )
+
+
+def _decision(judgement: Judgement | None, rate_per_s: float) -> Decision | None:
+    if judgement is None:
+        return None
+    limits = judgement.limits
+    return Decision(
+        verdict=judgement.verdict,
+        limits=Range(min_percent=limits.min_percent, max_percent=limits.max_percent),
+        more_stones=judgement.more_stones,
+        more_s=judgement.seconds(rate_per_s),
+    )
+
+
+def _unmeasured(gradation: Gradation) -> Unmeasured:
+    unmeasured = gradation.unmeasured
+    return Unmeasured(
+        n_stones=unmeasured.n_stones,
+        by_reason={f"{each.fate}: {each.reason}": each.n_stones for each in unmeasured.counts},
+        expected_percent=unmeasured.expected_percent,
+        at_most_percent=unmeasured.at_most_percent,
+    )

@@ -1,0 +1,208 @@
+"""The laboratory: sievings of portions of a lot, and how its sieves and this instrument agree for a product."""
+
+import json
+import re
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from drivers.files.times import utc_now
+from pipeline.gradation.correlation import Form, SievedLot, SizeMapping, Study, study
+from pipeline.gradation.stones import lot_of
+from service.errors import ServiceError
+from service.lots import audit
+from service.lots.lots import LotState, lots
+from service.lots.stored_stones import stones_of_lot
+from service.store.schema import transaction
+
+PAN = frozenset({"pan", "boden", "0"})
+"""Words for what passes the last sieve; the second is German."""
+MOST_LOTS = 1000
+_ROW = re.compile(r"\s*([^;\t]+?)\s*[;\t]\s*([0-9.,\s]+?)\s*(kg|g)?\s*[;\t]?\s*", re.IGNORECASE)
+
+
+class SievingError(ServiceError):
+    """A laboratory's table cannot be read, or does not add up; names the line or the sieve."""
+
+
+class NothingToStudyError(ServiceError):
+    """No lot of the product has both stones and a sieving that tell a size."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sieving:
+    """What a laboratory found in a portion: grams retained on each sieve and in the pan."""
+
+    retained_g: Mapping[float, float]  # by aperture in mm
+    pan_g: float
+    sample_id: str | None = None
+    by: str | None = None
+    remark: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.retained_g or min(self.retained_g) <= 0:
+            raise SievingError("retained_g: needs sieves with apertures above 0 mm")
+        for sieve_mm, grams in self.retained_g.items():
+            if not 0 <= grams < 1e7:
+                raise SievingError(f"retained_g: {sieve_mm:g} mm: must be grams from 0, not {grams:g}")
+        if not 0 <= self.pan_g < 1e7:
+            raise SievingError(f"pan_g: must be grams from 0, not {self.pan_g:g}")
+        if self.mass_g <= 0:
+            raise SievingError("retained_g: nothing was weighed")
+
+    @property
+    def mass_g(self) -> float:
+        """All that was weighed."""
+        return sum(self.retained_g.values()) + self.pan_g
+
+    @property
+    def passing_percent(self) -> dict[float, float]:
+        """By rising aperture in mm: what passes is what lies on all smaller sieves and in the pan."""
+        passing, below_g = {}, self.pan_g
+        for sieve_mm in sorted(self.retained_g):
+            passing[sieve_mm] = 100 * below_g / self.mass_g
+            below_g += self.retained_g[sieve_mm]
+        return passing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredSieving:
+    """A sieving of a lot."""
+
+    sieving: int
+    lot: str
+    at: str
+    document: Sieving
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correlation:
+    """One version of a product's correlation study."""
+
+    product: str
+    version: int
+    at: str
+    study: Study
+
+
+def parse_table(text: str, **more: str | None) -> Sieving:
+    """Read a table of apertures and masses as it is copied from a spreadsheet.
+
+    Columns are parted by semicolons or tabs, decimals by a point or a comma; masses are grams, or kilograms where
+    `kg` stands behind the number or at the head of the column. Raises `SievingError`.
+    """
+    retained_g: dict[float, float] = {}
+    pan_g, unit_g = 0.0, 1.0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        row = _ROW.fullmatch(line)
+        if row is None:
+            if retained_g or number > 1:
+                raise SievingError(
+                    f"table: line {number}: {line.strip()[:80]!r} is not an aperture and a mass"
+                )
+            unit_g = 1000.0 if re.search(r"\bkg\b", line, re.IGNORECASE) else 1.0  # the head of the columns
+            continue
+        name, mass, unit = row.groups()
+        grams = _number(mass, number) * (1000.0 if (unit or "").lower() == "kg" else 1.0 if unit else unit_g)
+        if name.lower() in PAN:
+            pan_g += grams
+        else:
+            sieve_mm = _number(name.lower().removesuffix("mm"), number)
+            if sieve_mm in retained_g:
+                raise SievingError(f"table: line {number}: the sieve {sieve_mm:g} mm is there twice")
+            retained_g[sieve_mm] = grams
+    return Sieving(retained_g=retained_g, pan_g=pan_g, **more)
+
+
+def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:
+    """Store a sieving of a lot."""
+    document = asdict(sieving)
+    with transaction(connection):
+        number, at = connection.execute(
+            "INSERT INTO sievings (lot, at, document) VALUES (?, ?, ?) RETURNING sieving, at",
+            (lot, utc_now(), json.dumps(document)),
+        ).fetchone()
+        audit.note(connection, who, "sieving", lot, after=document)
+    return StoredSieving(sieving=number, lot=lot, at=at, document=sieving)
+
+
+def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
+    """Return the sievings of a lot, in their order."""
+    rows = connection.execute(
+        "SELECT sieving, at, document FROM sievings WHERE lot = ? ORDER BY sieving", (lot,)
+    )
+    return [
+        StoredSieving(sieving=number, lot=lot, at=at, document=_sieving(json.loads(text)))
+        for number, at, text in rows
+    ]
+
+
+def study_of(connection: sqlite3.Connection, product: str, form: Form) -> Study:
+    """Study all lots of a product that were sieved, void ones left out; takes long, so not on the writer's connection.
+
+    Raises
+    ------
+    NothingToStudyError
+        No lot has both stones and a sieving that tell a size.
+    """
+    sieved = [
+        SievedLot(lot=lot_of(stones_of_lot(connection, name).stones), passing=each.document.passing_percent)
+        for name in _sieved_lots(connection, product)
+        for each in sievings(connection, name)
+    ]
+    try:
+        return study([each for each in sieved if each.lot.n_measured], form)
+    except ValueError as err:
+        raise NothingToStudyError(f"product {product}: {err}") from err
+
+
+def keep_study(connection: sqlite3.Connection, product: str, found: Study, who: str) -> Correlation:
+    """Store a study as the newest version of the product's."""
+    with transaction(connection):
+        (version,) = connection.execute(
+            "SELECT coalesce(max(version), 0) + 1 FROM correlations WHERE product = ?", (product,)
+        ).fetchone()
+        at = utc_now()
+        connection.execute(
+            "INSERT INTO correlations (product, version, at, document) VALUES (?, ?, ?, ?)",
+            (product, version, at, json.dumps(asdict(found))),
+        )
+        audit.note(connection, who, "correlation", product, after=asdict(found))
+    return Correlation(product=product, version=version, at=at, study=found)
+
+
+def correlations(connection: sqlite3.Connection, product: str) -> list[Correlation]:
+    """Return all versions of a product's study, the newest first."""
+    rows = connection.execute(
+        "SELECT version, at, document FROM correlations WHERE product = ? ORDER BY version DESC", (product,)
+    )
+    return [
+        Correlation(product=product, version=version, at=at, study=_study(json.loads(text)))
+        for version, at, text in rows
+    ]
+
+
+def _sieved_lots(connection: sqlite3.Connection, product: str) -> list[str]:
+    of_product = lots(connection, None, product, None, MOST_LOTS)
+    return [each.definition.lot for each in of_product if each.state is not LotState.VOID]
+
+
+def _number(text: str, line: int) -> float:
+    try:
+        return float(text.strip().replace(",", "."))
+    except ValueError:
+        raise SievingError(f"table: line {line}: {text.strip()[:40]!r} is not a number") from None
+
+
+def _sieving(document: dict[str, Any]) -> Sieving:
+    retained = {float(aperture): grams for aperture, grams in document.pop("retained_g").items()}
+    return Sieving(retained_g=retained, **document)
+
+
+def _study(document: dict[str, Any]) -> Study:
+    mapping = {name: tuple(values) for name, values in document.pop("mapping").items()}
+    form = Form(document.pop("form"))
+    return Study(form=form, mapping=SizeMapping(**mapping), **document)

@@ -1,0 +1,110 @@
+"""The stones of a lot, or of a time, as the gradation takes them."""
+
+import sqlite3
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
+from service.lots.stones import stone_of
+
+COLUMNS = (
+    "captured_at", "outcome", "reason", "quality", "volume_mm3", "sieve_size_mm", "max_feret_mm", "min_feret_mm",
+    "length_mm", "width_mm", "thickness_mm", "volume_sd_percent", "surface_sd_mm", "calibration_id",
+    "algorithm_version", "is_simulated", "is_replay",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stones:
+    """Stones with what is known of them together."""
+
+    stones: Sequence[Stone | UnmeasuredStone]
+    since: str | None  # captured, the first of them
+    until: str | None  # the last
+    calibration_ids: tuple[str, ...]
+    algorithm_versions: tuple[str, ...]
+    is_simulated: bool  # one of them at least
+    is_replay: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BehindStep:
+    """A stone between two neighbouring sieves."""
+
+    seq: int
+    id: str
+    captured_at: str
+    quality: str
+    sieve_size_mm: float
+    volume_mm3: float
+    influence_percent: float  # share of the lot's mass: the curve would change by as much without it
+
+
+def stones_of_lot(connection: sqlite3.Connection, lot: str) -> Stones:
+    """Return the stones of a lot."""
+    return _stones(connection, "lot = ?", lot)
+
+
+def stones_between(connection: sqlite3.Connection, since: str, until: str) -> Stones:
+    """Return the stones captured from `since` to before `until`, in whatever lot."""
+    return _stones(connection, "captured_at >= ? AND captured_at < ?", since, until)
+
+
+def stones_behind(
+    connection: sqlite3.Connection, lot: str, above_mm: float, up_to_mm: float, limit: int
+) -> list[BehindStep]:
+    """Return the stones of a lot that pass one sieve and not the next smaller one, the heaviest first."""
+    (total_mm3,) = connection.execute(
+        "SELECT total(volume_mm3) FROM stones WHERE lot = ? AND outcome = 'measured'", (lot,)
+    ).fetchone()
+    rows = connection.execute(
+        "SELECT seq, id, captured_at, quality, sieve_size_mm, volume_mm3 FROM stones WHERE lot = ?"
+        " AND outcome = 'measured' AND sieve_size_mm > ? AND sieve_size_mm <= ?"
+        " ORDER BY volume_mm3 DESC, seq LIMIT ?",
+        (lot, above_mm, up_to_mm, limit),
+    )
+    return [
+        BehindStep(
+            seq=seq,
+            id=name,
+            captured_at=captured_at,
+            quality=quality,
+            sieve_size_mm=size_mm,
+            volume_mm3=volume_mm3,
+            influence_percent=100 * volume_mm3 / total_mm3,
+        )
+        for seq, name, captured_at, quality, size_mm, volume_mm3 in rows
+    ]
+
+
+def _stones(connection: sqlite3.Connection, condition: str, *values: str) -> Stones:
+    query = connection.execute(
+        f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
+        values,
+    )
+    return stones_in([dict(zip(COLUMNS, row, strict=True)) for row in query])
+
+
+def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
+    """Return the stones of records, or of rows with the same names; balls are left out before."""
+    times = [record["captured_at"] for record in records if record["captured_at"] is not None]
+    return Stones(
+        stones=[_stone(record) for record in records],
+        since=min(times, default=None),
+        until=max(times, default=None),
+        calibration_ids=_different(records, "calibration_id"),
+        algorithm_versions=_different(records, "algorithm_version"),
+        is_simulated=any(record["is_simulated"] for record in records),
+        is_replay=any(record.get("is_replay") for record in records),
+    )
+
+
+def _stone(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
+    if record["outcome"] == Fate.MEASURED and None in (record[name] for name in COLUMNS[4:11]):
+        return UnmeasuredStone(fate=Fate.REJECTED, reason="incomplete")  # of a version that measured less
+    return stone_of(record)
+
+
+def _different(records: Iterable[Mapping[str, Any]], field: str) -> tuple[str, ...]:
+    return tuple(sorted({record[field] for record in records if record[field] is not None}))

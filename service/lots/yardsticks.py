@@ -1,0 +1,141 @@
+"""What a lot is measured by: the sieves, the specification and the range of sizes, by its product or by request."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
+from pipeline.gradation.specification import Limits, Specification, specification_of
+from service.errors import ServiceError
+from service.lots.products import OwnLimits, ProductDefinition
+from service.lots.standards import Standards, read_standards
+
+DEFAULT_SET = "stonefall"
+"""Sieves of stones without a product."""
+
+
+class UnknownYardstickError(ServiceError):
+    """No table has this name, or the product lacks what it needs; names the field and what there is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What a request asks for in the place of what the product says."""
+
+    sieve_set: str | None = None
+    specification: str | None = None
+    measured: MeasuredRange = OF_THE_RIG
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Yardstick:
+    """What a lot is measured by."""
+
+    sieves: SieveSet
+    specification: Specification | None
+    measured: MeasuredRange
+
+    @property
+    def apertures_mm(self) -> Sequence[float]:
+        """All sieves that are looked at, rising."""
+        limits = () if self.specification is None else self.specification.passing
+        return sorted({*self.sieves.apertures_mm, *limits})
+
+
+@cache
+def standards() -> Standards:
+    """Return the tables of the standards, read once."""
+    return read_standards()
+
+
+def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yardstick:
+    """Return what stones of a product are measured by; raise `UnknownYardstickError` where that is not known."""
+    sieves = _sieves(request.sieve_set or (definition.sieve_set if definition else DEFAULT_SET))
+    return Yardstick(
+        sieves=sieves,
+        specification=_specification(definition, request.specification, sieves),
+        measured=request.measured,
+    )
+
+
+def specification_names() -> list[str]:
+    """Return the names of categories and sizes."""
+    return [*standards().categories, *standards().sizes]
+
+
+def _sieves(wanted: str | tuple[float, ...]) -> SieveSet:
+    if isinstance(wanted, str):
+        found = standards().sieve_sets.get(wanted)
+        if found is None:
+            raise _unknown("sieve_set", wanted, standards().sieve_sets)
+        return found
+    try:
+        return SieveSet(name="own sieves", source="the site's own", apertures_mm=wanted)
+    except ValueError as err:
+        raise UnknownYardstickError(f"sieve_set: {err}") from err
+
+
+def _specification(
+    definition: ProductDefinition | None, name: str | None, sieves: SieveSet
+) -> Specification | None:
+    wanted = name or (definition.specification if definition else None)
+    flakiness = _index("flakiness_category", definition, standards().flakiness)
+    shape = _index("shape_category", definition, standards().shape)
+    if isinstance(wanted, OwnLimits):
+        passing = {float(aperture): _limits(pair) for aperture, pair in wanted.passing.items()}
+        return Specification(
+            name=wanted.name,
+            source="the site's own",
+            passing=passing,
+            flakiness=_limits(wanted.flakiness) if wanted.flakiness else flakiness,
+            shape=_limits(wanted.shape) if wanted.shape else shape,
+        )
+    if wanted is None:
+        if flakiness is None and shape is None:
+            return None
+        return Specification(
+            name="indices alone", source="EN 12620", passing={}, flakiness=flakiness, shape=shape
+        )
+    if wanted in standards().sizes:
+        size = standards().sizes[wanted]
+        return Specification(
+            name=size.name, source=size.source, passing=size.passing, flakiness=flakiness, shape=shape
+        )
+    category = standards().categories.get(wanted)
+    if category is None:
+        raise _unknown("specification", wanted, specification_names())
+    if definition is None or definition.lower_mm is None or definition.upper_mm is None:
+        raise UnknownYardstickError(
+            f"specification: {wanted} needs a product with lower_mm (d) and upper_mm (D)"
+        )
+    try:
+        return specification_of(
+            category,
+            definition.lower_mm,
+            definition.upper_mm,
+            sieves.apertures_mm,
+            flakiness=flakiness,
+            shape=shape,
+        )
+    except ValueError as err:
+        raise UnknownYardstickError(f"lower_mm, upper_mm: {err}") from err
+
+
+def _index(field: str, definition: ProductDefinition | None, known: Mapping[str, Limits]) -> Limits | None:
+    name = None if definition is None else getattr(definition, field)
+    if name is None:
+        return None
+    if name not in known:
+        raise _unknown(field, name, known)
+    return known[name]
+
+
+def _limits(pair: Sequence[float]) -> Limits:
+    try:
+        return Limits(min_percent=pair[0], max_percent=pair[1])
+    except ValueError as err:
+        raise UnknownYardstickError(f"specification: {err}") from err
+
+
+def _unknown(field: str, name: str, known: Iterable[str]) -> UnknownYardstickError:
+    return UnknownYardstickError(f"{field}: there is no {name!r}; there are {', '.join(known)}")

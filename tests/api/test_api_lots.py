@@ -1,0 +1,264 @@
+"""Products, lots and their figures over REST."""
+
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from support.rest import (
+    FakeControl,
+    add,
+    app_of,
+    assert_problem,
+    client_of,
+    measured,
+    particle_files,
+    rejected,
+    trigger,
+)
+
+from pipeline.frames import BundleKind
+from service.api.settings import ApiKey, ApiSettings, Scope
+from service.store import Store
+
+PRODUCT = {
+    "title": "8/16 basalt",
+    "density_kg_m3": 2700,
+    "lower_mm": 8,
+    "upper_mm": 16,
+    "specification": "GC85-20",
+    "flakiness_category": "FI20",
+}
+
+
+def stone(size_mm: float, **fields: Any) -> dict[str, Any]:
+    """The record of a cube-like stone."""
+    edges = {"length_mm": size_mm, "width_mm": size_mm, "thickness_mm": 0.8 * size_mm}
+    ferets = {"max_feret_mm": 1.5 * size_mm, "min_feret_mm": 0.8 * size_mm}
+    sds = {"volume_sd_percent": 0.5, "surface_sd_mm": 0.02}
+    return measured(sieve_size_mm=size_mm, volume_mm3=0.6 * size_mm**3, **edges, **ferets, **sds, **fields)
+
+
+@pytest.fixture
+async def product(client: httpx.AsyncClient) -> None:
+    assert (await client.put("/products/basalt-8-16", json=PRODUCT)).status_code == 200
+
+
+async def opened(client: httpx.AsyncClient, lot: str = "L1", **more: Any) -> httpx.Response:
+    return await client.post("/lots", json={"lot": lot, "product": "basalt-8-16", **more})
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_lot_has_what_falls_while_it_is_open(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await add(store, session, 1, stone(10.0))
+    answer = await opened(client, sampler="A. Miller", tonnage_t=20.0)
+    assert answer.status_code == 201
+    assert answer.headers["Location"] == "/api/v1/lots/L1"
+    assert (await opened(client, sampler="A. Miller", tonnage_t=20.0)).json() == answer.json()
+    await add(store, session, 2, stone(11.0))
+    await add(store, session, 3, rejected("clipped"))
+    await store.record_triggers(session, {"00000004": trigger(4)})  # falls now, is measured after the end
+    closed = (await client.post("/lots/L1/close", json={"tonnage_t": 21.5})).json()
+    assert (closed["state"], closed["tonnage_t"], closed["sampler"]) == ("closed", 21.5, "A. Miller")
+    await store.finish(session, "00000004", stone(12.0))
+    await add(store, session, 5, stone(13.0))
+    figures = (await client.get("/lots/L1/gradation")).json()
+    assert (figures["triggers"], figures["measured"], figures["rejected"]) == (3, 2, 1)
+    assert figures["unmeasured"]["by_reason"] == {"rejected: clipped": 1}
+    assert figures["lot"]["n_stones"] == 3
+    assert figures["product"]["specification"] == "GC85-20 8/16"
+    assert figures["mass_kg"] == pytest.approx(2700e-9 * 0.6 * (11**3 + 12**3))
+    (behind,) = (await client.get("/lots/L1/particles?sieve=12.5&sieve_set=en-basic-1")).json()["items"][:1]
+    assert (behind["seq"], behind["sieve_size_mm"]) == (4, 12.0)
+
+
+@pytest.mark.usefixtures("product")
+async def test_only_one_lot_is_open_and_none_is_opened_twice(client: httpx.AsyncClient) -> None:
+    await opened(client)
+    assert_problem(await opened(client, "L2"), 409, "lot-conflict")
+    await client.post("/lots/L1/close", json={})
+    assert_problem(await opened(client), 409, "lot-conflict")
+    assert (await opened(client, "L2")).status_code == 201
+    assert_problem(await opened(client, "L3", product="chalk"), 404, "unknown-product")
+    assert_problem(await client.post("/lots/L9/close", json={}), 404, "unknown-lot")
+    assert [lot["lot"] for lot in (await client.get("/lots?state=open")).json()["items"]] == ["L2"]
+    assert {lot["lot"] for lot in (await client.get("/lots")).json()["items"]} == {"L1", "L2"}
+    voided = (await client.post("/lots/L1/void", json={"reason": "wrong belt"})).json()
+    assert (voided["state"], voided["void_reason"]) == ("void", "wrong belt")
+    assert_problem(await client.post("/lots/L1/close", json={}), 409, "lot-conflict")
+
+
+@pytest.mark.usefixtures("product")
+async def test_stones_outside_of_a_lot_are_assigned_by_time_with_an_audit(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    for sequence in range(1, 6):
+        await add(store, session, sequence, stone(10.0 + sequence))
+    await opened(client)
+    await add(store, session, 6, stone(20.0))
+    await client.post("/lots/L1/close", json={})
+    times = {"since": trigger(2).utc, "until": trigger(5).utc}
+    assigned = (await client.post("/lots/L1/assign", json=times)).json()
+    assert (assigned["n_assigned"], assigned["lot"]["n_stones"]) == (3, 4)
+    assert (await client.post("/lots/L1/assign", json=times)).json()["n_assigned"] == 0
+    entries = (await client.get("/audit?subject=L1")).json()["items"]
+    assert [entry["action"] for entry in entries] == [
+        "lot opened",
+        "lot closed",
+        "stones assigned",
+        "stones assigned",
+    ]
+    assert entries[2]["after"]["n_stones"] == 3
+    assert entries[0]["who"] == "this machine"
+
+
+async def test_a_change_of_a_product_is_a_version_and_lots_keep_theirs(client: httpx.AsyncClient) -> None:
+    first = (await client.put("/products/basalt-8-16", json=PRODUCT)).json()
+    assert (await client.put("/products/basalt-8-16", json=PRODUCT)).json() == first
+    await opened(client)
+    changed = {**PRODUCT, "density_kg_m3": 2900}
+    second = (await client.put("/products/basalt-8-16", json=changed)).json()
+    assert (first["version"], second["version"]) == (1, 2)
+    figures = (await client.get("/lots/L1/gradation")).json()
+    assert (figures["product"]["version"], figures["product"]["density_kg_m3"]) == (1, 2700)
+    assert (await client.get("/products/basalt-8-16?version=1")).json()["density_kg_m3"] == 2700
+    assert [each["version"] for each in (await client.get("/products")).json()["items"]] == [2]
+    assert_problem(await client.get("/products/basalt-8-16?version=3"), 404, "unknown-product")
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"specification": "GC99"}, "specification"),
+        ({"sieve_set": "my sieves"}, "sieve_set"),
+        ({"flakiness_category": "FI99"}, "flakiness_category"),
+        ({"lower_mm": None}, "lower_mm"),
+        ({"lower_mm": 20}, "lower_mm"),
+        ({"sieve_set": [4, 2]}, "sieve_set"),
+        ({"density_kg_m3": 0}, "density_kg_m3"),
+        ({"specification": {"name": "own", "passing": {"8": [90, 10]}}}, "specification"),
+    ],
+)
+async def test_a_product_that_cannot_be_judged_is_refused(
+    client: httpx.AsyncClient, change: dict[str, Any], named: str
+) -> None:
+    answer = await client.put("/products/basalt-8-16", json={**PRODUCT, **change})
+    assert_problem(answer, 422, "invalid-request")
+    assert named in answer.text
+    assert (await client.get("/products")).json() == {"items": []}
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_lot_is_seen_through_any_sieves_and_specification(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await opened(client)
+    rng = np.random.default_rng(3)
+    for sequence, size_mm in enumerate(rng.uniform(8.0, 16.0, 120), start=1):
+        await add(store, session, sequence, stone(float(size_mm)))
+    own = (await client.get("/lots/L1/gradation")).json()
+    assert own["verdict"] in ("conforms", "undecided", "does_not_conform")
+    assert own["countdown"]
+    below = next(step for step in own["curve"] if step["sieve_mm"] == 2.0)
+    assert below["passing_percent"]["state"] == "not_measured"
+    assert below["passing_percent"]["value"] is None
+    sixteen = next(step for step in own["curve"] if step["sieve_mm"] == 16.0)
+    assert sixteen["passing_percent"]["value"] == pytest.approx(100)
+    other = (
+        await client.get("/lots/L1/gradation", params={"sieve_set": "astm-c136", "specification": "astm-8"})
+    ).json()
+    assert other["sieve_set"] == "astm-c136"
+    assert other["specification"] == "astm-8"
+    assert {step["sieve_mm"] for step in other["curve"]} >= {9.5, 12.5, 19.0}
+    unknown = await client.get("/lots/L1/gradation", params={"sieve_set": "no such"})
+    assert_problem(unknown, 422, "invalid-request")
+    assert "sieve_set" in unknown.text
+    assert_problem(await client.get("/lots/L9/gradation"), 404, "unknown-lot")
+
+
+async def test_windows_and_shifts_need_no_lot(client: httpx.AsyncClient) -> None:
+    for path in ("/windows/current?minutes=5", "/windows/shift", "/windows/shift?ago=2"):
+        figures = (await client.get(path)).json()
+        assert (figures["lot"], figures["triggers"], figures["verdict"]) == (None, 0, None)
+    assert_problem(await client.get("/windows/current?product=chalk"), 404, "unknown-product")
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_balls_drops_are_in_no_lot(client: httpx.AsyncClient, store: Store, session: int) -> None:
+    await opened(client)
+    await store.record_triggers(session, {"00000001": trigger(1, BundleKind.BALL)})
+    await store.finish(session, "00000001", stone(15.0))
+    assert (await client.get("/lots/L1")).json()["n_stones"] == 0
+
+
+async def test_the_audit_names_the_key(store: Store, control: FakeControl) -> None:
+    key = ApiKey(
+        name="mes",
+        sha256="9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",  # of "test"
+        scopes=(Scope.READ, Scope.OPERATE, Scope.CONFIGURE),
+    )
+    async with client_of(app_of(store, control, ApiSettings(keys=(key,)))) as client:
+        client.headers["Authorization"] = "Bearer test"
+        await client.put("/products/basalt-8-16", json=PRODUCT)
+        (entry,) = (await client.get("/audit")).json()["items"]
+    assert (entry["who"], entry["action"], entry["before"]) == ("key mes", "product", None)
+    assert entry["after"]["title"] == PRODUCT["title"]
+
+
+@pytest.mark.usefixtures("product")
+async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw_one(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    assert_problem(await client.post("/products/basalt-8-16/correlations", json={}), 409, "nothing-to-study")
+    rng = np.random.default_rng(4)
+    sizes_mm = rng.uniform(6.0, 18.0, 150)
+    await opened(client)
+    for sequence, size_mm in enumerate(sizes_mm, start=1):
+        await add(store, session, sequence, stone(float(size_mm)))
+    masses = sizes_mm**3
+    retained = {
+        sieve: float(masses[(0.97 * sizes_mm > sieve) & (0.97 * sizes_mm <= above)].sum())
+        for sieve, above in ((16, 99), (12.5, 16), (10, 12.5), (8, 10))
+    }
+    rest = float(masses[0.97 * sizes_mm <= 8].sum())
+    body = {"retained_g": {f"{sieve:g}": grams for sieve, grams in retained.items()}, "pan_g": rest}
+    sieving = await client.post("/lots/L1/sieving", json={**body, "by": "lab"})
+    assert sieving.status_code == 201
+    assert sieving.json()["mass_g"] == pytest.approx(masses.sum())
+    assert (await client.get("/lots/L1/sieving")).json()["items"] == [sieving.json()]
+    study = (await client.post("/products/basalt-8-16/correlations", json={"form": "factor"})).json()
+    assert study["factor"] == pytest.approx(0.97, abs=0.005)
+    assert (await client.get("/products/basalt-8-16/correlations")).json()["items"] == [study]
+    figures = (await client.get("/lots/L1/gradation")).json()
+    at_ten = next(step for step in figures["correlated"]["curve"] if step["sieve_mm"] == 10.0)
+    raw = next(step for step in figures["curve"] if step["sieve_mm"] == 10.0)
+    found = sieving.json()["passing_percent"]["10"]
+    assert abs(at_ten["passing_percent"]["value"] - found) < abs(raw["passing_percent"]["value"] - found)
+    for wrong in ({}, {**body, "table": "16;1"}, {"table": "16;-1"}, {"retained_g": {"16": -1}}):
+        assert_problem(await client.post("/lots/L1/sieving", json=wrong), 422, "invalid-request")
+    assert_problem(await client.post("/lots/L9/sieving", json=body), 404, "unknown-lot")
+
+
+@pytest.mark.usefixtures("product")
+async def test_the_report_comes_in_every_format_and_language(
+    client: httpx.AsyncClient, store: Store, session: int, tmp_path: Path
+) -> None:
+    await opened(client, remark="=1+1 <script>alert(1)</script>")
+    await add(store, session, 1, stone(12.0), particle_files(tmp_path / "files"))
+    await add(store, session, 2, stone(15.0))
+    begins = {"html": b"<!", "pdf": b"%PDF", "csv": b"section", "xlsx": b"PK"}
+    for suffix, begin in begins.items():
+        answer = await client.get(f"/lots/L1/report.{suffix}?language=de")
+        assert answer.status_code == 200, answer.text
+        assert answer.content.startswith(begin)
+    page = (await client.get("/lots/L1/report", headers={"Accept": "text/html"})).text
+    assert "<script>" not in page
+    assert "image/png;base64" in page
+    assert_problem(
+        await client.get("/lots/L1/report", headers={"Accept": "text/plain"}), 406, "not-acceptable"
+    )
+    assert_problem(await client.get("/lots/L9/report.pdf"), 404, "unknown-lot")
+    assert_problem(await client.get("/lots/L1/report.pdf?specification=none"), 422, "invalid-request")

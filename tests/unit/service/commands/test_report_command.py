@@ -1,0 +1,71 @@
+"""`stonefall report`: offline results as a report."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from service.cli import build_app
+from service.errors import ServiceError, UsageError
+from service.results.fields import EMPTY
+
+STONE = {
+    "outcome": "measured", "kind": "particle", "quality": "good", "captured_at": "2026-03-01T10:00:00Z",
+    "volume_mm3": 900.0, "sieve_size_mm": 11.0, "max_feret_mm": 16.0, "min_feret_mm": 9.0, "length_mm": 16.0,
+    "width_mm": 12.0, "thickness_mm": 9.0, "volume_sd_percent": 1.0, "surface_sd_mm": 0.02, "is_simulated": True,
+}  # fmt: skip
+
+
+def results(folder: Path, records: list[dict[str, Any]]) -> Path:
+    folder.mkdir()
+    (folder / "results.jsonl").write_text("".join(json.dumps({**EMPTY, **each}) + "\n" for each in records))
+    return folder
+
+
+def report(*words: str | Path) -> Result:
+    return CliRunner().invoke(build_app(["report"]), ["report", *map(str, words)])
+
+
+def test_results_become_a_report_in_every_format(tmp_path: Path) -> None:
+    ball = {**STONE, "kind": "ball", "volume_mm3": 1e6}
+    lost = {"kind": "particle", "outcome": "lost", "reason": "no_frames"}
+    folder = results(tmp_path / "out", [STONE] * 60 + [ball, lost])
+    words = ("--lower-mm", "8", "--upper-mm", "16", "--specification", "GC85-20", "--language", "de")
+    done = report(folder, "--out", tmp_path / "report", *words)
+    assert done.exit_code == 0, done.output
+    assert "report of 60 stones" in done.output
+    assert {path.name for path in (tmp_path / "report").iterdir()} == {
+        "report.html", "report.pdf", "report.csv", "report.xlsx",
+    }  # fmt: skip
+    table = (tmp_path / "report/report.csv").read_text()
+    assert "no_frames" in table
+    assert "GC85-20 8/16" in table
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "named"),
+    [
+        (("--specification", "GC99"), UsageError, "GC99"),
+        (("--specification", "GC85-20"), UsageError, "lower_mm"),
+        (("--sieves", "none"), UsageError, "sieve_set"),
+    ],
+)
+def test_what_cannot_be_judged_is_named(
+    tmp_path: Path, words: tuple[str, ...], error: type[ServiceError], named: str
+) -> None:
+    done = report(results(tmp_path / "out", [STONE]), "--out", tmp_path / "report", *words)
+    assert isinstance(done.exception, error)
+    assert named in str(done.exception)
+    assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize("line", ["{", "[1]", "null"])
+def test_damaged_results_are_named_by_their_line(tmp_path: Path, line: str) -> None:
+    folder = results(tmp_path / "out", [STONE])
+    with (folder / "results.jsonl").open("a") as file:
+        file.write(line + "\n")
+    done = report(folder, "--out", tmp_path / "report")
+    assert isinstance(done.exception, ServiceError)
+    assert "line 2" in str(done.exception)
