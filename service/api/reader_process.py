@@ -40,8 +40,9 @@ class Reading(Protocol):
 
 
 def lower_priority(context: None) -> tuple[WarmUp, ...]:
-    """Give this process a lower priority than the workers."""
-    os.nice(12)
+    """Have this process run only while no other wants the core: it must not take half of one from a worker."""
+    os.nice(12)  # shown by `ps`
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     return ()
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
 from drivers.files.compact_mesh import read_compact_mesh
-from drivers.files.durable import replacing
+from drivers.files.durable import unfinished
 from drivers.files.mesh_file import ply_bytes
 from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import trimesh
 
 PREVIEW_SIZE_PX = 480
+PNG_END = b"IEND\xaeB`\x82"
 MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From the frame of the rig to that of glTF 2.0, section 3.4: right-handed, metres, +y up; x stays, z becomes y."""
 
@@ -58,13 +59,15 @@ def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
 def preview_png(folder: Path) -> bytes:
     """Return a picture of the mesh, rendered once and kept beside it; raise `NotKeptError` without a mesh."""
     kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
-    if kept.exists():
-        return kept.read_bytes()
+    if kept.exists() and (png := kept.read_bytes()).endswith(PNG_END):  # else it was torn by a power cut
+        return png
     mesh = _mesh(folder)
     image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
     png = encode_png(image_rgb[..., ::-1])
-    with suppress(OSError), replacing(kept) as unfinished:  # a full disk costs the next request the same time
-        unfinished.write_bytes(png)
+    with suppress(OSError):  # a full disk costs the next request the same time
+        temporary = unfinished(kept)
+        temporary.write_bytes(png)  # not flushed: results wait for the same disk, and a picture can be made again
+        temporary.replace(kept)
     return png
 
 

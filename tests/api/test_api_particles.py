@@ -138,8 +138,11 @@ async def test_preview_is_rendered_once(client: httpx.AsyncClient, store: Store,
     assert red > blue  # a warm grey: the channels are not swapped
     kept = folder_of(store.dir, particle_id) / "preview-480.png"
     assert kept.read_bytes() == answer.content
-    kept.write_bytes(b"kept")
-    assert (await client.get(f"/particles/{particle_id}/preview.png")).content == b"kept"
+    kept.write_bytes(b"kept" + answer.content)
+    assert (await client.get(f"/particles/{particle_id}/preview.png")).content == b"kept" + answer.content
+    kept.write_bytes(answer.content[:-100])  # torn by a power cut
+    assert (await client.get(f"/particles/{particle_id}/preview.png")).content == answer.content
+    assert kept.read_bytes() == answer.content
 
 
 async def test_files_may_be_cached_for_ever(client: httpx.AsyncClient, particle_id: str) -> None:
