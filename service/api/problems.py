@@ -15,6 +15,8 @@ from starlette.routing import compile_path
 from service.api.reader_process import BusyError
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
+from service.lots.lots import LotConflictError
+from service.lots.yardsticks import UnknownYardstickError
 from service.status import ConflictError
 from service.store.trouble import Cause
 
@@ -123,6 +125,8 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _handle_validation)
     app.add_exception_handler(ConflictError, _handle_transition)
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
+    app.add_exception_handler(LotConflictError, _handle_lot)
+    app.add_exception_handler(UnknownYardstickError, _handle_yardstick)
     app.add_exception_handler(StoreError, _handle_store)
     app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
     app.add_exception_handler(BusyError, _handle_busy)
@@ -190,6 +194,14 @@ async def _handle_transition(request: Request, error: Exception) -> JSONResponse
 async def _handle_calibration(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, CalibrationConflictError)  # noqa: S101 - as above
     return problem_response(request, Problem(409, "calibration-conflict", str(error), state=error.state))
+
+
+async def _handle_lot(request: Request, error: Exception) -> JSONResponse:
+    return problem_response(request, Problem(409, "lot-conflict", str(error)))
+
+
+async def _handle_yardstick(request: Request, error: Exception) -> JSONResponse:
+    return problem_response(request, Problem(422, "invalid-request", str(error)))
 
 
 async def _handle_store(request: Request, error: Exception) -> JSONResponse:

@@ -65,8 +65,9 @@ def preview_png(folder: Path) -> bytes:
     image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
     png = encode_png(image_rgb[..., ::-1])
     with suppress(OSError):  # a full disk costs the next request the same time
+        # not flushed: results wait for the same disk, and a picture can be made again
         temporary = unfinished(kept)
-        temporary.write_bytes(png)  # not flushed: results wait for the same disk, and a picture can be made again
+        temporary.write_bytes(png)
         temporary.replace(kept)
     return png
 

@@ -11,24 +11,15 @@ from rich.table import Table
 
 from service.calibration.states import OPEN, CalibrationAction, CalibrationState
 from service.calibration.verifications import VerificationState
-from service.commands.daemon_client import DaemonError, ask
+from service.commands.daemon_client import DEFAULT_URL, AsJson, DaemonError, Key, Url, ask
 
 FOLLOW_S = 1.0
-DEFAULT_URL = "http://127.0.0.1:8080"
 
 command = typer.Typer(
     no_args_is_help=True,
     help="Calibrate and verify the rig of a running daemon, choose the calibration in use, roll back.",
 )
 
-Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
-Key = Annotated[
-    str | None,
-    typer.Option(
-        help="Token of a key, if the daemon requires one.", envvar="STONEFALL_KEY", show_envvar=True
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
 Name = Annotated[str, typer.Argument(metavar="ID", help="Number of the calibration, as `list` shows it.")]
 Note = Annotated[str | None, typer.Option(help="Remark; kept with it.")]
 Follow = Annotated[bool, typer.Option("--follow", help="Print each drop as it is observed.")]

@@ -5,13 +5,25 @@ import urllib.error
 import urllib.request
 from collections.abc import Mapping
 from http.client import HTTPException
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import urlsplit
+
+import typer
 
 from service.api.version import BASE
 from service.errors import ServiceError
 
 TIMEOUT_S = 30.0
+DEFAULT_URL = "http://127.0.0.1:8080"
+
+Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
+Key = Annotated[
+    str | None,
+    typer.Option(
+        help="Token of a key, if the daemon requires one.", envvar="STONEFALL_KEY", show_envvar=True
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
 
 
 class DaemonError(ServiceError):

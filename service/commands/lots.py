@@ -10,24 +10,15 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.files.durable import replacing
-from service.commands.daemon_client import ask, fetch
+from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask, fetch
 from service.errors import UsageError
 
-DEFAULT_URL = "http://127.0.0.1:8080"
 FORMATS = ("html", "pdf", "csv", "xlsx")
 
 command = typer.Typer(
     no_args_is_help=True, help="Products and lots of a running daemon: gradation, verdict, report."
 )
 
-Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
-Key = Annotated[
-    str | None,
-    typer.Option(
-        help="Token of a key, if the daemon requires one.", envvar="STONEFALL_KEY", show_envvar=True
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
 Lot = Annotated[str, typer.Argument(metavar="LOT", help="Name of the lot.")]
 SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in the place of the product's.")]
 Specification = Annotated[str | None, typer.Option(help="Specification, in the place of the product's.")]

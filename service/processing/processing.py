@@ -278,8 +278,9 @@ class Processing:
             case _Measured(MeasuredBundle(record, network), folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
                 self._last_loss = None
-                marked = {**record, "verification": self._calibration.verified}
-                seq = await self._results.finish(session, bundle.name, marked, files)
+                if (verified := self._calibration.verified) is not None:
+                    record = {**record, "verification": verified}
+                seq = await self._results.finish(session, bundle.name, record, files)
                 self._on_network(network)
                 if keep_drop is not None:
                     try:

@@ -247,6 +247,7 @@ STORED_FIELDS = (
     "session",
     "recorded_at",
     "time_is_doubtful",
+    "verification",
     "is_replay",
     "files_removed",
     "is_pinned",

@@ -1,8 +1,7 @@
 """Lots of the plant: opened, closed, voided; their stones, and the figures that these make up."""
 
-from collections.abc import Callable
 from dataclasses import asdict
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi import Request as HttpRequest
@@ -22,7 +21,6 @@ from service.calibration.verifications import Verification, VerificationState
 from service.lots.evaluation import lot_document
 from service.lots.figures import LotDocument, LotFigures
 from service.lots.lots import (
-    LotConflictError,
     LotDefinition,
     LotRecord,
     LotState,
@@ -36,20 +34,16 @@ from service.lots.lots import (
 )
 from service.lots.products import find_product
 from service.lots.stored_stones import stones_behind
-from service.lots.yardsticks import Request, UnknownYardstickError, yardstick_of
+from service.lots.yardsticks import Request, yardstick_of
 from service.reports.report import Language, LastVerification, ReportFormat, VerificationOutcome
 from service.results.fields import TIME, Verified
 from service.store import read
 
 router = APIRouter(prefix="/lots", tags=["lots"])
 
-T = TypeVar("T")
-
 LotName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Tonnage = Annotated[float | None, Field(ge=0, le=1e6, description="Of the whole lot, t")]
-SieveSetName = Annotated[str | None, Query(max_length=200, description="Another than the product's")]
-SpecificationName = Annotated[str | None, Query(max_length=200, description="Another than the product's")]
 READABLE = [Depends(require(Scope.READ))]
 OPERABLE = [Depends(require(Scope.OPERATE))]
 
@@ -136,6 +130,20 @@ class StonesBehindStep(BaseModel):
     items: list[StoneBehindStep]
 
 
+async def request_of(
+    context: Context,
+    sieve_set: Annotated[str | None, Query(max_length=200, description="Another than the product's")] = None,
+    specification: Annotated[
+        str | None, Query(max_length=200, description="Another than the product's")
+    ] = None,
+) -> Request:
+    """Return what the figures of a request are to be measured by."""
+    return Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
+
+
+Measuring = Annotated[Request, Depends(request_of)]
+
+
 @router.post(
     "",
     status_code=201,
@@ -157,8 +165,6 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
         )
     except UnknownProductError as err:
         raise Problem(404, "unknown-product", f"there is no product {err}") from err
-    except LotConflictError as err:
-        raise Problem(409, "lot-conflict", str(err)) from err
     response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
     return lot_document(record)
 
@@ -191,7 +197,8 @@ async def get_lot(context: Context, lot: LotName) -> LotDocument:
 )
 async def post_close(context: Context, lot: LotName, wanted: CloseRequest, asking: Who) -> LotDocument:
     """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
-    return _served(lot, await _changed(context, close_lot, lot, wanted.tonnage_t, asking))
+    context.store.require_writable()
+    return _served(lot, await context.store.write(close_lot, lot, wanted.tonnage_t, asking))
 
 
 @router.post(
@@ -199,7 +206,8 @@ async def post_close(context: Context, lot: LotName, wanted: CloseRequest, askin
 )
 async def post_void(context: Context, lot: LotName, wanted: VoidRequest, asking: Who) -> LotDocument:
     """Declare a lot void: it counts no more, and is kept."""
-    return _served(lot, await _changed(context, void_lot, lot, wanted.reason, asking))
+    context.store.require_writable()
+    return _served(lot, await context.store.write(void_lot, lot, wanted.reason, asking))
 
 
 @router.post(
@@ -207,7 +215,8 @@ async def post_void(context: Context, lot: LotName, wanted: VoidRequest, asking:
 )
 async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, asking: Who) -> Assigned:
     """Put the stones of a time that are in no lot into this one; the audit keeps who did it."""
-    done = await _changed(context, assign, lot, wanted.since, wanted.until, asking)
+    context.store.require_writable()
+    done = await context.store.write(assign, lot, wanted.since, wanted.until, asking)
     record, n_assigned = existing(done, "lot", lot)
     return Assigned(lot=lot_document(record), n_assigned=n_assigned)
 
@@ -221,15 +230,10 @@ async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, ask
 async def gradation(
     context: Context,
     lot: LotName,
-    sieve_set: SieveSetName = None,
-    specification: SpecificationName = None,
+    measuring: Measuring,
 ) -> Response:
     """Return the figures of a lot through the sieves and the specification of its product, or through any other."""
-    wanted = Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
-    try:
-        content = await context.reading.run(read, context.store.path, lot_figures_json, lot, wanted)
-    except UnknownYardstickError as err:
-        raise Problem(422, "invalid-request", str(err)) from err
+    content = await context.reading.run(read, context.store.path, lot_figures_json, lot, measuring)
     return Response(existing(content, "lot", lot), media_type="application/json")
 
 
@@ -243,9 +247,8 @@ async def report(
     context: Context,
     asked: HttpRequest,
     lot: LotName,
+    measuring: Measuring,
     language: Language = Language.ENGLISH,
-    sieve_set: SieveSetName = None,
-    specification: SpecificationName = None,
 ) -> Response:
     """Return the report of a lot in the format that `Accept` prefers: HTML, PDF, CSV or XLSX."""
     offers = [each.media_type.partition(";")[0] for each in ReportFormat]
@@ -254,7 +257,7 @@ async def report(
         raise Problem(
             406, "not-acceptable", "a report comes as " + ", ".join(offers), headers={"Vary": "Accept"}
         )
-    return await _report(context, lot, list(ReportFormat)[choice], language, sieve_set, specification)
+    return await _report(context, lot, list(ReportFormat)[choice], language, measuring)
 
 
 @router.get(
@@ -267,12 +270,11 @@ async def report_file(
     context: Context,
     lot: LotName,
     report_format: ReportFormat,
+    measuring: Measuring,
     language: Language = Language.ENGLISH,
-    sieve_set: SieveSetName = None,
-    specification: SpecificationName = None,
 ) -> Response:
     """Return the report of a lot as a file of this format."""
-    return await _report(context, lot, report_format, language, sieve_set, specification)
+    return await _report(context, lot, report_format, language, measuring)
 
 
 @router.get(
@@ -285,29 +287,17 @@ async def particles_behind_step(
     context: Context,
     lot: LotName,
     sieve: Annotated[float, Query(gt=0, le=1000, description="Aperture of the upper sieve, mm")],
-    sieve_set: SieveSetName = None,
+    measuring: Measuring,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> dict[str, Any]:
     """Return the stones behind a step of the curve: that pass this sieve and not the next smaller one of the set."""
     record = existing(await context.store.read(find_lot, lot), "lot", lot)
-    try:
-        product = await context.store.read(find_product, record.product, record.version)
-        definition = None if product is None else product.definition
-        apertures_mm = yardstick_of(definition, Request(sieve_set=sieve_set)).apertures_mm
-    except UnknownYardstickError as err:
-        raise Problem(422, "invalid-request", str(err)) from err
+    product = await context.store.read(find_product, record.product, record.version)
+    definition = None if product is None else product.definition
+    apertures_mm = yardstick_of(definition, measuring).apertures_mm
     above_mm = max((each for each in apertures_mm if each < sieve), default=0.0)
     items = await context.store.read(stones_behind, lot, above_mm, sieve, limit)
     return {"above_mm": above_mm, "up_to_mm": sieve, "items": [asdict(each) for each in items]}
-
-
-async def _changed(context: ApiContext, change: Callable[..., T], lot: str, *arguments: object) -> T:
-    """Change a lot in the store; raise the problem 409 where its state does not allow it."""
-    context.store.require_writable()
-    try:
-        return await context.store.write(change, lot, *arguments)
-    except LotConflictError as err:
-        raise Problem(409, "lot-conflict", str(err)) from err
 
 
 def _served(lot: str, record: LotRecord | None) -> LotDocument:
@@ -319,25 +309,19 @@ async def _report(
     lot: str,
     report_format: ReportFormat,
     language: Language,
-    sieve_set: str | None,
-    specification: str | None,
+    measuring: Request,
 ) -> Response:
     calibrations = context.control.calibrations
     last = calibrations.verifications.last(calibrations.rig_file.calibration_id)
     wanted = ReportRequest(
-        figures=Request(
-            sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured
-        ),
+        figures=measuring,
         report_format=report_format,
         language=language,
         verification=None if last is None else _last_verification(last),
         is_verification_overdue=calibrations.verified is Verified.OVERDUE,
     )
     store = context.store
-    try:
-        content = await context.reading.run(read, store.path, lot_report, store.particles_dir, lot, wanted)
-    except UnknownYardstickError as err:
-        raise Problem(422, "invalid-request", str(err)) from err
+    content = await context.reading.run(read, store.path, lot_report, store.particles_dir, lot, wanted)
     name = f'inline; filename="{lot}.{report_format}"'
     headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
     return Response(existing(content, "lot", lot), media_type=report_format.media_type, headers=headers)

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import Context
-from service.api.problems import Problem, existing, problem_responses
+from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
 from service.lots.products import (
     definition_of,
@@ -18,7 +18,6 @@ from service.lots.products import (
 )
 from service.lots.yardsticks import (
     Request,
-    UnknownYardstickError,
     specification_names,
     yardstick_of,
 )
@@ -136,10 +135,7 @@ async def put_product(
 ) -> dict[str, Any]:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
     definition = definition_of(wanted.model_dump())
-    try:
-        yardstick_of(definition, Request())
-    except UnknownYardstickError as err:
-        raise Problem(422, "invalid-request", str(err)) from err
+    yardstick_of(definition, Request())  # raises where it cannot be judged
     context.store.require_writable()
     return _document(asdict(await context.store.write(save_product, product, definition, asking)))
 

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Query, Response
 from pipeline.frames import rfc3339
 from service.api.context import ApiContext, Context
 from service.api.pages import window_figures_json
-from service.api.problems import Problem, existing, problem_responses
-from service.api.routes.lots import SieveSetName, SpecificationName
+from service.api.problems import existing, problem_responses
+from service.api.routes.lots import Measuring
 from service.lots.figures import LotFigures
 from service.lots.shifts import shift_at
-from service.lots.yardsticks import Request, UnknownYardstickError
+from service.lots.yardsticks import Request
 from service.store import read
 
 router = APIRouter(prefix="/windows", tags=["lots"])
@@ -25,28 +25,26 @@ ProductId = Annotated[
 @router.get("/current", response_model=LotFigures, responses=problem_responses(404, 422))
 async def current_window(
     context: Context,
+    measuring: Measuring,
     minutes: Annotated[float, Query(gt=0, le=10_080, description="How far back")] = 60.0,
     product: ProductId = None,
-    sieve_set: SieveSetName = None,
-    specification: SpecificationName = None,
 ) -> Response:
     """Return the figures of what fell within the last minutes, in whatever lot or in none."""
     now = datetime.now(UTC)
     since = now - timedelta(minutes=minutes)
-    return await _figures(context, since, now, product, sieve_set, specification)
+    return await _figures(context, since, now, product, measuring)
 
 
 @router.get("/shift", response_model=LotFigures, responses=problem_responses(404, 422))
 async def shift(
     context: Context,
+    measuring: Measuring,
     ago: Annotated[int, Query(ge=0, le=1000, description="0: the present shift, 1: the one before")] = 0,
     product: ProductId = None,
-    sieve_set: SieveSetName = None,
-    specification: SpecificationName = None,
 ) -> Response:
     """Return the figures of a shift; `[lots] shift_starts` says when they begin, by the host's local time."""
     since, until = shift_at(datetime.now(UTC).astimezone(), context.control.lots.shift_starts, ago)
-    return await _figures(context, since, until, product, sieve_set, specification)
+    return await _figures(context, since, until, product, measuring)
 
 
 async def _figures(
@@ -54,15 +52,10 @@ async def _figures(
     since: datetime,
     until: datetime,
     product: str | None,
-    sieve_set: str | None,
-    specification: str | None,
+    measuring: Request,
 ) -> Response:
-    wanted = Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
     times = rfc3339(since), rfc3339(until)
-    try:
-        content = await context.reading.run(
-            read, context.store.path, window_figures_json, *times, wanted, product
-        )
-    except UnknownYardstickError as err:
-        raise Problem(422, "invalid-request", str(err)) from err
+    content = await context.reading.run(
+        read, context.store.path, window_figures_json, *times, measuring, product
+    )
     return Response(existing(content, "product", str(product)), media_type="application/json")
