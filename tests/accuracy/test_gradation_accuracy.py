@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from accuracy.gradation import PAIRS, comparison, missed
+from accuracy.gradation import PAIRS
+from support.lot_comparison import comparison, missed
 from support.quick_and_full import first_quick
 from support.rendered_lots import ALL_CAMERAS, Row, body, measured_rows
 

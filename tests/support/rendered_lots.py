@@ -37,9 +37,9 @@ from service.processing.segmenters import SegmenterPlan, build_segmenter
 from service.results.record import result_record
 
 FORM_SHARES: Mapping[str, float] = {
-    "angular": 0.32,
-    "irregular": 0.24,
-    "flaky": 0.16,
+    "angular": 0.28,
+    "irregular": 0.20,
+    "flaky": 0.24,
     "elongated": 0.08,
     "round": 0.06,
     "rough": 0.05,
@@ -47,11 +47,11 @@ FORM_SHARES: Mapping[str, float] = {
     "dented": 0.03,
     "two-lobed": 0.01,
 }
-"""By number, as of a crushed rock of flakiness about 15; trominoes and horseshoes are no stones of a quarry."""
-MEDIAN_MM, GEOMETRIC_SD = 14.0, 1.4
+"""By number, as of a crushed rock of a flakiness index above 10; trominoes and horseshoes are no stones of a quarry."""
+MEDIAN_MM, GEOMETRIC_SD = 13.0, 1.5
 SIZES_MM = (5.0, 36.0)
 """Of sieve sizes: log-normal by number, and the least and the greatest."""
-MAX_FERET_MM = 40.0
+MAX_FERET_MM = 44.0
 """Longer stones do not fall: the field of view is not made for them."""
 DRAWN_MM = 20.0
 BODY, POSE, EXPOSURE = range(3)
