@@ -37,23 +37,29 @@ from pipeline.gradation.sieves import ALL_SIZES
 from pipeline.meshing import Mesher
 from pipeline.particle import BodyParameters, PipelineParameters
 from pipeline.rig.cameras import RigCalibration
+from service.commands.lots import curve_table
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
 from service.errors import ServiceError, UsageError
+from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
 from service.lots.stones import lot_of_records
+from service.lots.stored_stones import stones_in
+from service.lots.yardsticks import Request
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile, WorkerContext, prepare
 from service.processing.processing import FixedCalibration, Processing, ProcessingContext
 from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import WorkerPool
+from service.reports.report import Language
+from service.reports.svg import curve_svg
 from service.results.fields import LossReason, Outcome
 
 DEADLINE_S = 600.0
 """Only a worker that hangs is ended: no stone waits here."""
 IN_FLIGHT = 4
 """Bundles in flight for each worker."""
-RESULTS, GRADATION = "results.jsonl", "gradation.json"
+RESULTS, GRADATION, CURVE = "results.jsonl", "gradation.json", "gradation.svg"
 SIEVE_SET = "stonefall"
 MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
 
@@ -159,8 +165,12 @@ def command(
         unfinished = Path(name)
         records = _measure_all(source, context, rig_file, unfinished, workers, save_silhouettes)
         (unfinished / GRADATION).write_text(json.dumps(_gradation(records, calibration), indent=2) + "\n")
+        figures = figures_of(stones_in(records), Request())
+        (unfinished / CURVE).write_text(curve_svg(figures.curve, language=Language.ENGLISH), encoding="utf-8")
         _replace_results(unfinished, out)
     _print_summary(records, as_json)
+    if figures.measured and not as_json:
+        Console().print(curve_table(figures.model_dump(mode="json")))
 
 
 def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, Any]:
@@ -177,11 +187,11 @@ def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, 
 
 def _replace_results(unfinished: Path, out: Path) -> None:
     """Replace all files of an earlier run; `results.jsonl` comes last, when everything else is in place."""
-    for name in (RESULTS, GRADATION):
+    for name in (RESULTS, GRADATION, CURVE):
         (out / name).unlink(missing_ok=True)
     for name in FOLDERS:
         shutil.rmtree(out / name, ignore_errors=True)
-    for name in (*FOLDERS, GRADATION, RESULTS):
+    for name in (*FOLDERS, GRADATION, CURVE, RESULTS):
         if (unfinished / name).exists():
             (unfinished / name).rename(out / name)
 

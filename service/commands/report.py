@@ -9,7 +9,6 @@ import typer
 
 from drivers.files.durable import replacing
 from drivers.files.times import utc_now
-from pipeline.frames import BundleKind
 from service.api.version import API_VERSION
 from service.commands.measure import RESULTS
 from service.errors import ServiceError, UsageError
@@ -36,7 +35,7 @@ def command(
     language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
 ) -> None:
     """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
-    records = [each for each in _records(results / RESULTS) if each["kind"] != BundleKind.BALL]
+    records = _records(results / RESULTS)
     definition = ProductDefinition(
         title=title,
         density_kg_m3=density_kg_m3,

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
 from service.lots.stones import stone_of
 
@@ -87,7 +88,8 @@ def _stones(connection: sqlite3.Connection, condition: str, *values: str) -> Sto
 
 
 def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
-    """Return the stones of records, or of rows with the same names; balls are left out before."""
+    """Return the stones of records, or of rows with the same names; balls are none."""
+    records = [record for record in records if record.get("kind") != BundleKind.BALL]
     times = [record["captured_at"] for record in records if record["captured_at"] is not None]
     return Stones(
         stones=[_stone(record) for record in records],

@@ -78,7 +78,9 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
         assert set(np.unique(labels)) <= {0, 128, 255}
         assert {"segment", "carve", "mesh", "estimate", "measure", "total"} <= set(record["timings_ms"])
     assert not (two / "silhouettes").exists()
-    assert sorted(path.name for path in two.iterdir()) == ["gradation.json", "meshes", "results.jsonl"]
+    assert sorted(path.name for path in two.iterdir()) == [
+        "gradation.json", "gradation.svg", "meshes", "results.jsonl",
+    ]  # fmt: skip
     curve = json.loads((one / "gradation.json").read_text())
     assert curve["n_stones"] == 3
     assert len(curve["passing_percent"]) == len(curve["sieves_mm"])
@@ -242,7 +244,12 @@ def test_a_folder_has_the_results_of_one_run_alone(tmp_path: Path) -> None:
         run(recording, "--out", out, "--workers", 1, *options)
         assert [record["bundle"] for record in records(out)] == bundles
         assert sorted(path.stem for path in (out / "meshes").iterdir()) == bundles
-    assert {path.name for path in out.iterdir()} == {"results.jsonl", "meshes", "gradation.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "results.jsonl",
+        "meshes",
+        "gradation.json",
+        "gradation.svg",
+    }
 
 
 def test_folders_of_others_are_left_alone(recording: Path, tmp_path: Path) -> None:
