@@ -13,6 +13,9 @@ from service.lots import audit
 from service.lots.products import find_product
 from service.store.schema import transaction
 
+MOST_RUNS = 1000
+"""Lots of one sample that are looked at, the newest."""
+
 
 class LotState(StrEnum):
     """How far a lot is."""
@@ -161,6 +164,11 @@ def find_lot(connection: sqlite3.Connection, lot: str) -> LotRecord | None:
     """Return a lot, None if there is none."""
     found = _lots(connection, "lot = ?", (lot,), 1)
     return found[0] if found else None
+
+
+def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotRecord]:
+    """Return the lots with this sample id, oldest first."""
+    return _lots(connection, "definition ->> 'sample_id' = ?", (sample_id,), MOST_RUNS)[::-1]
 
 
 def lots(

@@ -226,6 +226,10 @@ class Result(BaseModel):
     is_replay: bool | None = Field(
         default=None, description="True when no stone fell: a recording was played, or the rig is simulated"
     )
+    lot: str | None = Field(
+        default=None,
+        description="Lot that the stone is in now: it may be assigned later; null outside of any",
+    )
     files_removed: Literal["age", "space"] | None = Field(
         default=None,
         description="Why mesh, silhouettes and images were removed by `[store.retention]`; null when they were not",
@@ -249,6 +253,7 @@ STORED_FIELDS = (
     "time_is_doubtful",
     "verification",
     "is_replay",
+    "lot",
     "files_removed",
     "is_pinned",
     "pin_reason",

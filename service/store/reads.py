@@ -33,10 +33,12 @@ class ParticleFilter:
     max_sieve_size_mm: float | None = None
     since: str | None = None  # captured at or after, as `pipeline.frames.rfc3339` writes it
     until: str | None = None  # captured before
+    lot: str | None = None
 
 
 RECORDS = (
-    "SELECT record, removed, pins.reason FROM results LEFT JOIN files USING (seq) LEFT JOIN pins USING (seq)"
+    "SELECT record, removed, pins.reason, triggers.lot FROM results JOIN triggers USING (trigger)"
+    " LEFT JOIN files USING (seq) LEFT JOIN pins USING (seq)"
 )
 
 
@@ -99,6 +101,7 @@ def particles(
         "sieve_size_mm <= ?": wanted.max_sieve_size_mm,
         "captured_at >= ?": wanted.since,
         "captured_at < ?": wanted.until,
+        "seq IN (SELECT seq FROM stones WHERE lot = ?)": wanted.lot,
         "seq < ?": before_seq,
     }
     given = {text: value for text, value in conditions.items() if value is not None}
@@ -111,10 +114,11 @@ def particles(
     return [_record(*row) for row in rows]
 
 
-def _record(text: str, removed: str | None, pin_reason: str | None) -> Record:
+def _record(text: str, removed: str | None, pin_reason: str | None, lot: str | None) -> Record:
     """Return the record as it was stored, with what has happened to it since."""
     record: Record = json.loads(text)
     return record | {
+        "lot": lot,
         "files_removed": removed,
         "is_pinned": pin_reason is not None,
         "pin_reason": pin_reason,

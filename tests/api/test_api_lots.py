@@ -243,6 +243,53 @@ async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw
 
 
 @pytest.mark.usefixtures("product")
+async def test_repeated_runs_of_a_sample_tell_its_repeatability(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    sizes_mm = {"L1": (10.0, 14.0), "L2": (10.2, 14.2), "L3": (10.6, 14.8), "L4": (10.9, 15.1)}
+    for run, (lot, sizes) in enumerate(sizes_mm.items()):
+        await opened(client, lot, sample_id="S 1", sampler="Ann" if run < 2 else "Bert")
+        for number, size_mm in enumerate(sizes):
+            await add(store, session, 10 * run + number, stone(size_mm))
+        if run == 0:
+            assert_problem(await client.get("/repeatability?sample_id=S 1"), 404, "unknown-sample")
+        await client.post(f"/lots/{lot}/close", json={})
+        if run == 0:
+            assert_problem(await client.get("/repeatability?sample_id=S 1"), 409, "too-few-runs")
+    found = (await client.get("/repeatability?sample_id=S 1&conditions=sampler")).json()
+    assert [(run["lot"], run["group"]) for run in found["runs"]] == [
+        ("L1", "Ann"),
+        ("L2", "Ann"),
+        ("L3", "Bert"),
+        ("L4", "Bert"),
+    ]
+    d50 = found["figures"]["d50_mm"]
+    values = [
+        (await client.get(f"/lots/{lot}/gradation")).json()["quantiles"][2]["exact_mm"]["value"]
+        for lot in sizes_mm
+    ]
+    within = np.sqrt((np.var(values[:2], ddof=1) + np.var(values[2:], ddof=1)) / 2)
+    assert d50["repeatability_sd"] == pytest.approx(within)
+    assert d50["reproducibility_sd"] > d50["between_sd"] > within
+    assert d50["repeatability_limit"] == pytest.approx(2.8 * within)
+    assert (await client.get("/repeatability?sample_id=S 1")).json()["figures"]["d50_mm"][
+        "between_sd"
+    ] is None
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_result_names_its_lot(client: httpx.AsyncClient, store: Store, session: int) -> None:
+    await add(store, session, 1, stone(10.0))
+    await opened(client)
+    await add(store, session, 2, stone(11.0))
+    await client.post("/lots/L1/close", json={})
+    assert [each["lot"] for each in (await client.get("/results")).json()["items"]] == [None, "L1"]
+    assert [each["seq"] for each in (await client.get("/particles?lot=L1")).json()["items"]] == [2]
+    await client.post("/lots/L1/assign", json={"since": trigger(1).utc, "until": trigger(2).utc})
+    assert (await client.get("/particles/1")).json()["lot"] == "L1"
+
+
+@pytest.mark.usefixtures("product")
 async def test_the_report_comes_in_every_format_and_language(
     client: httpx.AsyncClient, store: Store, session: int, tmp_path: Path
 ) -> None:

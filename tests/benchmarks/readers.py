@@ -1,11 +1,13 @@
 """Run the daemon on a recording, without clients and beside two crowds of them, and compare how late results are.
 
 Run: .venv/bin/python tests/benchmarks/readers.py [--seconds 30] [--rate 4] [--size-mm 25] [--recording DIR]
-     [--phases calm,polls,pages,calm]
+     [--phases calm,polls,pages,calm] [--before 1000]
 
 The crowds: 200 long polls that ask again at once; 4 clients in a closed loop, each with a page of 1000 results and five
-previews in turn; and, as `cheap`, 16 clients in a closed loop with single results and a kept preview. They run on this
-machine, with the lowest priority, because a plant's clients are other machines. The store holds 1000 stones before.
+previews in turn; as `cheap`, 16 clients in a closed loop with single results and a kept preview; and, as `lots`, one
+client that opens a lot, assigns all stones of before to it, closes it and has it reported, then opens and closes
+others and has the first reported again. They run on this machine, with the lowest priority, because a plant's clients
+are other machines. The store holds `--before` stones before.
 Times are from the exposure to the durable result. Exits with 1 if a stone is lost, or if the 99th percentile beside a
 crowd is more than 1.5 times that of the calm phase before.
 """
@@ -21,6 +23,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
@@ -42,21 +45,22 @@ from support.stores import folder_of
 from support.usage import cpu_s
 
 from drivers.files.recording import open_recording
+from pipeline.gradation.stones import DEVIATIONS, MEASURES
 from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 from service.results.fields import STORED_FIELDS
 from service.store import open_store
 
 SEED = 12
 MAX_RATIO = 1.5
-N_BEFORE = 1000
-"""Results in the store before the run: a page of the greatest size."""
+N_WITH_MESH = 1000
+"""Results in the store before the run that have a mesh: a page of the greatest size."""
 WARM_UP_S = 10.0
 SETTLE_S = 3.0
 """Between two phases, once no stone waits any more; stones of that time are in none."""
-CLIENTS = {"polls": 200, "pages": 4, "cheap": 16}
+CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1}
 """Number of clients of each crowd."""
-Paths = Generator[str, bytes, None]
-"""What a client asks for, one after the other, sent the answer of each."""
+Questions = Generator[str, bytes, None]
+"""What a client asks for, one after the other, sent the answer of each: a path, or method, path and body."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +82,7 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=4, help="stones a second")
     parser.add_argument("--size-mm", type=float, default=25)
     parser.add_argument("--recording", type=Path, help="stones are rendered here, or taken from here")
+    parser.add_argument("--before", type=int, default=N_WITH_MESH, help="stones in the store before")
     parser.add_argument("--phases", default="calm,polls,calm,pages,calm,cheap")
     parser.add_argument("--client", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -110,7 +115,7 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 5)
         daemon.stop()
-    asyncio.run(fill(state))
+    asyncio.run(fill(state, arguments.before))
     daemon.heard.clear()
     watched, is_over = Watched(), threading.Event()
     spans, cores, answers = [], [], []
@@ -166,8 +171,8 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
     ]
 
 
-async def fill(state: Path) -> None:
-    """Store the first measured stone again and again, with its mesh."""
+async def fill(state: Path, n_stones: int) -> None:
+    """Store the first measured stone again and again in other sizes, the first ones with its mesh."""
     with closing(sqlite3.connect(state / "results.sqlite")) as connection:
         texts = connection.execute("SELECT record FROM results").fetchall()
     records = [json.loads(text) for (text,) in texts]
@@ -177,10 +182,16 @@ async def fill(state: Path) -> None:
         session = await store.begin_session(
             {"calibration_id": record["calibration_id"], "is_simulated": True}
         )
-        for number in range(N_BEFORE):
-            copy = Path(shutil.copy(mesh, state / "copy.sfmesh"))
+        scales = np.random.default_rng(SEED).lognormal(0.0, 0.2, n_stones)
+        for number, scale in enumerate(scales):
             fields = {name: value for name, value in record.items() if name not in STORED_FIELDS}
-            await add(store, session, number, fields, {"mesh.sfmesh": copy})
+            lengths = [name for name in MEASURES if name.endswith("_mm") and name not in DEVIATIONS]
+            fields |= {name: scale * fields[name] for name in lengths}
+            fields["volume_mm3"] *= scale**3
+            files = {}
+            if number < N_WITH_MESH:
+                files = {"mesh.sfmesh": Path(shutil.copy(mesh, state / "copy.sfmesh"))}
+            await add(store, session, number, fields, files)
 
 
 def trigger_times_s(watched: Watched, n_before: int, due_s: np.ndarray) -> np.ndarray:
@@ -248,15 +259,15 @@ async def be(crowd: str, url: str, seconds: float) -> None:
         nonlocal n_bytes, longest_s
         reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
         try:
-            paths = PATHS[crowd](number)
-            path = next(paths)
+            questions = QUESTIONS[crowd](number)
+            question = next(questions)
             while True:
                 began_s = time.monotonic()
-                status, content = await ask(reader, writer, urlsplit(url).path + path)
+                status, content = await ask(reader, writer, urlsplit(url).path, question)
                 longest_s = max(longest_s, time.monotonic() - began_s)
                 statuses[status] = statuses.get(status, 0) + 1
                 n_bytes += len(content)
-                path = paths.send(content)
+                question = questions.send(content)
         finally:
             writer.close()
 
@@ -267,42 +278,67 @@ async def be(crowd: str, url: str, seconds: float) -> None:
     except TimeoutError:
         pass
     counts = ", ".join(f"{n} x {status}" for status, n in sorted(statuses.items()))
-    sys.stdout.write(f"{counts}, {n_bytes / 1e6:.0f} MB, within {longest_s:.1f} s\n")
+    told = "".join(
+        f"; {what}: first {took_s[0]:.2f}, median {np.median(took_s):.2f}, longest {max(took_s):.2f} s"
+        for what, took_s in TIMES_S.items()
+    )
+    sys.stdout.write(f"{counts}, {n_bytes / 1e6:.0f} MB, within {longest_s:.1f} s{told}\n")
 
 
-async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, path: str) -> tuple[int, bytes]:
+async def ask(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, base: str, question: str
+) -> tuple[int, bytes]:
     """Return status and body of the answer."""
-    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    method, path, body = ("GET", question, "") if question.startswith("/") else question.split(" ", 2)
+    head = f"{method} {base}{path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
+    writer.write(f"{head}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode())
     head = (await reader.readuntil(b"\r\n\r\n")).decode()
     fields = dict(line.lower().split(": ", 1) for line in head.splitlines()[1:] if line)
     return int(head.split()[1]), await reader.readexactly(int(fields["content-length"]))
 
 
-def long_polls(number: int) -> Paths:
+def long_polls(number: int) -> Questions:
     after = json.loads((yield "/results?after=0&limit=1"))["last_seq"]
     while True:
         after = json.loads((yield f"/results?after={after}&limit=100&wait_s=30"))["next_after"]
 
 
-def big_pages(number: int) -> Paths:
+def big_pages(number: int) -> Questions:
     for turn in count():
         if turn % 2:
             yield f"/results?after={turn % 7}&limit=1000"
         else:
             yield "/particles?limit=1000"
         for preview in range(5):
-            yield f"/particles/{10 + (turn * 20 + number * 5 + preview) % N_BEFORE}/preview.png"
+            yield f"/particles/{10 + (turn * 20 + number * 5 + preview) % N_WITH_MESH}/preview.png"
 
 
-def cheap_answers(number: int) -> Paths:
+def cheap_answers(number: int) -> Questions:
     while True:
         yield f"/particles/{10 + number}"
         yield "/particles/10/preview.png"
         yield "/results?after=100&limit=1"
 
 
-PATHS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers}
-"""Paths that a client of each crowd asks for, one after the other."""
+def lots(number: int) -> Questions:
+    yield 'PUT /products/bench {"title": "bench", "density_kg_m3": 2700}'
+    for turn in count():
+        began_s = time.monotonic()
+        yield f'POST /lots {{"lot": "L{turn}", "product": "bench"}}'
+        if turn == 0:
+            yield 'POST /lots/L0/assign {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}'
+        yield f"POST /lots/L{turn}/close {{}}"
+        yield "/lots/L0/report.html"
+        TIMES_S["opened, closed, reported as HTML"].append(time.monotonic() - began_s)
+        began_s = time.monotonic()
+        yield "/lots/L0/report.pdf"
+        TIMES_S["as PDF"].append(time.monotonic() - began_s)
+
+
+QUESTIONS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers, "lots": lots}
+"""What a client of each crowd asks for, one after the other."""
+TIMES_S: dict[str, list[float]] = defaultdict(list)
+"""What a client noted."""
 
 
 if __name__ == "__main__":

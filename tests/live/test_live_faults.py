@@ -61,7 +61,9 @@ def test_c1_lost_packets_are_resent_and_stones_keep_all_their_views(live: LiveRi
     for camera in live.rig.cameras.values():
         camera.faults.packet_loss = loss
     results = live.measure(6)
-    while views(results).count(16) < 6:  # a busy machine may send a packet again too late; without resends: none
+    while (
+        views(results).count(16) < 6
+    ):  # a busy machine may send a packet again too late; without resends: none
         assert len(results) < 24, [result["dropped_views"] for result in results]
         results += live.measure(2)
     assert all_measured(results)

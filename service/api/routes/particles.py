@@ -40,6 +40,7 @@ async def particles(
     max_sieve_size_mm: SizeMm = None,
     since: Annotated[Time | None, Query(description="Captured at or after, RFC 3339")] = None,
     until: Annotated[Time | None, Query(description="Captured before, RFC 3339")] = None,
+    lot: Annotated[str | None, Query(max_length=64, description="In this lot now")] = None,
     cursor: Annotated[
         str | None, Query(pattern=r"^[0-9]{1,15}$", description="`next_cursor` of the page before")
     ] = None,
@@ -54,6 +55,7 @@ async def particles(
         max_sieve_size_mm=max_sieve_size_mm,
         since=since,
         until=until,
+        lot=lot,
     )
     before_seq = MAX_SEQ if cursor is None else int(cursor)
     if limit > MAX_SMALL:

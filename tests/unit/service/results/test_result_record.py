@@ -8,15 +8,18 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from support.known_bodies import BODIES, FORMS, SIZES
 
 from pipeline.errors import RejectedError, RejectReason
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import CameraId, Trigger
+from pipeline.gradation.stones import Stone
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
 from pipeline.segmentation import Silhouette, ViewStatus
 from pipeline.uncertainty import Cause, Uncertainty
 from pipeline.views.quality import Quality
+from service.lots.stones import stone_of
 from service.results.fields import MEASURED_FIELDS
 from service.results.record import lost_record, result_record
 
@@ -30,12 +33,12 @@ def box() -> ShapeMeasurement:
     return measure_shape(box.vertices, box.faces)
 
 
-def measured() -> ParticleResult:
+def measured(shape: ShapeMeasurement | None = None, volume_mm3: float = 6000.0) -> ParticleResult:
     measurement = ParticleMeasurement(
         body="estimate",
-        shape=box(),
+        shape=shape or box(),
         hull=HullMeasurement(volume_mm3=6300.0, surface_area_mm2=2250.0),
-        volume_mm3=6000.0,
+        volume_mm3=volume_mm3,
         volume_model="test",
         volume_estimate_mm3=6010.0,
         angularity=None,
@@ -82,6 +85,26 @@ def record_of(
         is_simulated=True,
         speed_at_gate_mm_s=speed_at_gate_mm_s,
         timings_ms={},
+    )
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_known_body_has_its_measures_in_the_record_and_in_the_lot(name: str) -> None:
+    make, sizes = BODIES[name]
+    shape = measure_shape(make(*sizes).vertices, make(*sizes).faces)
+    record = record_of(measured(shape, shape.volume_mm3), None)
+    fields = ("volume_mm3", "surface_area_mm2", "equivalent_diameter_mm", "sphericity")
+    fields += ("max_feret_mm", "min_feret_mm", "sieve_size_mm")
+    assert [record[each] for each in fields] == pytest.approx(SIZES[name], rel=5e-3)
+    if name in FORMS:
+        edges, krumbein, corey, zingg = FORMS[name]
+        assert record["min_box_mm"] == pytest.approx(edges, rel=1e-3)
+        assert (record["krumbein"], record["corey"]) == pytest.approx((krumbein, corey), abs=1e-3)
+        assert record["zingg_class"] == zingg
+    stone = stone_of(record)
+    assert isinstance(stone, Stone)
+    assert (stone.volume_mm3, stone.max_feret_mm, stone.min_feret_mm, stone.sieve_size_mm) == pytest.approx(
+        (SIZES[name][0], *SIZES[name][4:]), rel=1e-3
     )
 
 

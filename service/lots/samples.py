@@ -1,0 +1,103 @@
+"""Repeated runs of one sample: how far their figures lie apart by themselves (ISO 5725-2)."""
+
+import sqlite3
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from pipeline.gradation.repeatability import Repeatability, repeatability
+from service.errors import ServiceError
+from service.lots.evaluation import figures_of
+from service.lots.figures import Figure, LotFigures
+from service.lots.lots import LotRecord, LotState, lots_of_sample
+from service.lots.products import find_product
+from service.lots.stored_stones import stones_of_lot
+from service.lots.yardsticks import Request
+
+
+class RunsTooFewError(ServiceError):
+    """No two runs of the sample were made under equal conditions."""
+
+
+class Conditions(StrEnum):
+    """What runs have in common that were made under equal conditions."""
+
+    DAY = "day"
+    """Opened on one day, UTC."""
+    SAMPLER = "sampler"
+    EQUIPMENT = "equipment"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """A lot that is one run of the sample, and the conditions that it was made under."""
+
+    lot: str
+    group: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleStudy:
+    """All runs of a sample, oldest first, and the scatter of every figure that all of them have."""
+
+    sample_id: str
+    product: str
+    version: int
+    runs: list[Run]
+    figures: Mapping[str, Repeatability]
+
+
+def sample_study(
+    connection: sqlite3.Connection, sample_id: str, conditions: Conditions, request: Request
+) -> SampleStudy | None:
+    """Compare the closed lots with this sample id, all by the product of the newest; None if there is none.
+
+    Raises
+    ------
+    RunsTooFewError
+        No two runs were made under equal conditions.
+    UnknownYardstickError
+        As `yardstick_of` does.
+    """
+    records = [each for each in lots_of_sample(connection, sample_id) if each.state is LotState.CLOSED]
+    if not records:
+        return None
+    newest = records[-1]
+    product = find_product(connection, newest.product, newest.version)
+    runs = [Run(lot=each.definition.lot, group=_group(each, conditions)) for each in records]
+    found = [dict(_values(figures_of(stones_of_lot(connection, run.lot), request, product))) for run in runs]
+    names = [name for name in found[-1] if all(name in values for values in found)]
+    groups = {run.group: [each for each in range(len(runs)) if runs[each].group == run.group] for run in runs}
+    try:
+        figures = {
+            name: repeatability([[found[each][name] for each in members] for members in groups.values()])
+            for name in names
+        }
+    except ValueError as err:
+        raise RunsTooFewError(f"sample {sample_id}: {err}: a group has the same {conditions}") from err
+    return SampleStudy(
+        sample_id=sample_id, product=newest.product, version=newest.version, runs=runs, figures=figures
+    )
+
+
+def _group(record: LotRecord, conditions: Conditions) -> str:
+    if conditions is Conditions.DAY:
+        return record.opened_at[:10]
+    definition = record.definition
+    said = definition.sampler if conditions is Conditions.SAMPLER else definition.equipment
+    return said or f"unknown, {definition.lot}"  # may equal no other
+
+
+def _values(figures: LotFigures) -> Iterator[tuple[str, float]]:
+    """Yield the figures that have a value, with the sieve or the share in their name."""
+    named: dict[str, Figure] = {
+        **{f"passing_{step.sieve_mm:g}_mm_percent": step.passing_percent for step in figures.curve},
+        **{f"d{each.percent}_mm": each.exact_mm for each in figures.quantiles},
+        **{
+            name: value for name in type(figures.indices).model_fields
+            if isinstance(value := getattr(figures.indices, name), Figure)
+        },
+    }  # fmt: skip
+    for name, figure in named.items():
+        if figure.value is not None:
+            yield name, figure.value
