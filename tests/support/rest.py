@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -96,7 +97,9 @@ def app_of(store: Store, control: FakeControl, settings: ApiSettings | None = No
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
     """Return the trigger of stone number `sequence`, a minute after the one before."""
-    utc = f"2026-03-01T{sequence // 60:02d}:{sequence % 60:02d}:00+01:00"
+    utc = (
+        datetime(2026, 3, 1, tzinfo=timezone(timedelta(hours=1))) + timedelta(minutes=sequence)
+    ).isoformat()
     return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind)
 
 
