@@ -26,6 +26,7 @@ COMMANDS = {
     "report": "service.commands.report",
     "models": "service.commands.models",
     "record": "service.commands.record",
+    "audit": "service.commands.audit",
     "backup": "service.commands.backup",
     "restore": "service.commands.restore",
     "shape": "service.commands.shape",

@@ -11,9 +11,9 @@ from drivers.files.times import utc_now
 from pipeline.gradation.correlation import Form, SievedLot, SizeMapping, Study, study
 from pipeline.gradation.stones import lot_of
 from service.errors import ServiceError
-from service.lots import audit
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
+from service.store import audit
 from service.store.schema import transaction
 
 PAN = frozenset({"pan", "boden", "0"})

@@ -9,8 +9,8 @@ from typing import Any
 
 from drivers.files.times import utc_now
 from service.errors import ServiceError
-from service.lots import audit
 from service.lots.products import find_product
+from service.store import audit
 from service.store.schema import transaction
 
 MOST_RUNS = 1000

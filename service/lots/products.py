@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.lots import audit
+from service.store import audit
 from service.store.schema import transaction
 
 

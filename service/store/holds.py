@@ -1,11 +1,12 @@
 """What retention must not take: pinned results, and for a time what a consumer has not read."""
 
 import sqlite3
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.files.times import utc_now
 from service.errors import ServiceError
+from service.store import audit
 from service.store.schema import transaction
 
 MAX_CONSUMERS = 100
@@ -35,15 +36,25 @@ class Consumer:
     is_overrun: bool  # results that it has not read were removed
 
 
-def pin(connection: sqlite3.Connection, seq: int, reason: str | None) -> None:
+def pin(connection: sqlite3.Connection, seq: int, reason: str | None, who: str) -> None:
     """Pin a result for this reason, or no longer for None; one that was removed meanwhile stays so."""
     with transaction(connection):
+        before = _pin_of(connection, seq)
         connection.execute("DELETE FROM pins WHERE seq = ?", (seq,))
         if reason is not None:
             connection.execute(
                 "INSERT INTO pins SELECT seq, ? FROM results WHERE seq = ?",
                 (reason, seq),
             )
+        after = _pin_of(connection, seq)
+        if after != before:
+            action = "particle unpinned" if after is None else "particle pinned"
+            audit.note(connection, who, action, str(seq), before=before, after=after)
+
+
+def _pin_of(connection: sqlite3.Connection, seq: int) -> dict[str, str] | None:
+    row = connection.execute("SELECT reason FROM pins WHERE seq = ?", (seq,)).fetchone()
+    return None if row is None else {"reason": row[0]}
 
 
 def park(connection: sqlite3.Connection, name: str, after: int) -> Consumer:
@@ -78,7 +89,12 @@ def consumers(connection: sqlite3.Connection) -> list[Consumer]:
     ]
 
 
-def forget(connection: sqlite3.Connection, name: str) -> bool:
+def forget(connection: sqlite3.Connection, name: str, who: str) -> bool:
     """Delete a consumer; return whether there was one."""
     with transaction(connection):
-        return connection.execute("DELETE FROM consumers WHERE name = ?", (name,)).rowcount > 0
+        before = next((each for each in consumers(connection) if each.name == name), None)
+        if before is None:
+            return False
+        connection.execute("DELETE FROM consumers WHERE name = ?", (name,))
+        audit.note(connection, who, "consumer deleted", name, before=asdict(before))
+    return True

@@ -20,7 +20,7 @@ from drivers.files.durable import sync
 from pipeline.frames import GateCount, Trigger
 from service.errors import StoreError
 from service.results.fields import LossReason
-from service.store import backups, history, reads, writes
+from service.store import audit, backups, history, reads, writes
 from service.store.accounting import Accounting
 from service.store.lock import lock_store
 from service.store.particle_files import RAW, drop_raw
@@ -38,6 +38,8 @@ KEEP_RAW = 200
 """Newest results whose raw frames are kept; they take about 9 MB each."""
 POLL_S = 0.05
 """Time between two looks at whether the disk refuses to write."""
+MAX_NOTES = 1000
+"""Entries of the audit that wait for a disk that refuses to write; more are in the log alone."""
 READERS = 2
 """Queries at a time: those of a hundred clients do not slow down the measuring."""
 
@@ -78,6 +80,7 @@ class Store:
         self._session: int | None = None
         self._committed = asyncio.Event()  # replaced at each commit
         self._released = False
+        self._n_notes = 0  # entries of the audit that are not written yet
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
         with connect_reader(self.path) as reader:
             row = reader.execute("SELECT instance_id, last_seq, first_raw FROM store").fetchone()
@@ -140,7 +143,7 @@ class Store:
 
     async def note_calibration(self, session: int, calibration_id: str) -> None:
         """Record that the session uses another calibration from now on."""
-        await self._write_soon(writes.note_calibration, session, calibration_id)
+        await self.write_soon(writes.note_calibration, session, calibration_id)
 
     async def record_triggers(
         self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None = None
@@ -151,11 +154,39 @@ class Store:
         `gate_count` is the gate's at the last of them, if everything that it counted before is recorded.
         """
         if self.trouble is None:
-            await self._write_soon(writes.record_triggers, session, triggers, gate_count)
+            await self.write_soon(writes.record_triggers, session, triggers, gate_count)
 
     async def forget_gate_count(self, session: int) -> None:
         """Record that nothing is missed of what the gate counts from now on, as it was disarmed."""
-        await self._write_soon(writes.forget_gate_count, session)
+        await self.write_soon(writes.forget_gate_count, session)
+
+    async def note_change(
+        self,
+        who: str,
+        action: str,
+        subject: str,
+        *,
+        before: Mapping[str, Any] | None = None,
+        after: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Note in the audit what was changed outside of the database, unless nothing was.
+
+        Call it right after the change. While the store is held nobody waits: the entry is written later, and logged.
+        """
+        if before == after:
+            return
+        if self.trouble is not None:
+            log.warning("the audit waits for the store: %s %s, by %s: %s", action, subject, who, after)
+            if self._n_notes >= MAX_NOTES:
+                return
+        self._n_notes += 1
+        note = partial(audit.note_alone, who=who, action=action, subject=subject, before=before, after=after)
+        written = self._submit(note)
+        written.add_done_callback(self._forget_note)
+        await self._unless_held(written)
+
+    def _forget_note(self, written: "asyncio.Future[None]") -> None:
+        self._n_notes -= 1
 
     async def gate_count(self) -> tuple[GateCount, int] | None:
         """Return the gate's count noted last, and the number of triggers recorded since; None if nothing is missed."""
@@ -255,11 +286,14 @@ class Store:
         """Return `work(connection, ...)`, one transaction in the thread that writes; waits while the store is held."""
         return await asyncio.shield(self._submit(lambda connection: work(connection, *args, **kwargs)))
 
-    async def _write_soon(
+    async def write_soon(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> None:
         """Write, but do not wait for a disk that refuses or does not answer: all later writes come after this one."""
-        written = self._submit(lambda connection: work(connection, *args, **kwargs))
+        await self._unless_held(self._submit(lambda connection: work(connection, *args, **kwargs)))
+
+    async def _unless_held(self, written: "asyncio.Future[T]") -> None:
+        """Wait until something is written, or the disk refuses or does not answer."""
         while not written.done() and self.trouble is None:
             await asyncio.wait([written], timeout=POLL_S)
         if written.done():

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Depends
 from pydantic import BaseModel, ConfigDict
 
-from service.api.auth import require
+from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import problem_responses
 from service.api.settings import Scope
@@ -41,7 +41,11 @@ async def acquisition(context: Context) -> AcquisitionStatus:
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(409),
 )
-async def set_acquisition(context: Context, wanted: AcquisitionRequest) -> AcquisitionStatus:
+async def set_acquisition(context: Context, wanted: AcquisitionRequest, asking: Who) -> AcquisitionStatus:
     """Arm or disarm. Repeating a request changes nothing; 409 when the current state forbids it."""
-    await context.control.set_acquisition(wanted.state)
+    before = context.control.acquisition_status().state
+    state = await context.control.set_acquisition(wanted.state)
+    await context.store.note_change(
+        asking, f"acquisition {wanted.state}", "rig", before={"state": before}, after={"state": state}
+    )
     return context.control.acquisition_status()

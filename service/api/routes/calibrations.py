@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Response
 from fastapi.responses import FileResponse
 
-from service.api.auth import require
+from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.calibration_schemas import (
@@ -25,6 +25,15 @@ from service.calibration.plan import CalibrationPlan
 from service.calibration.states import CalibrationAction
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
+
+DONE = {
+    CalibrationAction.SOLVE: "solving",
+    CalibrationAction.ACCEPT: "accepted",
+    CalibrationAction.REJECT: "rejected",
+    CalibrationAction.CANCEL: "cancelled",
+    CalibrationAction.ACTIVATE: "activated",
+}
+"""Words of the audit."""
 
 CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id` of a calibration")]
 
@@ -53,7 +62,7 @@ async def calibrations(context: Context) -> dict[str, Any]:
     responses=problem_responses(409),
 )
 async def start_calibration(
-    context: Context, wanted: CalibrationRequest, response: Response
+    context: Context, wanted: CalibrationRequest, response: Response, asking: Who
 ) -> dict[str, Any]:
     """Open a calibration, which collects drops. 409 while another calibration or verification is open.
 
@@ -64,6 +73,7 @@ async def start_calibration(
     plan = _valid_plan(wanted)
     control = context.control
     record = await control.calibrations.start(plan, control.acquisition_status().state)
+    await context.store.note_change(asking, "calibration opened", record.id, after=asdict(record))
     response.headers["Location"] = f"{BASE}/calibrations/{record.id}"
     return _summary(context, record)
 
@@ -107,11 +117,17 @@ def _add_action(action: CalibrationAction, scope: Scope, text: str, status: int 
         responses=problem_responses(404, 409),
     )
     async def act(
-        context: Context, calibration: CalibrationName, signature: Signature | None = None
+        context: Context, calibration: CalibrationName, asking: Who, signature: Signature | None = None
     ) -> dict[str, Any]:
         by = None if signature is None else signature.by
+        before = _facts(context, calibration, action)
         record = await context.control.calibrations.act(calibration, action, by)
-        return _summary(context, existing(record, "calibration", calibration))
+        found = existing(record, "calibration", calibration)
+        after = _facts(context, calibration, action)
+        await context.store.note_change(
+            asking, f"calibration {DONE[action]}", calibration, before=before, after=after
+        )
+        return _summary(context, found)
 
 
 _add_action(
@@ -148,6 +164,14 @@ def _valid_plan(wanted: CalibrationRequest) -> CalibrationPlan:
     except ValueError as err:
         errors = [{"field": "body", "message": str(err)}]
         raise Problem(422, "invalid-request", str(err), errors=errors) from err
+
+
+def _facts(context: ApiContext, name: str, action: CalibrationAction) -> dict[str, Any] | None:
+    """Return what an action may change: which calibration is in use, or the record of this one."""
+    known = context.control.calibrations
+    if action is CalibrationAction.ACTIVATE:
+        return asdict(known.activated)
+    return next((asdict(record) for record in known.all() if record.id == name), None)
 
 
 def _summary(context: ApiContext, record: CalibrationRecord) -> dict[str, Any]:

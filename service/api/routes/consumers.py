@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.auth import require
+from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.results import MAX_SEQ
@@ -81,8 +81,8 @@ async def park_cursor(context: Context, name: ConsumerName, cursor: Cursor) -> d
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404),
 )
-async def delete_consumer(context: Context, name: ConsumerName) -> None:
+async def delete_consumer(context: Context, name: ConsumerName, asking: Who) -> None:
     """Forget a consumer: nothing is kept for it any more."""
     context.store.require_writable()
-    is_forgotten = await context.store.write(forget, name)
+    is_forgotten = await context.store.write(forget, name, asking)
     existing(is_forgotten or None, "consumer", repr(name))

@@ -4,7 +4,7 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.auth import require
+from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import problem_responses
 from service.api.routes.particles import ParticleKey, find_record
@@ -30,9 +30,9 @@ class Pin(BaseModel):
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404),
 )
-async def pin_particle(context: Context, particle_id: ParticleKey, wanted: Pin) -> JSONResponse:
+async def pin_particle(context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who) -> JSONResponse:
     """Pin a result, or no longer, and return it. What was removed before does not come back."""
     record = await find_record(context, particle_id)
     context.store.require_writable()
-    await context.store.write(pin, record["seq"], wanted.reason if wanted.is_pinned else None)
+    await context.store.write(pin, record["seq"], wanted.reason if wanted.is_pinned else None, asking)
     return JSONResponse(completed(await find_record(context, particle_id)))

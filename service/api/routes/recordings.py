@@ -7,13 +7,13 @@ from fastapi import APIRouter, Depends, Path, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from service.api.auth import require
+from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import Problem, existing, problem_responses
 from service.api.recording_tar import members_of, tar_bytes, tar_pieces
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.recording.live_recording import RecordingState
+from service.recording.live_recording import RecordingState, RecordingStatus
 from service.recording.recordings import RecordingPlan, RecordingRefusedError, Refusal
 from service.results.fields import TIME
 
@@ -88,12 +88,17 @@ async def recordings(context: Context) -> dict[str, Any]:
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(409, 507),
 )
-async def start_recording(context: Context, wanted: RecordingRequest, response: Response) -> dict[str, Any]:
+async def start_recording(
+    context: Context, wanted: RecordingRequest, response: Response, asking: Who
+) -> dict[str, Any]:
     """Begin a recording. 409 while another one is running or when the name is taken, 507 without disk space."""
     try:
         status = await context.control.recordings.start(RecordingPlan(**wanted.model_dump()))
     except RecordingRefusedError as err:
         raise Problem(STATUS_OF_REFUSAL[err.refusal], err.refusal, str(err)) from err
+    await context.store.note_change(
+        asking, "recording started", status.name, after=wanted.model_dump(exclude={"name"})
+    )
     response.headers["Location"] = f"{BASE}/recordings/{status.name}"
     return asdict(status)
 
@@ -127,12 +132,15 @@ async def download_recording(context: Context, name: RecordingName) -> Streaming
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404, 409),
 )
-async def delete_recording(context: Context, name: RecordingName) -> None:
+async def delete_recording(context: Context, name: RecordingName, asking: Who) -> None:
     """Delete a recording and all its files; 409 while it is under way."""
+    recordings = context.control.recordings
+    before = existing(await recordings.find(name), "recording", repr(name))
     try:
-        existing(await context.control.recordings.delete(name) or None, "recording", repr(name))
+        existing(await recordings.delete(name) or None, "recording", repr(name))
     except RecordingRefusedError as err:
         raise Problem(STATUS_OF_REFUSAL[err.refusal], err.refusal, str(err)) from err
+    await context.store.note_change(asking, "recording deleted", name, before=_facts(before))
 
 
 @router.get(
@@ -152,6 +160,17 @@ async def recording(context: Context, name: RecordingName) -> dict[str, Any]:
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404),
 )
-async def stop_recording(context: Context, name: RecordingName) -> dict[str, Any]:
+async def stop_recording(context: Context, name: RecordingName, asking: Who) -> dict[str, Any]:
     """End a recording early, keep what it has, and answer when it is complete. Repeating changes nothing."""
-    return asdict(existing(await context.control.recordings.stop(name), "recording", repr(name)))
+    recordings = context.control.recordings
+    before = existing(await recordings.find(name), "recording", repr(name))
+    after = existing(await recordings.stop(name), "recording", repr(name))
+    await context.store.note_change(
+        asking, "recording stopped", name, before=_facts(before), after=_facts(after)
+    )
+    return asdict(after)
+
+
+def _facts(status: RecordingStatus) -> dict[str, Any]:
+    """Return what the audit is to know of a recording."""
+    return {name: value for name, value in asdict(status).items() if name not in ("name", "made_by")}

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Depends, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.gradation.control_chart import control_chart
-from service.api.auth import require
+from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import existing, problem_responses
 from service.api.routes.calibration_schemas import DiameterMm
@@ -130,7 +130,7 @@ async def verifications(context: Context) -> dict[str, Any]:
     responses=problem_responses(409),
 )
 async def start_verification(
-    context: Context, wanted: VerificationRequest, response: Response
+    context: Context, wanted: VerificationRequest, response: Response, asking: Who
 ) -> dict[str, Any]:
     """Measure the next balls with the calibration in use. Get it again until its state is `passed` or `failed`.
 
@@ -141,6 +141,7 @@ async def start_verification(
     control = context.control
     plan = VerificationPlan(**wanted.model_dump())
     verification = await control.calibrations.verify(plan, control.acquisition_status().state)
+    await context.store.note_change(asking, "verification begun", verification.id, after=_facts(verification))
     response.headers["Location"] = f"{BASE}/verifications/{verification.id}"
     return _document(verification)
 
@@ -196,10 +197,17 @@ async def verification(context: Context, verification: VerificationName) -> dict
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404),
 )
-async def cancel_verification(context: Context, verification: VerificationName) -> dict[str, Any]:
+async def cancel_verification(
+    context: Context, verification: VerificationName, asking: Who
+) -> dict[str, Any]:
     """Cancel a verification: it ends without a verdict. One that has ended stays as it is."""
-    cancelled = await context.control.calibrations.verifications.cancel(verification, "cancelled on request")
-    return _document(existing(cancelled, "verification", verification))
+    known = context.control.calibrations.verifications
+    before = existing(known.find(verification), "verification", verification)
+    after = existing(await known.cancel(verification, "cancelled on request"), "verification", verification)
+    await context.store.note_change(
+        asking, "verification cancelled", verification, before=_facts(before), after=_facts(after)
+    )
+    return _document(after)
 
 
 @router.post(
@@ -209,11 +217,21 @@ async def cancel_verification(context: Context, verification: VerificationName) 
     responses=problem_responses(404),
 )
 async def void_verification(
-    context: Context, verification: VerificationName, wanted: VoidRequest
+    context: Context, verification: VerificationName, wanted: VoidRequest, asking: Who
 ) -> dict[str, Any]:
     """Declare a verdict void: it counts no more, for health and results the one before does."""
-    voided = await context.control.calibrations.verifications.void(verification, wanted.reason)
-    return _document(existing(voided, "verification", verification))
+    known = context.control.calibrations.verifications
+    before = existing(known.find(verification), "verification", verification)
+    after = existing(await known.void(verification, wanted.reason), "verification", verification)
+    await context.store.note_change(
+        asking, "verification voided", verification, before=_facts(before), after=_facts(after)
+    )
+    return _document(after)
+
+
+def _facts(verification: Verification) -> dict[str, Any]:
+    """Return what the audit is to know of a verification: all but its balls."""
+    return {name: value for name, value in asdict(verification).items() if name != "balls"}
 
 
 def _document(verification: Verification) -> dict[str, Any]:

@@ -124,7 +124,7 @@ async def test_a_pinned_result_keeps_row_and_files_until_it_is_unpinned(
     store: Store, session: int, tmp_path: Path
 ) -> None:
     await fill(store, session, tmp_path, 4)
-    await store.write(pin, 2, "dispute with the customer")
+    await store.write(pin, 2, "dispute with the customer", "key mes")
     limits = RetentionLimits(files_days=10, results_days=20)
 
     async def retain() -> None:
@@ -139,7 +139,7 @@ async def test_a_pinned_result_keeps_row_and_files_until_it_is_unpinned(
     assert record["files_removed"] is None
     page = await store.results_after(3, 10)
     assert (page.first_seq, [item["seq"] for item in page.items]) == (4, [4])
-    await store.write(pin, 2, None)
+    await store.write(pin, 2, None, "key mes")
     await retain()
     assert await store.particle(2) is None
 

@@ -1,0 +1,151 @@
+"""Who changed what, in the order of the changes; never edited.
+
+A change of the database is noted in its own transaction, any other right after it was made. The digests of the entries
+are a chain: an entry that was edited or removed breaks it, a last one that was removed shows beside an earlier export.
+"""
+
+import csv
+import hashlib
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from io import StringIO
+from typing import Any
+
+from drivers.files.times import utc_now
+from service.store.schema import transaction
+
+COLUMNS = ("entry", "at", "who", "action", "subject", "before", "after", "digest")
+FORMULA_STARTS = ("=", "+", "-", "@")
+"""What a spreadsheet would compute has an apostrophe before it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditEntry:
+    """One change."""
+
+    entry: int
+    at: str
+    who: str
+    action: str
+    subject: str
+    before: Mapping[str, Any] | None
+    after: Mapping[str, Any] | None
+    digest: str | None  # None: of an earlier version
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """What the digests of all entries say."""
+
+    n_entries: int
+    digest: str  # of the last one, empty without any
+    broken_at: int | None  # first entry that does not fit those before it
+
+
+def note(
+    connection: sqlite3.Connection,
+    who: str,
+    action: str,
+    subject: str,
+    *,
+    before: Mapping[str, Any] | None = None,
+    after: Mapping[str, Any] | None = None,
+) -> None:
+    """Note a change within the transaction that makes it."""
+    last, digest = _end_of_chain(connection)
+    row = (last + 1, utc_now(), who, action, subject, _text(before), _text(after))
+    connection.execute(
+        "INSERT INTO audit (entry, at, who, action, subject, before, after, digest) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        (*row, next_digest(digest, row)),
+    )
+
+
+def note_alone(
+    connection: sqlite3.Connection,
+    who: str,
+    action: str,
+    subject: str,
+    before: Mapping[str, Any] | None,
+    after: Mapping[str, Any] | None,
+) -> None:
+    """Note a change that was made elsewhere."""
+    with transaction(connection):
+        note(connection, who, action, subject, before=before, after=after)
+
+
+def next_digest(digest: str, row: tuple[object, ...]) -> str:
+    """Return the digest of an entry: SHA-256 of the one before and, as JSON, its columns from `entry` to `after`."""
+    return hashlib.sha256(f"{digest}{json.dumps(row, ensure_ascii=False)}".encode()).hexdigest()
+
+
+def check_chain(connection: sqlite3.Connection) -> Chain:
+    """Return what the digests of all entries say."""
+    n_entries, digest, broken_at = 0, "", None
+    for *row, kept in _rows(connection, None, 0, -1):
+        n_entries += 1
+        digest = next_digest(digest, tuple(row))
+        is_next = row[0] == n_entries and kept in (None, digest)
+        if not is_next and broken_at is None:
+            broken_at = n_entries
+        digest = kept or digest
+    return Chain(n_entries, digest, broken_at)
+
+
+def entries(connection: sqlite3.Connection, subject: str | None, after: int, limit: int) -> list[AuditEntry]:
+    """Return up to `limit` entries after a number, of one subject or of all, in their order."""
+    return [
+        AuditEntry(
+            entry=entry,
+            at=at,
+            who=who,
+            action=action,
+            subject=about,
+            before=before and json.loads(before),
+            after=changed and json.loads(changed),
+            digest=digest,
+        )
+        for entry, at, who, action, about, before, changed, digest in _rows(connection, subject, after, limit)
+    ]
+
+
+def csv_page(
+    connection: sqlite3.Connection, subject: str | None, after: int, limit: int
+) -> tuple[bytes, int | None]:
+    """Return up to `limit` entries as lines of CSV (RFC 4180), and the number of the last; None if there is no more."""
+    file = StringIO(newline="")
+    writer = csv.writer(file, lineterminator="\r\n")
+    if after == 0:
+        writer.writerow(COLUMNS)
+    rows = list(_rows(connection, subject, after, limit))
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    return file.getvalue().encode(), rows[-1][0] if len(rows) == limit else None
+
+
+def _rows(
+    connection: sqlite3.Connection, subject: str | None, after: int, limit: int
+) -> Iterator[tuple[Any, ...]]:
+    condition, given = ("", ()) if subject is None else (" AND subject = ?", (subject,))
+    return connection.execute(
+        f"SELECT {', '.join(COLUMNS)} FROM audit WHERE entry > ?{condition} ORDER BY entry LIMIT ?",  # noqa: S608
+        (after, *given, limit),
+    )
+
+
+def _end_of_chain(connection: sqlite3.Connection) -> tuple[int, str]:
+    """Return number and digest of the last entry; entries of earlier versions get theirs only now."""
+    row = connection.execute("SELECT entry, digest FROM audit ORDER BY entry DESC LIMIT 1").fetchone()
+    if row is None:
+        return 0, ""
+    last, digest = row
+    return last, check_chain(connection).digest if digest is None else digest
+
+
+def _text(facts: Mapping[str, Any] | None) -> str | None:
+    return None if facts is None else json.dumps(facts)
+
+
+def _cell(value: Any) -> Any:
+    is_formula = isinstance(value, str) and value.lstrip().startswith(FORMULA_STARTS)
+    return f"'{value}" if is_formula else value

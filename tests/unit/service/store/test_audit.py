@@ -1,0 +1,94 @@
+"""The chain of the audit, and its check offline."""
+
+import sqlite3
+from contextlib import closing
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from service.cli import build_app
+from service.errors import StoreError
+from service.store import Store, open_store
+from service.store.audit import check_chain, note_alone
+
+
+def tamper(state_dir: Path, statement: str) -> None:
+    """Change the audit as one does who can write to the file."""
+    with closing(sqlite3.connect(state_dir / "results.sqlite")) as other:
+        with pytest.raises(sqlite3.IntegrityError, match="never edited"):
+            other.execute(statement)
+        other.execute("DROP TRIGGER audit_is_not_edited")
+        other.execute("DROP TRIGGER audit_is_not_deleted")
+        other.execute(statement)
+        other.commit()
+
+
+async def note(store: Store, n: int) -> None:
+    for number in range(n):
+        await store.write(note_alone, "key mes", "lot opened", f"L{number}", None, {"tonnage_t": number})
+
+
+@pytest.mark.parametrize(
+    ("statement", "broken_at"),
+    [
+        ("UPDATE audit SET who = 'key other' WHERE entry = 2", 2),
+        ("UPDATE audit SET after = NULL WHERE entry = 4", 4),
+        ("DELETE FROM audit WHERE entry = 3", 3),
+        ("DELETE FROM audit WHERE entry = 1", 1),
+        ("UPDATE audit SET entry = entry + 10 WHERE entry = 4", 4),
+        ("UPDATE audit SET digest = NULL, subject = 'L9' WHERE entry = 2", 3),
+    ],
+)
+async def test_an_entry_that_was_changed_breaks_the_chain(
+    store: Store, state_dir: Path, statement: str, broken_at: int
+) -> None:
+    await note(store, 4)
+    whole = await store.read(check_chain)
+    assert (whole.n_entries, whole.broken_at) == (4, None)
+    tamper(state_dir, statement)
+    assert (await store.read(check_chain)).broken_at == broken_at
+
+
+async def test_a_last_entry_that_was_removed_shows_beside_the_digest_of_before(
+    store: Store, state_dir: Path
+) -> None:
+    await note(store, 3)
+    before = await store.read(check_chain)
+    tamper(state_dir, "DELETE FROM audit WHERE entry = 3")
+    after = await store.read(check_chain)
+    assert (after.broken_at, after.n_entries) == (None, 2)
+    assert after.digest != before.digest
+
+
+async def test_entries_of_an_earlier_version_are_covered_by_the_first_after_them(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "results.sqlite")) as old:
+        for number in range(1, 5):
+            (script,) = (
+                each for each in files("service.store").iterdir() if each.name[:3] == f"{number:03d}"
+            )
+            old.executescript(f"{script.read_text(encoding='utf-8')}; PRAGMA user_version = {number}")
+        entry = (1, "2026-03-01T00:00:00.000Z", "key mes", "lot opened", "L1", None, "{}")
+        old.execute("INSERT INTO audit VALUES (?, ?, ?, ?, ?, ?, ?)", entry)
+        old.commit()
+    with open_store(tmp_path) as store:
+        assert (await store.read(check_chain)).n_entries == 1
+        await note(store, 1)
+        assert (await store.read(check_chain)).broken_at is None
+        tamper(tmp_path, "UPDATE audit SET subject = 'L9' WHERE entry = 1")
+        assert (await store.read(check_chain)).broken_at == 2
+
+
+async def test_the_command_checks_the_store_of_a_running_daemon(store: Store, state_dir: Path) -> None:
+    config = state_dir.parent / "stonefall.toml"
+    config.write_text('[rig]\nrecording = "recording"\n[spool]\ndir = "spool"\n[store]\ndir = "state"\n')
+    await note(store, 2)
+    verify = ["audit", "verify", "--config", str(config)]
+    told = CliRunner().invoke(build_app(["audit"]), verify)
+    digest = (await store.read(check_chain)).digest
+    assert (told.exit_code, told.output) == (0, f"2 entries, whole; digest of the last: {digest}\n")
+    tamper(state_dir, "UPDATE audit SET who = 'nobody' WHERE entry = 1")
+    refused = CliRunner().invoke(build_app(["audit"]), verify)
+    assert isinstance(refused.exception, StoreError)
+    assert "entry 1 of the audit" in str(refused.exception)
