@@ -27,6 +27,7 @@ COMMANDS = {
     "models": "service.commands.models",
     "record": "service.commands.record",
     "audit": "service.commands.audit",
+    "keys": "service.commands.keys",
     "backup": "service.commands.backup",
     "restore": "service.commands.restore",
     "shape": "service.commands.shape",

@@ -166,7 +166,7 @@ class Health:
     """Why it is not ready, or not `good`."""
     checks: Mapping[str, HealthCheck]
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `segmentation`, `calibration`, `clock`, `store`, `disk`, `disk_days`, `retention`, `backup`,
+    `segmentation`, `calibration`, `clock`, `store`, `disk`, `disk_days`, `retention`, `backup`, `keys`,
     `archive`, `recording`, `rig`, `optics`."""
 
 

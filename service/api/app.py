@@ -11,6 +11,7 @@ from service.api.context import ApiContext
 from service.api.control import Control
 from service.api.docs import docs_page
 from service.api.foreign_pages import ForeignPages
+from service.api.key_ring import KeyRing
 from service.api.pace import PacedRequests
 from service.api.problems import ProblemDocument, install_handlers
 from service.api.reader_process import Reading
@@ -43,10 +44,14 @@ whose z axis points up. Times are RFC 3339 in UTC. `null` means unknown or not a
 add fields: ignore those that you do not know."""
 
 
-def create_app(store: Store, control: Control, settings: ApiSettings, reading: Reading) -> FastAPI:
+def create_app(
+    store: Store, control: Control, settings: ApiSettings, reading: Reading, keys: KeyRing
+) -> FastAPI:
     """Build the application that serves `store` and steers `control`; what takes long is made by `reading`."""
     app = build_routes()
-    app.state.context = ApiContext(store=store, control=control, settings=settings, reading=reading)
+    app.state.context = ApiContext(
+        store=store, control=control, settings=settings, reading=reading, keys=keys
+    )
     app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(PacedRequests)

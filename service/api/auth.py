@@ -1,10 +1,9 @@
 """Authorization by bearer keys with scopes.
 
-While no key is configured, every host may read and only this machine may write.
+While there is no key, only this machine may write, and other hosts may read if `[api] without_keys` says so.
 """
 
-import hashlib
-import hmac
+import logging
 import math
 import time
 from collections.abc import Awaitable, Callable
@@ -13,18 +12,25 @@ from typing import Annotated
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
+from drivers.files.times import utc_now
 from service.api.addresses import host_of, is_loopback
-from service.api.context import Context
+from service.api.context import ApiContext, Context
+from service.api.key_file import StoredKey
+from service.api.key_ring import KeyRing, note_keys
 from service.api.problems import Problem
-from service.api.settings import ApiKey, Scope
+from service.api.settings import Scope
+from service.errors import StoreError
+
+log = logging.getLogger(__name__)
 
 THIS_MACHINE = "this machine"
-"""Who asks while no key is configured."""
+"""Who asks while there is no key."""
+INVALID_TOKEN = {"WWW-Authenticate": 'Bearer error="invalid_token"'}
 
 bearer = HTTPBearer(
     auto_error=False,
     scheme_name="key",
-    description="The token of a key that `[api] keys` of the configuration lists, sent as bearer token",
+    description="The token that `stonefall keys create` printed, or of a key in the configuration, as bearer token",
 )
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 
@@ -33,10 +39,9 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
     """Return the dependency that raises the problem 401 or 403 for a request without a key of this scope."""
 
     async def check(request: Request, context: Context, credentials: Credentials) -> None:
-        keys = context.settings.keys
-        if not keys:
-            if scope is not Scope.READ and not _is_from_this_machine(request):
-                raise Problem(403, "forbidden", "only this machine may write while no key is configured")
+        keys = await _keys_now(context)
+        if keys.is_empty:
+            _check_without_keys(request, context, scope)
             request.state.who = THIS_MACHINE
             return
         if credentials is None:
@@ -46,7 +51,7 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
                 "send the token of a key as bearer token",
                 headers={"WWW-Authenticate": "Bearer"},
             )
-        key = _key_of(credentials.credentials, keys)
+        key = keys.find(credentials.credentials)
         host, now_s, guesses = _host_of(request), time.monotonic(), context.guesses
         if (pause_s := guesses.pause_s(host, None if key is None else key.name, now_s)) > 0:
             wait_s = math.ceil(pause_s)
@@ -59,12 +64,11 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
             )
         if key is None:
             guesses.note_wrong(host, now_s)
+            raise Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
+        if isinstance(key, StoredKey) and (refusal := key.refusal(utc_now())) is not None:
             raise Problem(
-                401,
-                "unauthorized",
-                "the key is not one of the configured keys",
-                headers={"WWW-Authenticate": 'Bearer error="invalid_token"'},
-            )
+                401, "unauthorized", refusal, headers=INVALID_TOKEN
+            )  # whose token it is, that is no guess
         guesses.note_right(host, key.name)
         if scope not in key.scopes:
             raise Problem(
@@ -86,11 +90,27 @@ def who(request: Request) -> str:
 Who = Annotated[str, Depends(who)]
 
 
-def _key_of(token: str, keys: tuple[ApiKey, ...]) -> ApiKey | None:
-    """Return the key of a token; compared in constant time, so that timing does not tell how near a guess was."""
-    digest = hashlib.sha256(token.encode()).hexdigest()
-    matching = [key for key in keys if hmac.compare_digest(digest, key.sha256)]
-    return matching[0] if matching else None
+async def _keys_now(context: ApiContext) -> KeyRing:
+    """Return the keys as they are now, and note in the audit what `stonefall keys` has changed."""
+    keys = context.keys
+    keys.refresh()
+    if not keys.is_noted:
+        keys.is_noted = True
+        try:
+            await context.store.write_soon(note_keys, keys.stored)
+        except StoreError as err:
+            log.error("changes of keys are not in the audit: %s", err)
+    return keys
+
+
+def _check_without_keys(request: Request, context: ApiContext, scope: Scope) -> None:
+    if _is_from_this_machine(request):
+        return
+    if scope is not Scope.READ:
+        raise Problem(403, "forbidden", "only this machine may do this while there is no key")
+    if not context.settings.may_read_without_keys:
+        detail = "there is no key yet: only this machine may ask; `stonefall keys create` makes one"
+        raise Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
 
 
 def _is_from_this_machine(request: Request) -> bool:

@@ -7,6 +7,7 @@ from fastapi import Depends, Request
 
 from service.api.control import Control
 from service.api.key_guesses import KeyGuesses
+from service.api.key_ring import KeyRing
 from service.api.pace import Pace
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
@@ -21,6 +22,7 @@ class ApiContext:
     store: Store
     control: Control
     settings: ApiSettings
+    keys: KeyRing
     reading: Reading
     """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
     shared: SharedAnswers = field(default_factory=SharedAnswers)

@@ -6,6 +6,9 @@ from enum import StrEnum
 
 from service.api.addresses import is_host, is_loopback
 
+KEY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+"""Name of a key that `stonefall keys` creates."""
+
 
 class Scope(StrEnum):
     """Permission that a key can have. None includes another."""
@@ -13,9 +16,16 @@ class Scope(StrEnum):
     READ = "read"
     """Read everything."""
     OPERATE = "operate"
-    """Arm and disarm, record, collect and solve calibrations, verify."""
+    """Arm and disarm, record, collect and solve calibrations, verify, open and close lots."""
     CONFIGURE = "configure"
-    """Accept and activate calibrations."""
+    """Accept and activate calibrations, define products, read the configuration."""
+
+
+class WithoutKeys(StrEnum):
+    """What hosts of the network may do while there is no key."""
+
+    NOTHING = "only this machine may ask"
+    EVERY_HOST_MAY_READ = "every host may read"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +48,8 @@ class ApiSettings:
     host: str = "127.0.0.1"
     port: int = 8080
     allowed_hosts: tuple[str, ...] = ()  # further names by which clients ask for this service
-    keys: tuple[ApiKey, ...] = ()  # without any, every host may read and only this machine may write
+    keys: tuple[ApiKey, ...] = ()  # more of them are made by `stonefall keys`
+    without_keys: WithoutKeys = WithoutKeys.NOTHING  # only this machine may write, whatever stands here
     max_body_bytes: int = 1_000_000
 
     def __post_init__(self) -> None:
@@ -53,8 +64,9 @@ class ApiSettings:
             raise ValueError(f"max_body_bytes must be at least 1024, not {self.max_body_bytes}")
 
     @property
-    def warning(self) -> str | None:
-        """Return why the network may do too much, None when it may not."""
-        if self.keys or is_loopback(self.host):
-            return None
-        return f"every host that reaches {self.host} may read everything: configure [[api.keys]]"
+    def may_read_without_keys(self) -> bool:
+        """Return whether every host that reaches the service may read while there is no key.
+
+        On loopback that is only this machine, and those whom a proxy on it lets through.
+        """
+        return is_loopback(self.host) or self.without_keys is WithoutKeys.EVERY_HOST_MAY_READ

@@ -18,7 +18,8 @@ from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
-from service.api.settings import ApiSettings
+from service.api.key_ring import KeyRing
+from service.api.settings import ApiSettings, WithoutKeys
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.paths import ConfiguredPath
@@ -163,6 +164,19 @@ def problems(settings: Settings) -> Iterator[str]:
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _write_problem(folder):
             yield f"{name}: {problem}"
+    if keys_of(settings).is_empty and not settings.api.may_read_without_keys:
+        yield (
+            f"api.host: every host that reaches {settings.api.host} could read everything, as there is no key: make one"
+            " with `stonefall keys create NAME --config FILE`, or say in [api] that"
+            f' without_keys = "{WithoutKeys.EVERY_HOST_MAY_READ}"'
+        )
+
+
+def keys_of(settings: Settings) -> KeyRing:
+    """Return the keys of a configuration and of its store, as they are now."""
+    keys = KeyRing(settings.api.keys, settings.store.dir)
+    keys.refresh()
+    return keys
 
 
 def shortcomings(settings: Settings) -> Iterator[str]:
@@ -172,8 +186,8 @@ def shortcomings(settings: Settings) -> Iterator[str]:
         yield f"segmentation.model: {plan.trouble}"
     if plan.provider_trouble is not None:
         yield f"segmentation.providers: {plan.provider_trouble}"
-    if settings.api.warning is not None:
-        yield f"api.host: {settings.api.warning}"
+    if (trouble := keys_of(settings).trouble) is not None:
+        yield f"api.keys: {trouble}"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

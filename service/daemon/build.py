@@ -12,6 +12,7 @@ from drivers.replay.belt import ReplayBelt
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
+from service.api.key_ring import KeyRing
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import image_sizes_px
 from service.calibration.startup import CalibrationsAtStart, load_calibrations
@@ -129,6 +130,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         settings=settings,
         segmentation=segmentation,
         store=store,
+        keys=KeyRing(settings.api.keys, settings.store.dir),
         devices=devices,
         session=session,
         calibrations=calibrations,

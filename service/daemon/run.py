@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from socket import socket
 
+from service.api.addresses import is_loopback
 from service.api.app import create_app
 from service.api.reader_process import ReaderProcess, Reading
 from service.api.server import RestServer, listen, server_config
@@ -113,7 +114,7 @@ def _end_of_spool(daemon: Daemon) -> Callable[..., Awaitable[None]]:
 
 async def _warmed_up(daemon: Daemon, reading: Reading, manager: ServiceManager) -> RestServer:
     """Start the workers and return the REST server, with everything prepared that would hold the loop for 0.3 s."""
-    app = create_app(daemon.store, daemon, daemon.settings.api, reading)
+    app = create_app(daemon.store, daemon, daemon.settings.api, reading, daemon.keys)
     manager.notify("STATUS=warming up the workers")
     await asyncio.gather(
         daemon.pool.start(),
@@ -132,8 +133,11 @@ async def _serving(
     serving = tasks.create_task(server.serve([listener]))
     await server.is_serving.wait()
     log.info("serving url=http://%s:%d", *listener.getsockname()[:2])
-    if daemon.settings.api.warning is not None:
-        log.warning("%s", daemon.settings.api.warning)
+    daemon.keys.refresh()
+    if daemon.keys.is_empty and not is_loopback(daemon.settings.api.host):
+        log.warning(
+            "every host that reaches %s may read everything: there is no key", daemon.settings.api.host
+        )
     yield
     daemon.store.release_waiters()
     server.should_exit = True

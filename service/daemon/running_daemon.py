@@ -10,6 +10,7 @@ from drivers.factory import Devices
 from drivers.files.times import is_of_unset_clock, utc_now
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
+from service.api.key_ring import KeyRing
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
 from service.daemon.backing_up import BackingUp
@@ -54,6 +55,7 @@ class Daemon:
     devices: Devices
     session: int
     calibrations: Calibrations
+    keys: KeyRing
     folder: Path  # on tmpfs, of this session, for bundles and for the workers' files
     pool: WorkerPool
     spool: Spool
@@ -92,6 +94,7 @@ class Daemon:
         return self.acquisition.cameras.latest_image(camera)
 
     def health(self) -> Health:
+        self.keys.refresh()
         return assess(
             Facts(
                 acquisition=self.acquisition.status(),
@@ -120,6 +123,7 @@ class Daemon:
                 store_trouble=_text(self.store.trouble),
                 store_incidents=self.store.incidents,
                 backup_trouble=self.backing_up.trouble,
+                key_trouble=self.keys.trouble,
                 retention=self.retaining.facts,
                 free_bytes=_free_bytes(self.settings.store.dir),
                 recording_trouble=self.recordings.trouble,

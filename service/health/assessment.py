@@ -69,6 +69,7 @@ class Facts:
     backup_trouble: str | None = None  # why the last backup failed
     retention: RetentionFacts | None = None  # what the store takes, and what was removed
     free_bytes: int | None  # on the store's file system, None if that does not answer
+    key_trouble: str | None = None  # why keys of the store's folder are not accepted
     recording_trouble: str | None = None  # why a recording ended early
     left_out: int = 0  # results whose frames were not archived
     archive_trouble: str | None = None  # why frames were not archived lately
@@ -292,6 +293,10 @@ def _backup(facts: Facts) -> HealthCheck:
     return HealthCheck(status=_status(warn=facts.backup_trouble is not None), detail=facts.backup_trouble)
 
 
+def _keys(facts: Facts) -> HealthCheck:
+    return HealthCheck(status=_status(warn=facts.key_trouble is not None), detail=facts.key_trouble)
+
+
 def _recording(facts: Facts) -> HealthCheck:
     trouble = facts.recording_trouble
     return HealthCheck(status=_status(warn=trouble is not None), detail=trouble)
@@ -359,6 +364,7 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "disk_days": lambda facts: disk_days(facts.retention),
     "retention": lambda facts: retention(facts.retention),
     "backup": _backup,
+    "keys": _keys,
     "recording": _recording,
     "archive": _archive,
     "rig": _rig,

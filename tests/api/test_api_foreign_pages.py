@@ -4,11 +4,15 @@ import httpx
 import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.settings import ApiSettings
+from service.api.settings import ApiSettings, WithoutKeys
 from service.store import Store
 
 ARM = {"state": "armed"}
-NAMED = ApiSettings(host="0.0.0.0", allowed_hosts=("stonefall.plant", "192.0.2.80"))  # noqa: S104 - not bound
+NAMED = ApiSettings(
+    host="0.0.0.0",  # noqa: S104 - not bound
+    allowed_hosts=("stonefall.plant", "192.0.2.80"),
+    without_keys=WithoutKeys.EVERY_HOST_MAY_READ,
+)
 
 
 @pytest.mark.parametrize("path", ["/results", "/health/live", "/openapi.json", "/docs", "/nothing"])

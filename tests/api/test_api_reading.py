@@ -23,6 +23,7 @@ from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.api import pace, reader_process
 from service.api.app import create_app
+from service.api.key_ring import KeyRing
 from service.api.pace import BURST, RATE_HZ, Pace
 from service.api.pages import feed_page
 from service.api.reader_process import BusyError, ReaderProcess
@@ -46,7 +47,9 @@ async def reading() -> AsyncIterator[ReaderProcess]:
 
 
 async def asked(store: Store, control: FakeControl, reading: Any, path: str) -> httpx.Response:
-    async with client_of(create_app(store, control, ApiSettings(), reading)) as client:
+    async with client_of(
+        create_app(store, control, ApiSettings(), reading, KeyRing((), store.dir))
+    ) as client:
         return await client.get(path)
 
 

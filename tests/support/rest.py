@@ -16,6 +16,7 @@ from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 from service.api.app import create_app
+from service.api.key_ring import KeyRing
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.lots.shifts import LotsSettings
@@ -92,7 +93,8 @@ class ReadingThread:
 
 def app_of(store: Store, control: FakeControl, settings: ApiSettings | None = None) -> FastAPI:
     """Return the application with a thread in the place of the reading process."""
-    return create_app(store, control, settings or ApiSettings(), ReadingThread())
+    settings = settings or ApiSettings()
+    return create_app(store, control, settings, ReadingThread(), KeyRing(settings.keys, store.dir))
 
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:

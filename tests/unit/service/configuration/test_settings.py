@@ -17,6 +17,8 @@ from pipeline.frames import Frame, FrameBundle, Trigger
 from pipeline.measuring.volume_correction import VolumeModel
 from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
+from service.api.key_file import KEYS, create_key, revoke_key
+from service.api.settings import Scope
 from service.cli import build_app
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
@@ -146,6 +148,10 @@ def test_a_missing_or_binary_file_is_refused(tmp_path: Path):
         load_settings(tmp_path / "binary.toml")
 
 
+def own_store(tmp_path: Path) -> str:
+    return MINIMAL.replace("/var/lib/somewhere", str(tmp_path / "store"))
+
+
 @pytest.mark.parametrize(
     ("api", "is_open"),
     [
@@ -155,11 +161,30 @@ def test_a_missing_or_binary_file_is_refused(tmp_path: Path):
         ('host = "::"', True),
         ('host = "plant"', True),
         (f'host = "0.0.0.0"\nkeys = [{{name = "mes", sha256 = "{64 * "0"}"}}]', False),
+        ('host = "0.0.0.0"\nwithout_keys = "only this machine may ask"', True),
+        ('host = "0.0.0.0"\nwithout_keys = "every host may read"', False),
     ],
 )
-def test_a_service_open_to_the_network_is_a_shortcoming(tmp_path: Path, api: str, is_open: bool):
-    found = [each for each in shortcomings(settings_of(tmp_path, f"{MINIMAL}[api]\n{api}")) if "api" in each]
+def test_without_a_key_the_network_is_not_served_unless_told_in_words(
+    tmp_path: Path, api: str, is_open: bool
+):
+    settings = settings_of(tmp_path, f"{own_store(tmp_path)}[api]\n{api}")
+    found = [each for each in problems(settings) if "api" in each]
     assert [each.partition(":")[0] for each in found] == ["api.host"] * is_open
+    assert all("stonefall keys create" in each and "every host may read" in each for each in found)
+    create_key(settings.store.dir, "mes", (Scope.READ,), None, "root")
+    assert not any("api" in each for each in [*problems(settings), *shortcomings(settings)])
+    revoke_key(settings.store.dir, "mes", "root")  # it needs a key all the same
+    assert not any("api" in each for each in problems(settings))
+
+
+def test_a_damaged_file_of_keys_is_a_shortcoming_and_opens_nothing(tmp_path: Path):
+    settings = settings_of(tmp_path, f'{own_store(tmp_path)}[api]\nhost = "0.0.0.0"')
+    settings.store.dir.mkdir()
+    (settings.store.dir / KEYS).write_text("{")
+    assert not any("api" in each for each in problems(settings))
+    (found,) = (each for each in shortcomings(settings) if "api" in each)
+    assert found.startswith(f"api.keys: {settings.store.dir / KEYS}: Invalid JSON")
 
 
 @pytest.mark.parametrize("nested", [5000 * "[" + 5000 * "]", 5000 * '{"a":' + "1" + 5000 * "}", 5000 * "9"])

@@ -69,6 +69,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "store",
         "disk",
         "backup",
+        "keys",
         "recording",
         "archive",
         "rig",
@@ -159,6 +160,12 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             Ne107.MAINTENANCE_REQUIRED,
             True,
             "workers: 2 of 2 up, 1 restarts; within the last minute: deadline: not finished within 5 s",
+        ),
+        (
+            {"key_trouble": "state/keys.json: Invalid JSON: its keys are not accepted"},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "keys: state/keys.json: Invalid JSON: its keys are not accepted",
         ),
         (
             {"quarantined": ["1-00000007.tiff"]},

@@ -1,0 +1,130 @@
+"""`stonefall keys`: create, list and revoke keys of the REST interface; a running daemon knows at once."""
+
+import getpass
+import json
+import os
+import re
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from drivers.files.times import utc_now
+from pipeline.frames import rfc3339
+from service.api.key_file import KEYS, create_key, read_keys, revoke_key
+from service.api.settings import Scope
+from service.configuration.settings import Settings, load_settings
+from service.errors import UsageError
+
+command = typer.Typer(
+    no_args_is_help=True, help="Keys of the REST interface; a running daemon knows at once."
+)
+
+Config = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the key: who or what asks with it.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@command.command()
+def create(
+    name: Name,
+    config: Config,
+    scopes: Annotated[
+        list[Scope] | None, typer.Option("--scope", help="What it opens, one or more; read when absent.")
+    ] = None,
+    expires: Annotated[
+        str | None, typer.Option(help="Until when: a date or time (UTC when it does not say), or days: 90d.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Create a key and print its token, this once."""
+    settings = load_settings(config)
+    _require_not_configured(settings, name)
+    wanted = tuple(dict.fromkeys(scopes or [Scope.READ]))
+    expires_at = None if expires is None else _expiry(expires, datetime.now(UTC))
+    key, token = create_key(settings.store.dir, name, wanted, expires_at, _user())
+    if as_json:
+        shown = {"name": name, "scopes": key.scopes, "expires_at": key.expires_at, "token": token}
+        typer.echo(json.dumps(shown))
+        return
+    typer.echo(token)
+    until = "" if key.expires_at is None else f" until {key.expires_at}"
+    typer.echo(f"key {name} may {', '.join(wanted)}{until}; its token is not shown again", err=True)
+
+
+@command.command("list")
+def list_(config: Config, as_json: AsJson = False) -> None:
+    """List all keys, those of the configuration as well."""
+    settings = load_settings(config)
+    keys = _described(settings)
+    if as_json:
+        typer.echo(json.dumps({"items": keys}))
+        return
+    table = Table("name", "scopes", "state", "created", "by", "expires")
+    for key in keys:
+        created = (key["created_at"] or "in the configuration", key["created_by"] or "")
+        table.add_row(
+            key["name"], ", ".join(key["scopes"]), key["state"], *created, key["expires_at"] or "never"
+        )
+    Console().print(table)
+
+
+@command.command()
+def revoke(name: Name, config: Config) -> None:
+    """Revoke a key: whoever asks with it is refused from now on."""
+    settings = load_settings(config)
+    _require_not_configured(settings, name)
+    revoke_key(settings.store.dir, name, _user())
+    typer.echo(f"key {name} is revoked")
+
+
+def _described(settings: Settings) -> list[dict[str, Any]]:
+    """Return what is to be told of all keys, without their hashes."""
+    now = utc_now()
+    never = dict.fromkeys(("created_at", "created_by", "expires_at", "revoked_at", "revoked_by"))
+    configured = [
+        {"name": key.name, "scopes": key.scopes, "state": "valid", **never} for key in settings.api.keys
+    ]
+    stored = [
+        {
+            "name": key.name,
+            "scopes": key.scopes,
+            "state": "revoked" if key.revoked_at else "expired" if key.refusal(now) else "valid",
+            **{each: getattr(key, each) for each in never},
+        }
+        for key in read_keys(settings.store.dir / KEYS)
+    ]
+    return configured + stored
+
+
+def _require_not_configured(settings: Settings, name: str) -> None:
+    if any(key.name == name for key in settings.api.keys):
+        raise UsageError(f"key {name!r} is in the configuration, [[api.keys]]: change it there, then restart")
+
+
+def _expiry(text: str, now: datetime) -> str:
+    """Return the time, RFC 3339, from which a key is not accepted any more."""
+    try:
+        if days := re.fullmatch(r"([0-9]{1,5})d", text):
+            end = now + timedelta(days=int(days[1]))
+        else:
+            end = datetime.fromisoformat(text)
+            end = end if end.tzinfo is not None else end.replace(tzinfo=UTC)
+        if end <= now:
+            raise UsageError(f"--expires {text}: is over already")
+        return rfc3339(end.astimezone(UTC))
+    except (ValueError, OverflowError):
+        raise UsageError(
+            f"--expires {text}: must be a date such as 2027-01-01, or days such as 90d"
+        ) from None
+
+
+def _user() -> str:
+    """Return who runs the command, for the audit."""
+    try:
+        return os.environ.get("SUDO_USER") or getpass.getuser()
+    except (KeyError, OSError):  # a user without a name
+        return f"user {os.getuid()}"
