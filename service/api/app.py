@@ -21,10 +21,12 @@ from service.api.routes import (
     audit,
     calibrations,
     cameras,
+    configuration,
     consumers,
     health,
     laboratory,
     lots,
+    metrics,
     particle_files,
     particles,
     pins,
@@ -83,10 +85,11 @@ def build_routes() -> FastAPI:
         products,
         lots,
         laboratory,
+        configuration,
     ):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
-    for module in (results, particles, particle_files, cameras, accounting, windows, audit):
+    for module in (results, particles, particle_files, cameras, accounting, windows, audit, metrics):
         readable.include_router(module.router)
     app.include_router(readable, prefix=BASE)
 

@@ -1,5 +1,6 @@
 """The dependency of every route: what `create_app` was given, kept in the state of the application."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -12,7 +13,22 @@ from service.api.pace import Pace
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
 from service.api.shared_answers import SharedAnswers
+from service.errors import StoreError
 from service.store import Store
+from service.store.outcome_counts import OutcomeCounts, outcome_counts
+
+
+class CountedOutcomes:
+    """The counts of all results, kept so that each time only new results are read."""
+
+    def __init__(self) -> None:
+        self._known = OutcomeCounts()
+
+    async def now(self, store: Store) -> OutcomeCounts:
+        """Return the counts; while the store cannot be read, those of the last time."""
+        with suppress(StoreError):
+            self._known = await store.read(outcome_counts, self._known)
+        return self._known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +44,7 @@ class ApiContext:
     shared: SharedAnswers = field(default_factory=SharedAnswers)
     waking: Pace = field(default_factory=Pace)
     """Long polls are answered one after the other, although a result wakes all of them at once."""
+    counted: CountedOutcomes = field(default_factory=CountedOutcomes)
     guesses: KeyGuesses = field(default_factory=KeyGuesses)
 
 

@@ -4,10 +4,14 @@ The daemon implements `Control`; tests of the API put a fake in its place. Nothi
 query the devices, and this returns what they found last.
 """
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from prometheus_client import Histogram
 
 from pipeline.frames import CameraId, Image
 from service.calibration.calibrations import Calibrations
+from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
@@ -24,6 +28,19 @@ class Control(Protocol):
 
     @property
     def lots(self) -> LotsSettings: ...
+
+    @property
+    def delays(self) -> Histogram:
+        """Time from each trigger to its durable outcome."""
+        ...
+
+    def configuration(self) -> Mapping[str, Any]:
+        """Return all settings by section, secrets included."""
+        ...
+
+    def facts(self) -> Facts:
+        """Return what health is assessed from."""
+        ...
 
     def acquisition_status(self) -> AcquisitionStatus: ...
 

@@ -13,6 +13,7 @@ from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
 from service.api.key_ring import KeyRing
+from service.api.metrics import result_delays
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import image_sizes_px
 from service.calibration.startup import CalibrationsAtStart, load_calibrations
@@ -107,6 +108,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         store_trouble=lambda: _store_trouble(store),
     )
     pool = _build_pool(settings, source, segmentation)
+    delays = result_delays()
     processing = Processing(
         ProcessingContext(
             session=session,
@@ -125,6 +127,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         on_empty_rig=watches.optics.feed_optics,
         on_network=watches.segmentation.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
+        on_outcome=delays.observe,
     )
     return Daemon(
         settings=settings,
@@ -149,6 +152,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         acquisition=acquisition,
         processing=processing,
+        delays=delays,
         heartbeats=heartbeats,
         watches=watches,
     )

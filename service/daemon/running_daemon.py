@@ -5,6 +5,9 @@ import shutil
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
+
+from prometheus_client import Histogram
 
 from drivers.factory import Devices
 from drivers.files.times import is_of_unset_clock, utc_now
@@ -52,10 +55,10 @@ class Daemon:
     settings: Settings
     segmentation: SegmenterPlan
     store: Store
+    keys: KeyRing
     devices: Devices
     session: int
     calibrations: Calibrations
-    keys: KeyRing
     folder: Path  # on tmpfs, of this session, for bundles and for the workers' files
     pool: WorkerPool
     spool: Spool
@@ -66,12 +69,16 @@ class Daemon:
     retaining: Retaining
     acquisition: Acquisition
     processing: Processing
+    delays: Histogram
     heartbeats: Heartbeats
     watches: Watches
 
     @property
     def lots(self) -> LotsSettings:
         return self.settings.lots
+
+    def configuration(self) -> dict[str, Any]:
+        return self.settings.model_dump(mode="json")
 
     def acquisition_status(self) -> AcquisitionStatus:
         return self.acquisition.status()
@@ -94,44 +101,45 @@ class Daemon:
         return self.acquisition.cameras.latest_image(camera)
 
     def health(self) -> Health:
+        return assess(self.facts())
+
+    def facts(self) -> Facts:
         self.keys.refresh()
-        return assess(
-            Facts(
-                acquisition=self.acquisition.status(),
-                blind_triggers=self.acquisition.cameras.blind_triggers,
-                cameras=self.cameras(),
-                common_cause=self.acquisition.cameras.common_cause,
-                views=self.settings.views,
-                waiting=self.spool.n_queued,
-                without_outcome=self.spool.n_waiting,
-                max_waiting=self.spool.max_bundles,
-                spool_trouble=self.spool.trouble,
-                workers=len(self.pool.pids),
-                slots=self.pool.size,
-                worker_restarts=self.pool.restarts,
-                worker_trouble=self.pool.trouble,
-                quarantined=self.quarantine.bundles(),
-                loop_ms=self.watches.loop.worst_ms(),
-                clock_step_s=self.watches.loop.clock_step_s(),
-                clock_is_unset=is_of_unset_clock(utc_now()),
-                late=self.late(),
-                has_background=self.processing.has_background,
-                has_network=self.segmentation.model is not None,
-                segmentation_warning=self.watches.segmentation.warning,
-                calibration=self.calibrations.facts(),
-                last_seq=self.store.last_seq,
-                store_trouble=_text(self.store.trouble),
-                store_incidents=self.store.incidents,
-                backup_trouble=self.backing_up.trouble,
-                key_trouble=self.keys.trouble,
-                retention=self.retaining.facts,
-                free_bytes=_free_bytes(self.settings.store.dir),
-                recording_trouble=self.recordings.trouble,
-                left_out=self.archive.left_out,
-                archive_trouble=self.archive.trouble,
-                suspicions=self.watches.rig.suspicions(),
-                optical_findings=self.watches.optics.findings(),
-            )
+        return Facts(
+            acquisition=self.acquisition.status(),
+            blind_triggers=self.acquisition.cameras.blind_triggers,
+            cameras=self.cameras(),
+            common_cause=self.acquisition.cameras.common_cause,
+            views=self.settings.views,
+            waiting=self.spool.n_queued,
+            without_outcome=self.spool.n_waiting,
+            max_waiting=self.spool.max_bundles,
+            spool_trouble=self.spool.trouble,
+            workers=len(self.pool.pids),
+            slots=self.pool.size,
+            worker_restarts=self.pool.restarts,
+            worker_trouble=self.pool.trouble,
+            quarantined=self.quarantine.bundles(),
+            loop_ms=self.watches.loop.worst_ms(),
+            clock_step_s=self.watches.loop.clock_step_s(),
+            clock_is_unset=is_of_unset_clock(utc_now()),
+            late=self.late(),
+            has_background=self.processing.has_background,
+            has_network=self.segmentation.model is not None,
+            segmentation_warning=self.watches.segmentation.warning,
+            calibration=self.calibrations.facts(),
+            last_seq=self.store.last_seq,
+            store_trouble=_text(self.store.trouble),
+            store_incidents=self.store.incidents,
+            backup_trouble=self.backing_up.trouble,
+            key_trouble=self.keys.trouble,
+            retention=self.retaining.facts,
+            free_bytes=_free_bytes(self.settings.store.dir),
+            recording_trouble=self.recordings.trouble,
+            left_out=self.archive.left_out,
+            archive_trouble=self.archive.trouble,
+            suspicions=self.watches.rig.suspicions(),
+            optical_findings=self.watches.optics.findings(),
         )
 
     def late(self) -> list[Part]:

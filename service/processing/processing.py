@@ -9,6 +9,7 @@ Every trigger that leaves the spool gets exactly one outcome here.
 import asyncio
 import logging
 import shutil
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,7 +146,8 @@ class Processing:
     """Processes the bundles of a spool: `run` is its task, `abandon` ends it early.
 
     `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_network` with the use of the network
-    in each measured bundle, `on_progress` after every commit and at no other time.
+    in each measured bundle, `on_outcome` with the seconds from each trigger of this session to its durable outcome,
+    `on_progress` after every commit and at no other time.
     """
 
     def __init__(
@@ -160,6 +162,7 @@ class Processing:
         quarantine: Quarantine | None = None,
         on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None,
         on_network: Callable[[NetworkUse], None] = lambda use: None,
+        on_outcome: Callable[[float], None] = lambda delay_s: None,
         on_progress: Callable[[], None],
     ) -> None:
         self._context = context
@@ -169,6 +172,7 @@ class Processing:
         self._calibration = calibration
         self._on_empty_rig = on_empty_rig
         self._on_network = on_network
+        self._on_outcome = on_outcome
         self._on_progress = on_progress
         self._jobs: set[asyncio.Task[_Measured | LearntBackground | Loss]] = set()
         self._is_abandoned = False
@@ -245,6 +249,8 @@ class Processing:
             for path in turn.retired:  # no unfinished job was given it
                 tasks.create_task(self._remove(path, self._keeping))
             seq = await self._commit(turn, tasks)
+            if turn.bundle.left is None and not turn.bundle.is_background:
+                self._on_outcome((time.monotonic_ns() - turn.bundle.trigger.received_ns) / 1e9)
             await self._spool.release(turn.bundle, seq)
             self._on_progress()
 

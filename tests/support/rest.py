@@ -11,14 +11,18 @@ import httpx
 import numpy as np
 import trimesh
 from fastapi import FastAPI
+from prometheus_client import Histogram
 
 from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
+from pipeline.views.quality import ViewsParameters
 from service.api.app import create_app
 from service.api.key_ring import KeyRing
+from service.api.metrics import result_delays
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
+from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.status import (
@@ -65,6 +69,8 @@ class FakeControl:
     images: dict[str, Image] = field(default_factory=dict)
     calibrations: Calibrations | None = None
     lots: LotsSettings = field(default_factory=LotsSettings)
+    delays: Histogram = field(default_factory=result_delays)
+    settings: dict[str, Any] = field(default_factory=dict)
 
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))
@@ -76,6 +82,30 @@ class FakeControl:
 
     def health(self) -> Health:
         return self.condition
+
+    def configuration(self) -> dict[str, Any]:
+        return self.settings
+
+    def facts(self) -> Facts:
+        assert self.calibrations is not None
+        return Facts(
+            acquisition=self.acquisition_status(),
+            blind_triggers=0,
+            cameras=self.cameras(),
+            views=ViewsParameters(),
+            waiting=3,
+            max_waiting=16,
+            workers=2,
+            slots=2,
+            worker_restarts=1,
+            late=(),
+            loop_ms=1.5,
+            clock_step_s=None,
+            has_background=True,
+            calibration=self.calibrations.facts(),
+            last_seq=0,
+            free_bytes=10**10,
+        )
 
     def cameras(self) -> list[CameraStatus]:
         return [CameraStatus(id=camera, state="armed", frames=7) for camera in CAMERAS]

@@ -1,0 +1,39 @@
+"""Metrics for Prometheus."""
+
+import asyncio
+
+from fastapi import APIRouter, Response
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+
+from service.api.context import ApiContext, Context
+from service.api.metrics import Snapshot, metrics_text
+from service.api.problems import problem_responses
+
+router = APIRouter(prefix="/metrics", tags=["health"])
+
+KEEP_S = 1.0
+"""For so long everybody gets the same text."""
+
+
+@router.get(
+    "",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {}}}, **problem_responses()},
+)
+async def metrics(context: Context) -> Response:
+    """Return counts and states in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""
+    content = await context.shared.get("metrics", lambda: _text(context), keep_s=KEEP_S)
+    return Response(content, media_type=CONTENT_TYPE_PLAIN_0_0_4)
+
+
+async def _text(context: ApiContext) -> bytes:
+    control = context.control
+    calibrations = control.calibrations
+    snapshot = Snapshot(
+        facts=control.facts(),
+        outcomes=await context.counted.now(context.store),
+        delays=control.delays,
+        verified=calibrations.verified,
+        last_verification=calibrations.verifications.last(calibrations.rig_file.calibration_id),
+    )
+    return await asyncio.to_thread(metrics_text, snapshot)
