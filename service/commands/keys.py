@@ -65,9 +65,9 @@ def list_(config: Config, as_json: AsJson = False) -> None:
         return
     table = Table("name", "scopes", "state", "created", "by", "expires")
     for key in keys:
-        created = (key["created_at"] or "in the configuration", key["created_by"] or "")
+        created = (_day(key["created_at"]) or "in the configuration", key["created_by"] or "")
         table.add_row(
-            key["name"], ", ".join(key["scopes"]), key["state"], *created, key["expires_at"] or "never"
+            key["name"], ", ".join(key["scopes"]), key["state"], *created, _day(key["expires_at"]) or "never"
         )
     Console().print(table)
 
@@ -120,6 +120,10 @@ def _expiry(text: str, now: datetime) -> str:
         raise UsageError(
             f"--expires {text}: must be a date such as 2027-01-01, or days such as 90d"
         ) from None
+
+
+def _day(time: str | None) -> str | None:
+    return None if time is None else time[:10]
 
 
 def _user() -> str:

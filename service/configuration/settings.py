@@ -18,7 +18,7 @@ from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
-from service.api.key_ring import KeyRing
+from service.api.key_file import KEYS, KeyFileError, StoredKey, read_keys
 from service.api.settings import ApiSettings, WithoutKeys
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
@@ -164,7 +164,9 @@ def problems(settings: Settings) -> Iterator[str]:
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _write_problem(folder):
             yield f"{name}: {problem}"
-    if keys_of(settings).is_empty and not settings.api.may_read_without_keys:
+    stored, trouble = _stored_keys(settings.store.dir)
+    is_without_keys = not settings.api.keys and not stored and trouble is None
+    if is_without_keys and not settings.api.may_read_without_keys:
         yield (
             f"api.host: every host that reaches {settings.api.host} could read everything, as there is no key: make one"
             " with `stonefall keys create NAME --config FILE`, or say in [api] that"
@@ -172,11 +174,12 @@ def problems(settings: Settings) -> Iterator[str]:
         )
 
 
-def keys_of(settings: Settings) -> KeyRing:
-    """Return the keys of a configuration and of its store, as they are now."""
-    keys = KeyRing(settings.api.keys, settings.store.dir)
-    keys.refresh()
-    return keys
+def _stored_keys(folder: Path) -> tuple[tuple[StoredKey, ...], str | None]:
+    """Return the keys of a store, or why they cannot be read."""
+    try:
+        return read_keys(folder / KEYS), None
+    except KeyFileError as err:
+        return (), str(err)
 
 
 def shortcomings(settings: Settings) -> Iterator[str]:
@@ -186,8 +189,9 @@ def shortcomings(settings: Settings) -> Iterator[str]:
         yield f"segmentation.model: {plan.trouble}"
     if plan.provider_trouble is not None:
         yield f"segmentation.providers: {plan.provider_trouble}"
-    if (trouble := keys_of(settings).trouble) is not None:
-        yield f"api.keys: {trouble}"
+    _, trouble = _stored_keys(settings.store.dir)
+    if trouble is not None:
+        yield f"api.keys: {trouble}: no key of this file is accepted; mend it, or remove it and create them anew"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

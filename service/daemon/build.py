@@ -127,7 +127,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         on_empty_rig=watches.optics.feed_optics,
         on_network=watches.segmentation.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
-        on_outcome=delays.observe,
+        # a replay has a clock of its own
+        on_outcome=delays.observe if devices.belt is None else lambda delay_s: None,
     )
     return Daemon(
         settings=settings,

@@ -122,6 +122,7 @@ class Bench:
         self.pool = pool
         self.store = ListStore()
         self.progress = 0
+        self.delays_s: list[float] = []
         self.folder = folder
         self.quarantine = Quarantine(folder.parent / "quarantine")
         context = ProcessingContext(
@@ -138,6 +139,7 @@ class Bench:
             results=self.store,
             calibration=desk or Desk(),
             quarantine=self.quarantine,
+            on_outcome=self.delays_s.append,
             on_progress=self.on_progress,
         )
 

@@ -18,7 +18,7 @@ KEEP_S = 1.0
 @router.get(
     "",
     response_class=Response,
-    responses={200: {"content": {"text/plain": {}}}, **problem_responses()},
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problem_responses()},
 )
 async def metrics(context: Context) -> Response:
     """Return counts and states in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""

@@ -1,5 +1,6 @@
 import asyncio
 import shutil
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,19 @@ async def test_results_are_committed_in_trigger_order_whichever_is_ready_first(t
     assert bench.outcomes == [("a", None), ("b", "queue_full"), ("c", None)]
     assert [bundle.name for bundle in bench.spool.released] == ["a", "b", "c"]
     assert bench.progress == 3
+
+
+async def test_each_outcome_tells_its_delay_but_not_that_of_an_earlier_daemon(tmp_path: Path):
+    before_s = time.monotonic()
+    trigger, path = turn("b").trigger, tmp_path / "b.tiff"
+    left = LeftBundle(session=0, trigger=trigger, name="b", path=path, background=None)
+    stale = replace(turn("b"), left=left)
+    lost = turn("c", loss=Loss(reason="queue_full", detail=""))
+    bench = Bench(tmp_path, [turn("e", kind=BundleKind.BACKGROUND), turn("a"), stale, lost], ScriptedPool())
+    await bench.processing.run()
+    after_s = time.monotonic()
+    assert len(bench.delays_s) == 2
+    assert all(before_s <= delay_s <= after_s for delay_s in bench.delays_s)  # since 0 of the clock
 
 
 async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tmp_path: Path):
