@@ -15,16 +15,21 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
+from pipeline.views.quality import Quality
 from service.api.version import API_VERSION
 from service.calibration.verifications import Verification
 from service.health.assessment import Facts, assess
-from service.results.fields import Verified
+from service.results.fields import LossReason, Outcome, Verified
 from service.results.version import ALGORITHM_VERSION
 from service.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
 from service.store.outcome_counts import OutcomeCounts
 
 DELAYS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)
 """Limits of the histogram; 0.26 s pass before the frames of a stone are there."""
+NONE_YET = {(Outcome.MEASURED.value, "", quality.value): 0 for quality in Quality} | {
+    (Outcome.LOST.value, reason.value, ""): 0 for reason in LossReason
+}
+"""Counted from the beginning: Prometheus sees no increase in the first of a kind that was not there before."""
 SEVERITY = {CheckStatus.PASS: 0, CheckStatus.WARN: 1, CheckStatus.FAIL: 2}
 
 Values = Iterable[tuple[Sequence[str], float | None]]
@@ -93,7 +98,10 @@ def metrics_text(snapshot: Snapshot) -> bytes:
 
 def _stones(outcomes: OutcomeCounts) -> Iterator[Metric]:
     yield _counter(
-        "stones", "Triggers with an outcome", outcomes.n.items(), labels=("outcome", "reason", "quality")
+        "stones",
+        "Triggers with an outcome",
+        (NONE_YET | dict(outcomes.n)).items(),
+        labels=("outcome", "reason", "quality"),
     )
     yield _gauge("stones_in_progress", "Triggers without an outcome yet", _alone(outcomes.in_progress))
 
