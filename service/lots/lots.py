@@ -2,15 +2,14 @@
 
 import json
 import sqlite3
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 from drivers.files.times import utc_now
 from service.errors import ServiceError
 from service.lots.products import find_product
 from service.store import audit
+from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import transaction
 
 MOST_RUNS = 1000
@@ -97,7 +96,7 @@ def open_lot(
                 utc_now(),
             ),
         )
-        return _noted(connection, definition.lot, who, "lot opened", None)
+        return _noted(connection, definition.lot, who, "lot opened", None, EventType.LOT_OPENED)
 
 
 def close_lot(
@@ -117,7 +116,7 @@ def close_lot(
             "UPDATE lots SET state = 'closed', closed_at = ?, definition = ? WHERE lot = ?",
             (utc_now(), json.dumps(asdict(definition)), lot),
         )
-        return _noted(connection, lot, who, "lot closed", before)
+        return _noted(connection, lot, who, "lot closed", before, EventType.LOT_CLOSED)
 
 
 def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) -> LotRecord | None:
@@ -130,7 +129,7 @@ def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) ->
             "UPDATE lots SET state = 'void', void_reason = ?, closed_at = coalesce(closed_at, ?) WHERE lot = ?",
             (reason, utc_now(), lot),
         )
-        return _noted(connection, lot, who, "lot voided", before)
+        return _noted(connection, lot, who, "lot voided", before, EventType.LOT_VOIDED)
 
 
 def assign(
@@ -221,13 +220,16 @@ def _existing(connection: sqlite3.Connection, lot: str) -> LotRecord:
 
 
 def _noted(
-    connection: sqlite3.Connection, lot: str, who: str, action: str, before: LotRecord | None
+    connection: sqlite3.Connection,
+    lot: str,
+    who: str,
+    action: str,
+    before: LotRecord | None,
+    event: EventType,
 ) -> LotRecord:
-    """Note a change of a lot in the audit, and return the lot as it is now."""
+    """Note a change of a lot in the audit and among the events, and return the lot as it is now."""
     after = _existing(connection, lot)
-    audit.note(connection, who, action, lot, before=_facts(before), after=_facts(after))
+    facts = asdict(after)
+    audit.note(connection, who, action, lot, before=None if before is None else asdict(before), after=facts)
+    note_event(connection, NewEvent(type=event, subject=lot, data=facts.pop("definition") | facts))
     return after
-
-
-def _facts(record: LotRecord | None) -> Mapping[str, Any] | None:
-    return None if record is None else asdict(record)

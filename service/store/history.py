@@ -19,6 +19,7 @@ from pathlib import Path
 
 from drivers.files.durable import sync
 from service.store import schema
+from service.store.events import NEW_HISTORY_STEP
 from service.store.particle_files import particle_id
 from service.store.trouble import Cause, trouble_of
 
@@ -97,7 +98,10 @@ def begin_anew(
     explain(folder, f"{why} The feed goes on after {highest}, with a new instance_id.")
     instance_id = schema.new_instance()
     # first of all: what is moved away is evidence that these numbers were given
-    connection.execute("UPDATE store SET instance_id = ?, last_seq = ?", (instance_id, highest))
+    connection.execute(
+        "UPDATE store SET instance_id = ?, last_seq = ?, last_event = last_event + ?",
+        (instance_id, highest, NEW_HISTORY_STEP),
+    )
     acknowledge(state_dir, instance_id, highest)
     strays = [path for path, _ in particle_folders(state_dir) if not _has_result(connection, path.name)]
     move_particles(strays, folder)

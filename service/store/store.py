@@ -83,10 +83,11 @@ class Store:
         self._n_notes = 0  # entries of the audit that are not written yet
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
         with connect_reader(self.path) as reader:
-            row = reader.execute("SELECT instance_id, last_seq, first_raw FROM store").fetchone()
+            row = reader.execute("SELECT instance_id, last_seq, first_raw, last_event FROM store").fetchone()
         self._instance_id: str = row[0]
         self._last_seq: int = row[1]
         self._first_raw: int = row[2]  # results before this one have no raw frames
+        self._last_event: int = row[3]
         self._keep_raw = keep_raw
 
     def __enter__(self) -> Self:
@@ -127,6 +128,11 @@ class Store:
     def last_seq(self) -> int:
         """Number of the newest durable result; 0 before the first."""
         return self._last_seq
+
+    @property
+    def last_event(self) -> int:
+        """Number of the newest durable event; 0 before the first."""
+        return self._last_event
 
     @property
     def session(self) -> int | None:
@@ -271,8 +277,18 @@ class Store:
         while self._last_seq <= seq and not self._released:
             await self._committed.wait()
 
+    async def wait_beyond_event(self, event: int) -> None:
+        """Return when an event after this number is durable, or when waiting was ended by `release_waiters`."""
+        while self._last_event <= event and not self._released:
+            await self._committed.wait()
+
+    @property
+    def is_released(self) -> bool:
+        """Whether nobody is to wait any more, because the daemon is about to stop."""
+        return self._released
+
     def release_waiters(self) -> None:
-        """End all waiting in `wait_beyond` for good, because the daemon is about to stop."""
+        """End all waiting in `wait_beyond` and `wait_beyond_event` for good, because the daemon is about to stop."""
         self._released = True
         self._wake()
 
@@ -284,13 +300,19 @@ class Store:
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> T:
         """Return `work(connection, ...)`, one transaction in the thread that writes; waits while the store is held."""
-        return await asyncio.shield(self._submit(lambda connection: work(connection, *args, **kwargs)))
+        return await asyncio.shield(self.write_later(work, *args, **kwargs))
+
+    def write_later(
+        self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> "asyncio.Future[T]":
+        """Have `work(connection, ...)` done after all earlier writes; the caller bounds how many wait."""
+        return self._submit(lambda connection: work(connection, *args, **kwargs))
 
     async def write_soon(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> None:
         """Write, but do not wait for a disk that refuses or does not answer: all later writes come after this one."""
-        await self._unless_held(self._submit(lambda connection: work(connection, *args, **kwargs)))
+        await self._unless_held(self.write_later(work, *args, **kwargs))
 
     async def _unless_held(self, written: "asyncio.Future[T]") -> None:
         """Wait until something is written, or the disk refuses or does not answer."""
@@ -317,9 +339,14 @@ class Store:
         return written
 
     def _note_newest(self, connection: sqlite3.Connection) -> None:
-        """Note how far the feed is, and remove raw frames that are too old; the disk may refuse until the next time."""
+        """Note how far results and events are, and remove raw frames that are too old.
+
+        The disk may refuse until the next time.
+        """
         with suppress(sqlite3.Error, OSError):
-            (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
+            last_seq, self._last_event = connection.execute(
+                "SELECT last_seq, last_event FROM store"
+            ).fetchone()
             if last_seq != self._last_seq:
                 self._last_seq = last_seq
                 history.acknowledge(self.dir, self._instance_id, last_seq)

@@ -1,0 +1,79 @@
+"""Events: what happened beside results, numbered without a gap, in the transaction of what changed."""
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from drivers.files.times import utc_now
+
+NEW_HISTORY_STEP = 1_000_000
+"""By which numbers go on in a history that begins anew: more events than a backup can lack."""
+
+
+class EventType(StrEnum):
+    """What happened."""
+
+    LOT_OPENED = "lot.opened"
+    LOT_CLOSED = "lot.closed"
+    LOT_VOIDED = "lot.voided"
+    ALARM_RAISED = "alarm.raised"
+    """It needs someone: it is new, has come back, has become worse, or is suppressed or shelved no longer."""
+    ALARM_CLEARED = "alarm.cleared"
+    """Its cause is gone, or it is suppressed under another alarm."""
+    ALARM_ACKNOWLEDGED = "alarm.acknowledged"
+    ALARM_SHELVED = "alarm.shelved"
+    CALIBRATION_ACTIVATED = "calibration.activated"
+    VERIFICATION_ENDED = "verification.ended"
+    ACQUISITION_CHANGED = "acquisition.changed"
+    HEALTH_CHANGED = "health.changed"
+    """The NE 107 word of the device is another one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NewEvent:
+    """An event that has no number yet."""
+
+    type: EventType
+    subject: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+    at: str = field(default_factory=utc_now)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventsPage:
+    """Consecutive events, and the first and last number of all at the same moment."""
+
+    first_seq: int  # oldest one kept; last_seq + 1 when there is none
+    last_seq: int  # 0 before the first
+    items: list[dict[str, Any]]
+
+
+def note_event(connection: sqlite3.Connection, event: NewEvent) -> int:
+    """Number an event within the transaction that makes it true, and return the number."""
+    (number,) = connection.execute(
+        "UPDATE store SET last_event = last_event + 1 RETURNING last_event"
+    ).fetchone()
+    connection.execute(
+        "INSERT INTO events (seq, at, type, subject, data) VALUES (?, ?, ?, ?, ?)",
+        (number, event.at, event.type, event.subject, json.dumps(event.data, allow_nan=False)),
+    )
+    return int(number)
+
+
+def events_after(connection: sqlite3.Connection, after: int, limit: int) -> EventsPage:
+    """Return up to `limit` events after a number, in order."""
+    last_seq, first_seq = connection.execute(
+        "SELECT last_event, coalesce((SELECT min(seq) FROM events), last_event + 1) FROM store"
+    ).fetchone()
+    rows = connection.execute(
+        "SELECT seq, at, type, subject, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?",
+        (after, limit),
+    )
+    items = [
+        {"seq": number, "at": at, "type": kind, "subject": subject, "data": json.loads(data)}
+        for number, at, kind, subject, data in rows
+    ]
+    return EventsPage(first_seq=first_seq, last_seq=last_seq, items=items)
