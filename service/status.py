@@ -166,8 +166,10 @@ class Health:
     """Why it is not ready, or not `good`."""
     checks: Mapping[str, HealthCheck]
     """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `segmentation`, `calibration`, `clock`, `store`, `disk`, `disk_days`, `retention`, `backup`, `keys`,
+    `segmentation`, `calibration`, `drops`, `clock`, `store`, `disk`, `disk_days`, `retention`, `backup`, `keys`,
     `archive`, `recording`, `rig`, `optics`."""
+    gate_ne107: Ne107 = Ne107.GOOD
+    rig_ne107: Ne107 = Ne107.GOOD
 
 
 class CameraOptics(Report):
@@ -213,6 +215,7 @@ class CameraStatus(Report):
 
     id: CameraId
     state: DeviceState
+    ne107: Ne107 = Field(default=Ne107.GOOD, description="Its state in the terms of NAMUR NE 107")
     last_error: str | None = None
     recoveries: int = Field(default=0, description="How often it came back from a loss")
     serial: str | None = None

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.views.quality import ViewsParameters
+from service.health.device_words import gate_ne107, rig_ne107
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.retention_checks import disk_days, retention
 from service.health.rig_watch import Suspicion
@@ -106,6 +107,8 @@ def assess(facts: Facts) -> Health:
         ),
         reasons=reasons,
         checks=checks,
+        gate_ne107=gate_ne107(facts.acquisition),
+        rig_ne107=rig_ne107(facts.suspicions, facts.optical_findings, facts.calibration),
     )
 
 
@@ -256,12 +259,17 @@ def _segmentation(facts: Facts) -> HealthCheck:
 
 def _calibration(facts: Facts) -> HealthCheck:
     calibration = facts.calibration
-    problems = [text for text in (calibration.trouble, calibration.at_work) if text is not None]
     return HealthCheck(
-        status=_status(warn=bool(problems)),
+        status=_status(warn=calibration.trouble is not None),
         observed_value=calibration.calibration_id,
-        detail="; ".join(problems) or f"{calibration.method}, in use since {calibration.used_since}",
+        detail=calibration.trouble or f"{calibration.method}, in use since {calibration.used_since}",
     )
+
+
+def _drops(facts: Facts) -> HealthCheck:
+    """Check whether what falls is a stone."""
+    at_work = facts.calibration.at_work
+    return HealthCheck(status=_status(warn=at_work is not None), detail=at_work)
 
 
 def _store(facts: Facts) -> HealthCheck:
@@ -359,6 +367,7 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "background": _background,
     "segmentation": _segmentation,
     "calibration": _calibration,
+    "drops": _drops,
     "store": _store,
     "disk": _disk,
     "disk_days": lambda facts: disk_days(facts.retention),

@@ -24,6 +24,8 @@ class HealthDocument(BaseModel):
 
     status: CheckStatus
     ne107: Ne107 = Field(description="Device state in the terms of NAMUR NE 107")
+    gate_ne107: Ne107 = Field(description="The light gate alone; each camera has its own in `/cameras`")
+    rig_ne107: Ne107 = Field(description="Geometry and optics of the rig: is all as it was calibrated")
     ready: bool = Field(description="Whether the next stone will be measured")
     reasons: list[str] = Field(description="Why it is not ready, or not `good`; empty when it is both")
     version: str = Field(description="Version of this interface")
@@ -80,6 +82,8 @@ async def health(context: Context) -> dict[str, Any]:
     return {
         "status": OVERALL_STATUS.get(state.ne107, CheckStatus.WARN),
         "ne107": state.ne107,
+        "gate_ne107": state.gate_ne107,
+        "rig_ne107": state.rig_ne107,
         "ready": state.ready,
         "reasons": state.reasons,
         "version": API_VERSION,

@@ -66,6 +66,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "background",
         "segmentation",
         "calibration",
+        "drops",
         "store",
         "disk",
         "backup",
