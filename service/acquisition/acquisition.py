@@ -62,7 +62,8 @@ class Acquisition:
 
     Bundles are passed to `on_bundle` in the order of their triggers; `on_progress` is called at every turn of
     the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones. While `store_trouble`
-    returns why results cannot be stored, the acquisition is held.
+    returns why results cannot be stored, the acquisition is held. `on_state` is told each new state, and why it is
+    held.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Acquisition:
         on_bundle: Callable[[FrameBundle], None],
         on_progress: Callable[[], None],
         store_trouble: Callable[[], str | None] = lambda: None,
+        on_state: Callable[[AcquisitionState, str | None], None] = lambda state, trouble: None,
     ) -> None:
         self._devices = devices
         self._session = session
@@ -89,6 +91,7 @@ class Acquisition:
         self._on_bundle = on_bundle
         self._on_progress = on_progress
         self._store_trouble = store_trouble
+        self._on_state = on_state
         self._arm_requested = asyncio.Event()
         self._disarm_requested = asyncio.Event()
         self._is_abandoned = False
@@ -114,7 +117,7 @@ class Acquisition:
         """Begin the transition to `target` and return the new state; raise `ConflictError` if it is not allowed."""
         following = next_state(self.state, target)
         if following is not self.state:
-            self.state = following
+            self._enter(following)
             if target is AcquisitionTarget.ARMED:
                 self._disarm_requested.clear()
                 self._arm_requested.set()
@@ -124,7 +127,7 @@ class Acquisition:
 
     def stop(self) -> None:
         """Disarm for good: `run` returns when every bundle has been handed over."""
-        self.state = AcquisitionState.STOPPING
+        self._enter(AcquisitionState.STOPPING)
         self._disarm_requested.set()
         self._arm_requested.set()
 
@@ -175,7 +178,12 @@ class Acquisition:
 
     def _set_state(self, state: AcquisitionState) -> None:
         if self.state is not AcquisitionState.STOPPING:
+            self._enter(state)
+
+    def _enter(self, state: AcquisitionState) -> None:
+        if state is not self.state:
             self.state = state
+            self._on_state(state, self.trouble if state is AcquisitionState.HELD else None)
 
     async def _run_armed(self, tasks: asyncio.TaskGroup) -> None:
         """Arm the rig and pump events until disarming is requested; the exit stack disarms in reverse order."""

@@ -54,7 +54,7 @@ class Calibrations:
         at_start: CalibrationsAtStart,
         verifications: Verifications,
         *,
-        on_activated: Callable[[RigCalibration], Awaitable[None]],
+        on_activated: Callable[[RigCalibration, Activation], Awaitable[None]],
         solver: Solver = solve_apart,
     ) -> None:
         """Continue with what the start has loaded; await `on_activated` before another calibration is used."""
@@ -292,7 +292,7 @@ class Calibrations:
         self._activations = activations
         if (verification := self.verifications.current) is not None:
             await self.verifications.cancel(verification.id, f"calibration {record.id} was activated")
-        await self._on_activated(rig)
+        await self._on_activated(rig, chosen)
         self.active, self.rig, self.rig_file, self._trouble = record, rig, rig_file, None
         log.info("calibration in use calibration=%s id=%s by=%s", record.id, rig_file.calibration_id, by)
 

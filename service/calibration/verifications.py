@@ -6,7 +6,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
@@ -93,8 +93,15 @@ class VerificationPlan:
             raise ValueError(f"count must be in 2..100, not {self.count}")
 
 
-def open_verifications(folder: Path, parameters: VerificationParameters) -> "Verifications":
-    """Read all verifications, and cancel one that was open when the daemon ended; blocks."""
+def open_verifications(
+    folder: Path,
+    parameters: VerificationParameters,
+    on_ended: Callable[[Verification], None] = lambda _: None,
+) -> "Verifications":
+    """Read all verifications, and cancel one that was open when the daemon ended; blocks.
+
+    `on_ended` is told each that ends, on whichever thread.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     adapter = TypeAdapter(Verification)
     known = {}
@@ -109,19 +116,25 @@ def open_verifications(folder: Path, parameters: VerificationParameters) -> "Ver
         if verification.state is VerificationState.COLLECTING:
             verification = _cancelled(verification, "the daemon was restarted")
             write_json(path, adapter.dump_python(verification, mode="json"))
+            on_ended(verification)
         known[verification.id] = verification
-    return Verifications(folder, known, parameters)
+    return Verifications(folder, known, parameters, on_ended)
 
 
 class Verifications:
     """All verifications; made by `open_verifications`. Call it on the event loop."""
 
     def __init__(
-        self, folder: Path, known: dict[str, Verification], parameters: VerificationParameters
+        self,
+        folder: Path,
+        known: dict[str, Verification],
+        parameters: VerificationParameters,
+        on_ended: Callable[[Verification], None],
     ) -> None:
         self._folder = folder
         self._known = known
         self._parameters = parameters
+        self._on_ended = on_ended
         self._adapter = TypeAdapter(Verification)
         self._writing = asyncio.Lock()
         self._last_ball_s = time.monotonic()
@@ -272,6 +285,8 @@ class Verifications:
         document = self._adapter.dump_python(verification, mode="json")
         async with self._writing:  # a ball may arrive during a cancellation
             await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
+        if verification.state is not VerificationState.COLLECTING:
+            self._on_ended(verification)
 
 
 def _age(verification: Verification, now: datetime) -> timedelta:

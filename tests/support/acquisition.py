@@ -27,6 +27,7 @@ class AcquisitionBench:
         self.gate_counts: list[GateCount | None] = []
         self.bundles: list[FrameBundle] = []
         self.states: list[AcquisitionState] = []
+        self.entered: list[tuple[AcquisitionState, str | None]] = []
         self.store_trouble: str | None = None
         self._min_cameras = min_cameras
         self._is_ball = is_ball
@@ -43,6 +44,7 @@ class AcquisitionBench:
             on_bundle=self.on_bundle,
             on_progress=self.on_progress,
             store_trouble=lambda: self.store_trouble,
+            on_state=lambda state, trouble: self.entered.append((state, trouble)),
         )
 
     async def forget_gate_count(self, session: int) -> None:

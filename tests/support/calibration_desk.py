@@ -14,6 +14,7 @@ from pipeline.rig.cameras import RigCalibration
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solution, SolveJob
+from service.calibration.files import Activation
 from service.calibration.plan import CalibrationPlan
 from service.calibration.startup import load_calibrations
 from service.calibration.states import CalibrationAction, CalibrationState
@@ -56,13 +57,13 @@ def open_desk(
     configured: RigCalibration = CONFIGURED,
     solver: MadeUpSolver | None = None,
     parameters: VerificationParameters | None = None,
-    on_activated: Callable[[RigCalibration], Awaitable[None]] | None = None,
+    on_activated: Callable[[RigCalibration, Activation], Awaitable[None]] | None = None,
 ) -> Calibrations:
     """Open the calibrations of a folder as the daemon does when it starts."""
     found = load_calibrations(folder / "calibrations", configured)
     verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
 
-    async def nothing(rig: RigCalibration) -> None:
+    async def nothing(rig: RigCalibration, activation: Activation) -> None:
         pass
 
     return Calibrations(

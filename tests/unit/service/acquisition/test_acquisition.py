@@ -214,6 +214,14 @@ async def test_a_store_that_is_held_holds_the_acquisition_and_stones_are_still_c
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
         assert acquisition.status().trouble is None
     assert len(bench.bundles) == 2
+    state = AcquisitionState
+    assert bench.entered == [
+        (state.ARMING, None),
+        (state.ARMED, None),
+        (state.HELD, "store: database or disk is full: make room"),
+        (state.ARMED, None),
+        (state.STOPPING, None),
+    ]
 
 
 async def test_a_lost_gate_holds_and_comes_back_while_the_cameras_stay_armed(

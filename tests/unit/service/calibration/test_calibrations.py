@@ -71,7 +71,7 @@ async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
     told = []
     solver = MadeUpSolver()
 
-    async def on_activated(rig):
+    async def on_activated(rig, activation):
         told.append(rig.name)
 
     desk = open_desk(tmp_path, solver=solver, on_activated=on_activated)

@@ -12,6 +12,7 @@ from support.calibration_desk import a_drop
 from service.calibration import verifications
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import (
+    Verification,
     VerificationPlan,
     Verifications,
     VerificationState,
@@ -173,6 +174,31 @@ async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
     found = opened(tmp_path).find(name)
     assert found is not None
     assert (found.state, len(found.balls)) == (VerificationState.CANCELLED, 1)
+
+
+async def test_each_end_is_told_once(tmp_path: Path):
+    ended: list[tuple[str, VerificationState]] = []
+
+    def on_ended(verification: Verification) -> None:
+        ended.append((verification.id, verification.state))
+
+    desk = open_verifications(tmp_path, VerificationParameters(), on_ended)
+    passed = await desk.start(PLAN, "rig")
+    await let_fall(desk, [15.02, 15.04])
+    assert ended == []
+    await let_fall(desk, [15.03])
+    cancelled = await desk.start(PLAN, "rig")
+    await desk.cancel(cancelled.id, "on request")
+    await desk.cancel(cancelled.id, "on request")
+    await desk.void(passed.id, "another ball")
+    await desk.start(PLAN, "rig")
+    open_verifications(tmp_path, VerificationParameters(), on_ended)
+    assert ended == [
+        ("0001", VerificationState.PASSED),
+        ("0002", VerificationState.CANCELLED),
+        ("0001", VerificationState.VOID),
+        ("0003", VerificationState.CANCELLED),
+    ]
 
 
 def test_a_damaged_one_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture):
