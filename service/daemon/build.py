@@ -4,6 +4,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from drivers.factory import Devices, build_devices
@@ -12,14 +13,16 @@ from drivers.replay.belt import ReplayBelt
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
+from service.alarms.alarms import open_alarms
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
 from service.calibration.calibrations import Calibrations
-from service.calibration.files import image_sizes_px
+from service.calibration.files import Activation, image_sizes_px
 from service.calibration.startup import CalibrationsAtStart, load_calibrations
-from service.calibration.verifications import open_verifications
+from service.calibration.verifications import Verification, open_verifications
 from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
+from service.daemon.alarming import Alarming, acquisition_changed, verification_ended
 from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
@@ -44,6 +47,8 @@ from service.recording.recordings import Recordings, open_recordings
 from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
+from service.store.event_log import EventLog
+from service.store.events import EventType, NewEvent
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +90,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
         segmentation=SegmentationWatch(segmentation),
     )
     recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
-    calibrations = await _open_calibrations(settings, store, found, session, watches.rig, recordings)
+    events = EventLog(store)
+    calibrations = await _open_calibrations(settings, store, events, found, session, watches.rig, recordings)
     if (counted := await store.gate_count()) is not None:
         devices.gate.resume(*counted)
     spool, archive = _build_queue(settings, store, source, devices.belt, folder, left)
@@ -106,6 +112,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
         store_trouble=lambda: _store_trouble(store),
+        on_state=lambda state, trouble: events.note(acquisition_changed(state, trouble)),
     )
     pool = _build_pool(settings, source, segmentation)
     delays = result_delays()
@@ -151,6 +158,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             settings.store.retention,
             is_clock_sure=lambda: watches.loop.clock_step_s() is None,
         ),
+        alarming=Alarming(await open_alarms(store, events), events),
         acquisition=acquisition,
         processing=processing,
         delays=delays,
@@ -244,18 +252,26 @@ def _open_recordings(settings: Settings, store: Store, source: RecordingSource, 
 async def _open_calibrations(
     settings: Settings,
     store: Store,
+    events: EventLog,
     found: CalibrationsAtStart,
     session: int,
     rig_watch: RigWatch,
     recordings: Recordings,
 ) -> Calibrations:
-    async def on_activated(rig: RigCalibration) -> None:
+    loop = asyncio.get_running_loop()
+
+    async def on_activated(rig: RigCalibration, activation: Activation) -> None:
         rig_watch.restart(rig)
         recordings.use_rig(rig)
         await store.note_calibration(session, rig.calibration_id)
+        activated = EventType.CALIBRATION_ACTIVATED
+        events.note(NewEvent(type=activated, subject=activation.id, data=asdict(activation)))
+
+    def on_ended(verification: Verification) -> None:
+        loop.call_soon_threadsafe(events.note, verification_ended(verification))
 
     verifications = await asyncio.to_thread(
-        open_verifications, settings.store.dir / "verifications", settings.verification
+        open_verifications, settings.store.dir / "verifications", settings.verification, on_ended
     )
     return Calibrations(found, verifications, on_activated=on_activated)
 

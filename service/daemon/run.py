@@ -71,6 +71,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
             for part in (
                 _serving(daemon, tasks, server, listener),
                 _watching(daemon, tasks, manager, requests),
+                _alarming(daemon, tasks),
                 _archiving(daemon, tasks, requests),
                 _backing_up(daemon, tasks),
                 _retaining(daemon, tasks),
@@ -156,6 +157,15 @@ async def _watching(
         log.info("stopped %s", await daemon.store.accounting(daemon.session))
     watching.cancel()
     watching_loop.cancel()
+
+
+@asynccontextmanager
+async def _alarming(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    """Evaluate the alarms; at the end write the events of the stop."""
+    alarming = tasks.create_task(daemon.alarming.run(daemon.health))
+    yield
+    alarming.cancel()
+    await daemon.alarming.events.written(HELD_S)
 
 
 @asynccontextmanager

@@ -13,14 +13,17 @@ from drivers.factory import Devices
 from drivers.files.times import is_of_unset_clock, utc_now
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
+from service.alarms.alarms import Alarms
 from service.api.key_ring import KeyRing
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
+from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.retaining import Retaining
 from service.health.assessment import Facts, assess
+from service.health.device_words import camera_ne107
 from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
@@ -67,6 +70,7 @@ class Daemon:
     archive: RawArchive
     backing_up: BackingUp
     retaining: Retaining
+    alarming: Alarming
     acquisition: Acquisition
     processing: Processing
     delays: Histogram
@@ -76,6 +80,10 @@ class Daemon:
     @property
     def lots(self) -> LotsSettings:
         return self.settings.lots
+
+    @property
+    def alarms(self) -> Alarms:
+        return self.alarming.alarms
 
     def configuration(self) -> dict[str, Any]:
         return self.settings.model_dump(mode="json")
@@ -90,9 +98,14 @@ class Daemon:
 
     def cameras(self) -> list[CameraStatus]:
         scores, optics = self.watches.rig.scores(), self.watches.optics.optics()
+        suspicions, findings = self.watches.rig.suspicions(), self.watches.optics.findings()
         return [
             status.model_copy(
-                update=asdict(scores.get(status.id, CameraScore())) | {"optics": optics.get(status.id)}
+                update=asdict(scores.get(status.id, CameraScore()))
+                | {
+                    "optics": optics.get(status.id),
+                    "ne107": camera_ne107(status, suspicions, findings),
+                }
             )
             for status in self.acquisition.cameras.statuses()
         ]

@@ -1,0 +1,74 @@
+"""Alarms of the real daemon: a lost camera is one, a dead switch is one as well, and events tell it in order."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from support.live_rig import LiveRig, eventually, live_rig
+from support.small_recording import write_small_recording
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveRig]:
+    folder = tmp_path_factory.mktemp("live")
+    write_small_recording(folder / "recording", n_stones=2, n_backgrounds=4)
+    with live_rig(folder, folder / "recording") as live:
+        live.wait_until_whole()
+        yield live
+
+
+def alarms(live: LiveRig) -> dict[str, str]:
+    """State of what people see, by check."""
+    return {each["check"]: each["state"] for each in live.daemon.get("/alarms")["items"]}
+
+
+def events(live: LiveRig, *subjects: str) -> list[tuple[str, str]]:
+    page = live.daemon.get("/events?after=0&limit=1000")
+    assert [item["seq"] for item in page["items"]] == list(range(1, page["last_seq"] + 1))
+    return [(item["type"], item["subject"]) for item in page["items"] if item["subject"] in subjects]
+
+
+def data(live: LiveRig, kind: str) -> list[dict[str, Any]]:
+    items = live.daemon.get("/events?after=0&limit=1000")["items"]
+    return [item["data"] for item in items if item["type"] == kind]
+
+
+def test_a_lost_camera_is_an_alarm_until_it_is_back(live: LiveRig):
+    live.camera("c02").unplug()
+    eventually(lambda: alarms(live) == {"camera:c02": "unacknowledged"}, "the alarm is raised", 60)
+    (alarm,) = live.daemon.get("/alarms")["items"]
+    assert (alarm["priority"], "switch port" in alarm["action"]) == ("medium", True)
+    assert live.status("c02")["ne107"] == "failure"
+    assert live.status("c03")["ne107"] == "good"
+    live.daemon.post(f"/alarms/{alarm['id']}/acknowledge", {})
+    live.camera("c02").replug()
+    eventually(lambda: alarms(live) == {}, "the alarm is gone", 60)
+    assert events(live, "camera:c02") == [
+        ("alarm.raised", "camera:c02"),
+        ("alarm.acknowledged", "camera:c02"),
+        ("alarm.cleared", "camera:c02"),
+    ]
+    (ended,) = live.daemon.get("/alarms/history?check=camera:c02")["items"]
+    assert (ended["state"], ended["occurrences"]) == ("normal", 1)
+    words = [each["ne107"] for each in data(live, "health.changed")]
+    assert "maintenance_required" in words
+    states = [each["state"] for each in data(live, "acquisition.changed")]
+    assert states[:2] == ["arming", "armed"]
+
+
+@pytest.mark.full
+def test_a_dead_switch_is_one_alarm(live: LiveRig):
+    for camera in live.rig.cameras.values():
+        camera.unplug()
+    eventually(lambda: "cameras" in alarms(live), "the alarm is raised", 60)
+    eventually(lambda: len(live.daemon.get("/alarms")["suppressed"]) == 16, "the cameras' are suppressed", 60)
+    assert alarms(live) == {"cameras": "unacknowledged"}
+    for camera in live.rig.cameras.values():
+        camera.replug()
+    eventually(lambda: alarms(live) == {"cameras": "returned"}, "the alarm has returned", 60)
+    eventually(lambda: live.daemon.get("/alarms")["suppressed"] == [], "all cameras are back", 60)
+    assert events(live, "cameras") == [("alarm.raised", "cameras"), ("alarm.cleared", "cameras")]
+    of_cameras = events(live, *(f"camera:c{number:02d}" for number in range(1, 17)))
+    assert len(of_cameras) == 3  # of the first test
+    states = [each["state"] for each in data(live, "acquisition.changed")]
+    assert states[:4] == ["arming", "armed", "held", "armed"]
