@@ -18,11 +18,13 @@ from service.api.reader_process import Reading
 from service.api.routes import (
     accounting,
     acquisition,
+    alarms,
     audit,
     calibrations,
     cameras,
     configuration,
     consumers,
+    events,
     health,
     laboratory,
     lots,
@@ -33,6 +35,7 @@ from service.api.routes import (
     products,
     recordings,
     results,
+    streams,
     verifications,
     windows,
 )
@@ -86,10 +89,12 @@ def build_routes() -> FastAPI:
         lots,
         laboratory,
         configuration,
+        alarms,
+        streams,
     ):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
-    for module in (results, particles, particle_files, cameras, accounting, windows, audit, metrics):
+    for module in (results, particles, particle_files, cameras, accounting, windows, audit, events, metrics):
         readable.include_router(module.router)
     app.include_router(readable, prefix=BASE)
 

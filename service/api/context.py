@@ -9,6 +9,7 @@ from fastapi import Depends, Request
 from service.api.control import Control
 from service.api.key_guesses import KeyGuesses
 from service.api.key_ring import KeyRing
+from service.api.open_streams import OpenStreams
 from service.api.pace import Pace
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
@@ -44,6 +45,7 @@ class ApiContext:
     shared: SharedAnswers = field(default_factory=SharedAnswers)
     waking: Pace = field(default_factory=Pace)
     """Long polls are answered one after the other, although a result wakes all of them at once."""
+    streams: OpenStreams = field(default_factory=OpenStreams)
     counted: CountedOutcomes = field(default_factory=CountedOutcomes)
     guesses: KeyGuesses = field(default_factory=KeyGuesses)
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from prometheus_client import Histogram
 
 from pipeline.frames import CameraId, Image
+from service.alarms.alarms import Alarms
 from service.calibration.calibrations import Calibrations
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
@@ -28,6 +29,9 @@ class Control(Protocol):
 
     @property
     def lots(self) -> LotsSettings: ...
+
+    @property
+    def alarms(self) -> Alarms: ...
 
     @property
     def delays(self) -> Histogram:

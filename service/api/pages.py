@@ -12,6 +12,7 @@ from service.lots.evaluation import lot_figures, window_figures
 from service.lots.yardsticks import Request
 from service.results.fields import completed
 from service.store import ParticleFilter, Record
+from service.store.events import events_after
 from service.store.reads import particles, results_after
 
 
@@ -36,6 +37,42 @@ def feed_page(connection: sqlite3.Connection, instance_id: str, after: int, limi
         "next_after": next_after,
     }
     return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, page.items))
+
+
+def result_stream(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
+    """Return the same results as server-sent events."""
+    page = results_after(connection, after, limit)
+    items = [completed(record) for record in page.items]
+    content = b"".join(server_sent("result", item, item["seq"]) for item in items)
+    return FeedPage(page.first_seq, page.last_seq, items[-1]["seq"] if items else after, content)
+
+
+def event_page(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
+    """Return the page of up to `limit` events after `after`."""
+    page = events_after(connection, after, limit)
+    next_after = page.items[-1]["seq"] if page.items else after
+    head = {
+        "instance_id": instance_id,
+        "first_seq": page.first_seq,
+        "last_seq": page.last_seq,
+        "next_after": next_after,
+    }
+    items = ",".join(_json(item) for item in page.items)
+    content = f'{_json(head)[:-1]},"items":[{items}]}}'.encode()
+    return FeedPage(page.first_seq, page.last_seq, next_after, content)
+
+
+def event_stream(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
+    """Return the same events as server-sent events."""
+    page = events_after(connection, after, limit)
+    content = b"".join(server_sent(item["type"], item, item["seq"]) for item in page.items)
+    return FeedPage(page.first_seq, page.last_seq, page.items[-1]["seq"] if page.items else after, content)
+
+
+def server_sent(event: str, data: Any, number: int | None = None) -> bytes:
+    """Return one server-sent event; one without a number does not move the position of the client."""
+    place = "" if number is None else f"id: {number}\n"
+    return f"{place}event: {event}\ndata: {_json(data)}\n\n".encode()
 
 
 def particles_page(

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
+from service.alarms.machine import AlarmConflictError
 from service.api.reader_process import BusyError
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 TITLES = {
+    "alarm-conflict": "The alarm does not allow this now",
     "busy": "More is asked for than can be made at a time",
     "calibration-conflict": "The calibration does not allow this now",
     "cursor-ahead": "The cursor is ahead of the history",
@@ -48,6 +50,7 @@ TITLES = {
     "too-many-connections": "Too many requests at a time",
     "transition-conflict": "The acquisition cannot change to this state now",
     "unauthorized": "A valid key is needed",
+    "unknown-alarm": "No such alarm",
     "unknown-calibration": "No such calibration",
     "unknown-camera": "No such camera",
     "unknown-consumer": "No such consumer",
@@ -126,6 +129,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(ConflictError, _handle_transition)
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
     app.add_exception_handler(LotConflictError, _handle_lot)
+    app.add_exception_handler(AlarmConflictError, _handle_alarm)
     app.add_exception_handler(UnknownYardstickError, _handle_yardstick)
     app.add_exception_handler(StoreError, _handle_store)
     app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
@@ -198,6 +202,10 @@ async def _handle_calibration(request: Request, error: Exception) -> JSONRespons
 
 async def _handle_lot(request: Request, error: Exception) -> JSONResponse:
     return problem_response(request, Problem(409, "lot-conflict", str(error)))
+
+
+async def _handle_alarm(request: Request, error: Exception) -> JSONResponse:
+    return problem_response(request, Problem(409, "alarm-conflict", str(error)))
 
 
 async def _handle_yardstick(request: Request, error: Exception) -> JSONResponse:

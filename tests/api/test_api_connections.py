@@ -4,23 +4,20 @@ import asyncio
 import json
 import logging
 import resource
-from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import AsyncIterator
 
 import httpx
 import pytest
 from fastapi import FastAPI
 from fastapi.responses import Response
 from support.rest import FakeControl, add, app_of, measured
+from support.served import PATIENCE_S, Served, served_by
 
 from service.api import connections
-from service.api.connections import READING_S, REQUEST_S, Connection, drop_hindering, max_connections
-from service.api.server import RestServer, listen, server_config
+from service.api.connections import READING_S, REQUEST_S, max_connections
 from service.api.settings import ApiSettings
 from service.store import Store
 
-PATIENCE_S = 30.0
 HALF = b"GET /api/v1/res"
 LIVE = b"GET /api/v1/health/live HTTP/1.1\r\nHost: localhost\r\n\r\n"
 POLL = b"GET /api/v1/results?wait_s=30 HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -28,63 +25,6 @@ PUT = b"PUT /api/v1/acquisition HTTP/1.1\r\nHost: localhost\r\nContent-Type: app
 LARGE = b"GET /large HTTP/1.1\r\nHost: localhost\r\n\r\n"
 N_LARGE = 20_000_000
 """Far more than the kernel takes for a client that does not read."""
-
-
-@dataclass(frozen=True)
-class Client:
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
-
-    def send(self, data: bytes) -> None:
-        self.writer.write(data)
-
-    async def rest(self) -> bytes:
-        """Return what comes until the server closes, and close as well."""
-        received = bytearray()
-        with suppress(ConnectionError):
-            async with asyncio.timeout(PATIENCE_S):
-                while chunk := await self.reader.read(65536):
-                    received += chunk
-        self.writer.close()
-        return bytes(received)
-
-
-@dataclass(frozen=True)
-class Served:
-    server: RestServer
-    port: int
-    clients: AsyncExitStack
-
-    @property
-    def connections(self) -> set[Connection]:
-        return self.server.server_state.connections
-
-    async def connect(self, data: bytes = b"", address: str = "127.0.0.1") -> Client:
-        client = Client(*await asyncio.open_connection("127.0.0.1", self.port, local_addr=(address, 0)))
-        self.clients.callback(client.writer.close)
-        client.send(data)
-        return client
-
-    async def until(self, is_so: Callable[[], bool]) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not is_so():  # noqa: ASYNC110 - the server has no event for it
-                await asyncio.sleep(0.005)
-
-    def pass_time(self, seconds: float) -> None:
-        """Look after the connections as if so much time had passed."""
-        drop_hindering(self.connections, asyncio.get_running_loop().time() + seconds)
-
-
-@asynccontextmanager
-async def served_by(app: FastAPI) -> AsyncIterator[Served]:
-    server = RestServer(server_config(app, ApiSettings()))
-    with listen("127.0.0.1", 0) as listener:
-        async with AsyncExitStack() as clients:
-            serving = asyncio.create_task(server.serve([listener]))
-            await server.is_serving.wait()
-            yield Served(server, listener.getsockname()[1], clients)
-        server.should_exit = True
-        await serving
 
 
 @pytest.fixture

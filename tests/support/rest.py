@@ -17,6 +17,7 @@ from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 from pipeline.views.quality import ViewsParameters
+from service.alarms.alarms import Alarms
 from service.api.app import create_app
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
@@ -71,6 +72,7 @@ class FakeControl:
     lots: LotsSettings = field(default_factory=LotsSettings)
     delays: Histogram = field(default_factory=result_delays)
     settings: dict[str, Any] = field(default_factory=dict)
+    alarms: Alarms | None = None
 
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))

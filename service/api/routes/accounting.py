@@ -7,8 +7,8 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from service.api.context import Context
+from service.api.feeds import MAX_SEQ
 from service.api.problems import problem_responses
-from service.api.routes.results import MAX_SEQ
 
 router = APIRouter(prefix="/accounting", tags=["accounting"])
 

@@ -9,8 +9,8 @@ from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field
 
 from service.api.context import ApiContext, Context
+from service.api.feeds import MAX_SEQ
 from service.api.problems import problem_responses
-from service.api.routes.results import MAX_SEQ
 from service.results.fields import TIME
 from service.store import read
 from service.store.audit import csv_page, entries

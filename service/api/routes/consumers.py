@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import Context
+from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
-from service.api.routes.results import MAX_SEQ
 from service.api.settings import Scope
 from service.results.fields import TIME
 from service.store.holds import CursorError, TooManyConsumersError, consumers, forget, park

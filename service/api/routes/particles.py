@@ -8,9 +8,9 @@ from pydantic import AfterValidator, BaseModel, Field
 
 from pipeline.frames import rfc3339
 from service.api.context import ApiContext, Context
+from service.api.feeds import MAX_SEQ, MAX_SMALL
 from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
-from service.api.routes.results import MAX_SEQ, MAX_SMALL
 from service.results.fields import Result, completed
 from service.store import ParticleFilter, Record, read
 

@@ -2,24 +2,18 @@
 
 import asyncio
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic import BaseModel, Field
 
 from service.api.context import ApiContext, Context
+from service.api.feeds import KEEP_S, MAX_SEQ, MAX_SMALL, cursor_problem
 from service.api.pages import FeedPage, feed_page
-from service.api.problems import Problem, problem_responses
+from service.api.problems import problem_responses
 from service.results.fields import Result
 from service.store import read
-
-MAX_SEQ = 10**15
-"""Beyond any feed, within what a JSON number and SQLite hold exactly."""
-MAX_SMALL = 20
-"""Results of a page that the daemon itself makes, in 3 ms; bigger ones are made beside it."""
-KEEP_S = 1.0
-"""Time for which a small page is the answer to all who ask for it."""
 
 router = APIRouter(prefix="/results", tags=["results"])
 
@@ -51,14 +45,8 @@ async def results(
     the feed has not reached `after`, as when the store was replaced or restored from a backup.
     """
     page = await _page(context, after, limit, wait_s)
-    ends: dict[str, Any] = {"first_seq": page.first_seq, "last_seq": page.last_seq}
-    if after > page.last_seq:
-        raise Problem(409, "cursor-ahead", f"the newest result is {page.last_seq}, not {after}", **ends)
-    if after < page.first_seq - 1:
-        detail = (
-            f"results {after + 1} to {page.first_seq - 1} were removed: go on with after={page.first_seq - 1}"
-        )
-        raise Problem(410, "cursor-expired", detail, **ends)
+    if (problem := cursor_problem(page, after, "result")) is not None:
+        raise problem
     return Response(page.content, media_type="application/json")
 
 

@@ -1,0 +1,96 @@
+"""What clients follow by a number without gaps: the pages of a feed, the wait for more, and the place of a cursor."""
+
+import asyncio
+import sqlite3
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from service.api.context import ApiContext
+from service.api.pages import FeedPage, event_page, event_stream, result_stream
+from service.api.problems import Problem
+from service.store import Store, read
+
+MAX_SEQ = 10**15
+"""Beyond any feed, within what a JSON number and SQLite hold exactly."""
+MAX_SMALL = 20
+"""Results of a page that the daemon itself makes, in 3 ms; bigger ones are made beside it."""
+KEEP_S = 1.0
+"""Time for which a small page is the answer to all who ask for it."""
+
+PageQuery = Callable[[sqlite3.Connection, str, int, int], FeedPage]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feed:
+    """Results, or events, in one form."""
+
+    kind: str
+    query: PageQuery
+    is_large: bool  # a page of many items takes long
+    last: Callable[[Store], int]
+    wait_beyond: Callable[[Store, int], Awaitable[None]]
+
+
+def _last_event(store: Store) -> int:
+    return store.last_event
+
+
+def _last_seq(store: Store) -> int:
+    return store.last_seq
+
+
+async def _beyond_event(store: Store, after: int) -> None:
+    await store.wait_beyond_event(after)
+
+
+async def _beyond_result(store: Store, after: int) -> None:
+    await store.wait_beyond(after)
+
+
+EVENTS = Feed(kind="event", query=event_page, is_large=False, last=_last_event, wait_beyond=_beyond_event)
+EVENT_STREAM = Feed(
+    kind="event", query=event_stream, is_large=False, last=_last_event, wait_beyond=_beyond_event
+)
+RESULT_STREAM = Feed(
+    kind="result", query=result_stream, is_large=True, last=_last_seq, wait_beyond=_beyond_result
+)
+
+
+async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:
+    """Return the page after `after`, as soon as there is something on it or `wait_s` are over."""
+    if wait_s == 0 or after != feed.last(context.store):
+        page = await page_now(context, feed, after, limit)
+        if wait_s == 0 or after != page.last_seq:
+            return page
+    with suppress(TimeoutError):
+        async with asyncio.timeout(wait_s):
+            await feed.wait_beyond(context.store, after)
+    await context.waking.turn()
+    return await page_now(context, feed, after, limit)
+
+
+async def page_now(context: ApiContext, feed: Feed, after: int, limit: int) -> FeedPage:
+    """Return the page after `after`, the same to all who ask for it at this moment."""
+    store, last = context.store, feed.last(context.store)
+
+    async def make() -> FeedPage:
+        if is_big:
+            return await context.reading.run(read, store.path, feed.query, store.instance_id, after, limit)
+        return await store.read(feed.query, store.instance_id, after, limit)
+
+    is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
+    return await context.shared.get((feed.query, after, limit, last), make, keep_s=0 if is_big else KEEP_S)
+
+
+def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:
+    """Return why the feed cannot go on after `after`: it does not reach that far, or no longer has what follows."""
+    ends: dict[str, Any] = {"first_seq": page.first_seq, "last_seq": page.last_seq}
+    if after > page.last_seq:
+        detail = f"the newest {kind} is {page.last_seq}, not {after}"
+        return Problem(409, "cursor-ahead", detail, **ends)
+    if after < page.first_seq - 1:
+        gap = f"{kind}s {after + 1} to {page.first_seq - 1} were removed"
+        return Problem(410, "cursor-expired", f"{gap}: go on with after={page.first_seq - 1}", **ends)
+    return None

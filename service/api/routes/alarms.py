@@ -1,0 +1,161 @@
+"""Alarms: what needs somebody now, with what to do; acknowledged and shelved by people."""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Query
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.alarms.alarm import Alarm, AlarmState
+from service.alarms.machine import MAX_SHELVED_S
+from service.alarms.rules import Language, Priority, Rule, Rules
+from service.alarms.table import history
+from service.api.auth import Who, require
+from service.api.context import Context
+from service.api.feeds import MAX_SEQ
+from service.api.problems import existing, problem_responses
+from service.api.settings import Scope
+from service.results.fields import TIME
+
+router = APIRouter(prefix="/alarms", tags=["alarms"])
+
+Number = Annotated[int, Path(ge=1, le=MAX_SEQ, description="`id` of the alarm")]
+Words = Annotated[Language, Query(description="Of `cause` and `action`")]
+READABLE = [Depends(require(Scope.READ))]
+OPERABLE = [Depends(require(Scope.OPERATE))]
+MAX_SHELVED_MINUTES = MAX_SHELVED_S / 60
+
+
+class AlarmDocument(BaseModel):
+    """An alarm, from its first rise to its end."""
+
+    id: int
+    check: str = Field(
+        description="The check of `/health` that does not pass, such as `gate` or `camera:c01`"
+    )
+    state: AlarmState = Field(
+        description="In the words of ISA-18.2; returned: its cause is gone, and nobody has acknowledged it"
+    )
+    priority: Priority = Field(description="The highest since it was raised")
+    detail: str | None = Field(description="What the check says")
+    cause: str = Field(description="What the alarm means")
+    action: str = Field(description="What to do")
+    raised_at: str = Field(json_schema_extra=TIME)
+    changed_at: str = Field(json_schema_extra=TIME)
+    occurrences: int = Field(
+        description="How often its cause came back before somebody acknowledged it, and 1"
+    )
+    cleared_at: str | None = Field(json_schema_extra=TIME, description="When its cause was last gone")
+    acknowledged_at: str | None = Field(json_schema_extra=TIME)
+    acknowledged_by: str | None
+    shelved_until: str | None = Field(json_schema_extra=TIME)
+    shelved_by: str | None
+    shelf_reason: str | None
+    ended_at: str | None = Field(json_schema_extra=TIME)
+
+
+class AlarmsDocument(BaseModel):
+    """All alarms that have not ended, the most urgent first."""
+
+    items: list[AlarmDocument] = Field(description="Unacknowledged, acknowledged and returned ones")
+    shelved: list[AlarmDocument] = Field(description="Put aside by somebody for a time")
+    suppressed: list[AlarmDocument] = Field(description="Caused by another alarm, which is the one to act on")
+
+
+class AlarmHistory(BaseModel):
+    """Alarms, newest first."""
+
+    items: list[AlarmDocument]
+    next_before: int | None = Field(description="Pass as `before` for the next page; null on the last")
+
+
+class ShelveRequest(BaseModel):
+    """For how long an alarm is put aside, and why."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    minutes: Annotated[float, Field(gt=0, le=MAX_SHELVED_MINUTES, description="A day at most")]
+    reason: Annotated[str, Field(min_length=1, max_length=2000)]
+
+
+@router.get("", response_model=AlarmsDocument, dependencies=READABLE, responses=problem_responses())
+async def alarms(context: Context, language: Words = Language.EN) -> dict[str, Any]:
+    """Return the alarms that have not ended, each with its cause and what to do."""
+    found, rules = context.control.alarms.list(), context.control.alarms.rules
+    return {
+        "items": [_document(alarm, rules, language) for alarm in found.announced],
+        "shelved": [_document(alarm, rules, language) for alarm in found.shelved],
+        "suppressed": [_document(alarm, rules, language) for alarm in found.suppressed],
+    }
+
+
+@router.get("/history", response_model=AlarmHistory, dependencies=READABLE, responses=problem_responses())
+async def alarm_history(
+    context: Context,
+    check: Annotated[str | None, Query(max_length=100, description="Of this check alone")] = None,
+    before: Annotated[int, Query(ge=1, le=MAX_SEQ, description="`next_before` of the page before")] = MAX_SEQ,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    language: Words = Language.EN,
+) -> dict[str, Any]:
+    """Return all alarms, those that have not ended among them, newest first."""
+    found = await context.store.read(history, check, before, limit + 1)
+    rules = context.control.alarms.rules
+    return {
+        "items": [_document(alarm, rules, language) for alarm in found[:limit]],
+        "next_before": found[limit - 1].id if len(found) > limit else None,
+    }
+
+
+@router.post(
+    "/{alarm}/acknowledge",
+    response_model=AlarmDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 409),
+)
+async def acknowledge_alarm(
+    context: Context, alarm: Number, asking: Who, language: Words = Language.EN
+) -> dict[str, Any]:
+    """Take note of an alarm; one whose cause is gone ends by that. Repeating it changes nothing.
+
+    409 `alarm-conflict` for one that is shelved or suppressed, 404 for one that has ended.
+    """
+    return _found(context, alarm, await context.control.alarms.acknowledge(alarm, asking), language)
+
+
+@router.post(
+    "/{alarm}/shelve",
+    response_model=AlarmDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404),
+)
+async def shelve_alarm(
+    context: Context, alarm: Number, wanted: ShelveRequest, asking: Who, language: Words = Language.EN
+) -> dict[str, Any]:
+    """Put an alarm aside for a time, a day at most; if its cause is there afterwards it is raised again."""
+    shelved = await context.control.alarms.shelve(alarm, wanted.minutes, asking, wanted.reason)
+    return _found(context, alarm, shelved, language)
+
+
+@router.post(
+    "/{alarm}/unshelve",
+    response_model=AlarmDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 409),
+)
+async def unshelve_alarm(
+    context: Context, alarm: Number, asking: Who, language: Words = Language.EN
+) -> dict[str, Any]:
+    """Take an alarm from the shelf before its time; 409 `alarm-conflict` for one that is not shelved."""
+    return _found(context, alarm, await context.control.alarms.unshelve(alarm, asking), language)
+
+
+def _found(context: Context, number: int, alarm: Alarm | None, language: Language) -> dict[str, Any]:
+    return _document(
+        existing(alarm, "alarm", f"{number} that has not ended"), context.control.alarms.rules, language
+    )
+
+
+def _document(alarm: Alarm, rules: Rules, language: Language) -> dict[str, Any]:
+    rule: Rule | None = rules.of(alarm.check)
+    words = ("", "") if rule is None else (rule.cause[language], rule.action[language])
+    return asdict(alarm) | {"cause": words[0], "action": words[1]}

@@ -1,0 +1,70 @@
+"""Results and events as server-sent events."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Query, Request
+
+from service.api.auth import Credentials, require
+from service.api.context import Context
+from service.api.feeds import EVENT_STREAM, MAX_SEQ, RESULT_STREAM
+from service.api.problems import problem_responses
+from service.api.settings import Scope
+from service.api.streams import EventStream, FeedStream, StillAllowed, open_stream
+
+router = APIRouter(tags=["streams"])
+
+may_read = require(Scope.READ)
+
+
+async def cursor(
+    after: Annotated[
+        int, Query(ge=0, le=MAX_SEQ, description="Number of the last one you have; 0: from the beginning")
+    ] = 0,
+    last_event_id: Annotated[
+        int | None,
+        Header(
+            alias="Last-Event-ID",
+            ge=0,
+            le=MAX_SEQ,
+            description="The same, sent by clients that connect again; wins",
+        ),
+    ] = None,
+) -> int:
+    """Return where the stream begins."""
+    return after if last_event_id is None else last_event_id
+
+
+async def still_allowed(
+    request: Request, context: Context, credentials: Credentials, _: Annotated[None, Depends(may_read)]
+) -> StillAllowed:
+    """Return what asks again whether the key of the request may read."""
+    return lambda: may_read(request, context, credentials)
+
+
+Cursor = Annotated[int, Depends(cursor)]
+Allow = Annotated[StillAllowed, Depends(still_allowed)]
+
+
+@router.get(
+    "/results/stream",
+    response_class=EventStream,
+    responses=problem_responses(409, 410, 503),
+)
+async def results_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> FeedStream:
+    """Send every result as it comes: the feed as server-sent events.
+
+    First comes `history` (`instance_id`, `first_seq`, `last_seq`), then a `result` each, with `seq` as its `id`; after
+    15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
+    wrong later is an event `problem`, the last one.
+    """
+    return await open_stream(context, RESULT_STREAM, after, request.scope["path"], allow)
+
+
+@router.get(
+    "/events/stream",
+    response_class=EventStream,
+    responses=problem_responses(409, 410, 503),
+)
+async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> FeedStream:
+    """Send every event as it comes: `/events` as server-sent events, each by its type, like `/results/stream`."""
+    return await open_stream(context, EVENT_STREAM, after, request.scope["path"], allow)

@@ -1,0 +1,122 @@
+"""Feeds as server-sent events: each item as it comes, from where the client has left off.
+
+A page is made once for all streams that are at the same place. A client that does not read holds one page and is closed
+like any other (`service.api.connections`).
+"""
+
+import asyncio
+import logging
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import aclosing
+
+from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from service.api.context import ApiContext
+from service.api.feeds import Feed, cursor_problem, page_now
+from service.api.pages import FeedPage, server_sent
+from service.api.problems import Problem, problem_document
+from service.api.reader_process import BusyError
+from service.errors import StoreError
+
+log = logging.getLogger(__name__)
+
+HEARTBEAT_S = 15.0
+"""Longest silence: proxies and clients take a longer one for a dead connection."""
+HEARTBEAT = b": nothing new\n\n"
+PAGE = 100
+"""Items that are sent at a time."""
+BUSY_PAUSE_S = 2.0
+
+StillAllowed = Callable[[], Awaitable[None]]
+"""Raises the problem 401 or 403 when the key that opened the stream is not valid any more."""
+
+
+class EventStream(StreamingResponse):
+    """Server-sent events, as the OpenAPI document names them.
+
+    FastAPI's own class would encode each item anew for every reader, in two tasks of each.
+    """
+
+    media_type = "text/event-stream"
+
+
+class FeedStream(EventStream):
+    """The answer that sends a feed from `after` on, until client or daemon end."""
+
+    def __init__(self, context: ApiContext, feed: Feed, after: int, path: str, allow: StillAllowed) -> None:
+        self._chunks = _chunks(context, feed, after, path, allow)
+        headers = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}  # a proxy is not to collect it
+        super().__init__(self._chunks, headers=headers)
+        self._streams = context.streams
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._streams.one_more():
+            async with aclosing(self._chunks):
+                await super().__call__(scope, receive, send)
+
+
+async def open_stream(
+    context: ApiContext, feed: Feed, after: int, path: str, allow: StillAllowed
+) -> FeedStream:
+    """Return the stream of a feed.
+
+    Raises
+    ------
+    Problem
+        The feed does not have what follows `after`, or too many streams are open.
+    """
+    context.streams.require_room()
+    page = await page_now(context, feed, after, 1)
+    if (problem := cursor_problem(page, after, feed.kind)) is not None:
+        raise problem
+    return FeedStream(context, feed, after, path, allow)
+
+
+async def _chunks(
+    context: ApiContext, feed: Feed, after: int, path: str, allow: StillAllowed
+) -> AsyncGenerator[bytes, None]:
+    """Yield pages as server-sent events, and something at least every `HEARTBEAT_S`."""
+    store, is_begun = context.store, False
+    try:
+        while True:
+            await allow()
+            await context.waking.turn()
+            page = await _patient_page(context, feed, after)
+            if not is_begun:
+                is_begun = True
+                yield _history(store.instance_id, page)
+            if (problem := cursor_problem(page, after, feed.kind)) is not None:
+                raise problem
+            if page.next_after != after:
+                after = page.next_after
+                yield page.content
+                continue
+            if store.is_released:
+                return
+            try:
+                async with asyncio.timeout(HEARTBEAT_S):
+                    await feed.wait_beyond(store, after)
+            except TimeoutError:
+                yield HEARTBEAT
+    except Problem as problem:
+        yield server_sent("problem", problem_document(problem, path))
+    except StoreError as err:
+        log.error("%s failed: %s", path, err)
+        unavailable = Problem(503, "store-unavailable", "connect again in 5 s", retry_after_s=5)
+        yield server_sent("problem", problem_document(unavailable, path))
+
+
+async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage:
+    """Return the page after `after`, as soon as the process that makes big ones has time for it."""
+    while True:
+        try:
+            return await page_now(context, feed, after, PAGE)
+        except BusyError:
+            await asyncio.sleep(BUSY_PAUSE_S)
+
+
+def _history(instance_id: str, page: FeedPage) -> bytes:
+    """Return the first event of a stream: which history it is, and how far it goes."""
+    data = {"instance_id": instance_id, "first_seq": page.first_seq, "last_seq": page.last_seq}
+    return server_sent("history", data)

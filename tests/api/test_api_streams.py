@@ -1,0 +1,290 @@
+"""Server-sent events of a real server: resumed, ended, refused, and read by nobody."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+from support.rest import FakeControl, add, app_of, measured
+from support.served import PATIENCE_S, Client, Served, served_by
+
+from service.api import open_streams, streams
+from service.api.connections import READING_S, REQUEST_S
+from service.api.settings import ApiKey, ApiSettings, Scope
+from service.store import Store, open_store
+from service.store.event_log import EventLog
+from service.store.events import EventType, NewEvent
+
+HEAD = "Host: localhost\r\n"
+
+
+@dataclass(frozen=True)
+class SentEvent:
+    event: str
+    data: dict[str, Any]
+    id: int | None
+
+
+class Stream:
+    """A client of server-sent events that can be read one by one."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self._lines: list[str] = []
+
+    async def head(self) -> str:
+        async with asyncio.timeout(PATIENCE_S):
+            return (await self.client.reader.readuntil(b"\r\n\r\n")).decode()
+
+    async def _line(self) -> str | None:
+        """Return the next line, None at the end; chunks of HTTP/1.1 may end anywhere."""
+        while len(self._lines) < 2:
+            size = int((await self.client.reader.readline()).strip() or b"0", 16)
+            chunk = await self.client.reader.readexactly(size + 2)
+            if size == 0:
+                return None
+            *whole, rest = ("".join(self._lines) + chunk[:-2].decode()).split("\n")
+            self._lines = [*whole, rest]
+        return self._lines.pop(0)
+
+    async def comment_or_event(self) -> SentEvent | str | None:
+        """Return the next event, or comment, None at the end."""
+        fields: dict[str, str] = {}
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                line = await self._line()
+                if line is None:
+                    return None
+                if line.startswith(":"):
+                    assert await self._line() == ""
+                    return line
+                if line == "":
+                    number = fields.get("id")
+                    return SentEvent(
+                        fields["event"], json.loads(fields["data"]), None if number is None else int(number)
+                    )
+                name, _, value = line.partition(": ")
+                fields[name] = value
+
+    async def next(self) -> SentEvent | None:
+        while isinstance(found := await self.comment_or_event(), str):
+            pass
+        return found
+
+    async def numbers(self, n: int) -> list[int | None]:
+        found = [await self.next() for _ in range(n)]
+        return [None if each is None else each.id for each in found]
+
+
+async def opened(served: Served, path: str = "/results/stream", more: str = "") -> Stream:
+    client = await served.connect(f"GET /api/v1{path} HTTP/1.1\r\n{HEAD}{more}\r\n".encode())
+    return Stream(client)
+
+
+@pytest.fixture
+def app(store: Store, control: FakeControl) -> FastAPI:
+    return app_of(store, control, ApiSettings())
+
+
+@pytest.fixture
+async def served(app: FastAPI, store: Store) -> AsyncIterator[Served]:
+    async with served_by(app) as served:
+        yield served
+        store.release_waiters()
+
+
+async def test_results_come_as_they_are_made_and_idle_streams_live(
+    served: Served, store: Store, session: int
+) -> None:
+    await add(store, session, 1, measured())
+    stream = await opened(served)
+    head = await stream.head()
+    assert head.startswith("HTTP/1.1 200")
+    assert "content-type: text/event-stream" in head.lower()
+    assert "cache-control: no-cache" in head.lower()
+    history = await stream.next()
+    assert history is not None
+    assert (history.event, history.id) == ("history", None)
+    assert history.data == {"instance_id": store.instance_id, "first_seq": 1, "last_seq": 1}
+    for number in range(1, 4):
+        result = await stream.next()
+        assert result is not None
+        assert (result.event, result.id, result.data["seq"]) == ("result", number, number)
+        served.pass_time(1000 * (REQUEST_S + READING_S))
+        await add(store, session, number + 1, measured())
+
+
+async def test_events_come_by_their_type(served: Served, store: Store) -> None:
+    stream = await opened(served, "/events/stream?after=0")
+    await stream.head()
+    await stream.next()
+    log = EventLog(store)
+    log.note(NewEvent(type=EventType.LOT_OPENED, subject="L1", data={"product": "Kö 8/16\n"}))
+    event = await stream.next()
+    assert event is not None
+    assert (event.event, event.id, event.data["subject"]) == ("lot.opened", 1, "L1")
+    assert event.data["data"] == {"product": "Kö 8/16\n"}
+
+
+async def test_a_client_goes_on_where_it_was_after_a_restart_of_the_server(
+    state_dir: Path, control: FakeControl
+) -> None:
+    got: list[int | None] = []
+    more = ""
+    for run in range(3):
+        with await asyncio.to_thread(open_store, state_dir) as store:
+            session = await store.begin_session({})
+            app = app_of(store, control, ApiSettings())
+            async with served_by(app) as served:
+                stream = await opened(served, "/results/stream?after=0", more)
+                await stream.head()
+                assert (await stream.next()).event == "history"  # type: ignore[union-attr]
+                for number in range(30):
+                    await add(store, session, 30 * run + number, measured())
+                got += await stream.numbers(20)  # the last ten are not read
+                store.release_waiters()
+        more = f"Last-Event-ID: {got[-1]}\r\n"
+    assert got == list(range(1, 61))
+
+
+async def test_a_stop_sends_what_is_there_and_ends_the_stream(
+    served: Served, store: Store, session: int
+) -> None:
+    stream = await opened(served)
+    await stream.head()
+    await stream.next()
+    await add(store, session, 1, measured())
+    store.release_waiters()
+    served.server.should_exit = True
+    assert await stream.numbers(1) == [1]
+    assert await stream.next() is None
+
+
+async def test_silence_is_broken_by_a_comment(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "HEARTBEAT_S", 0.01)
+    stream = await opened(served)
+    await stream.head()
+    await stream.next()
+    for _ in range(3):
+        assert await stream.comment_or_event() == ": nothing new"
+
+
+@pytest.mark.parametrize(
+    ("path", "more", "status"),
+    [
+        ("/results/stream?after=9", "", b"409"),
+        ("/results/stream", "Last-Event-ID: 9\r\n", b"409"),
+        ("/results/stream?after=1", "Last-Event-ID: 9\r\n", b"409"),
+        ("/results/stream", "Last-Event-ID: x\r\n", b"422"),
+        ("/events/stream?after=-1", "", b"422"),
+        ("/events/stream", "Last-Event-ID: 1\r\n", b"409"),
+    ],
+)
+@pytest.mark.usefixtures("session")
+async def test_a_cursor_that_does_not_fit_is_a_problem_before_the_stream(
+    served: Served, path: str, more: str, status: bytes
+) -> None:
+    stream = await opened(served, path, more)
+    head = await stream.head()
+    assert head.split()[1].encode() == status
+    assert "content-type: application/problem+json" in head.lower()
+
+
+async def test_a_cursor_that_expires_later_ends_the_stream_with_the_problem(
+    served: Served, store: Store, session: int
+) -> None:
+    stream = await opened(served)
+    await stream.head()
+    await stream.next()
+    await store.write(lambda connection: connection.execute("UPDATE store SET first_seq = 3, last_seq = 3"))
+    problem = await stream.next()
+    assert problem is not None
+    assert (problem.event, problem.id) == ("problem", None)
+    assert problem.data["type"] == "urn:stonefall:problem:cursor-expired"
+    assert "results 1 to 3 were removed: go on with after=3" in problem.data["detail"]
+    assert await stream.next() is None
+
+
+async def test_a_key_that_is_taken_away_ends_the_stream(
+    store: Store, control: FakeControl, session: int
+) -> None:
+    key = ApiKey(
+        name="mes",
+        sha256="ca978112ca1bbdcafac231b39a23dc4da786eff8147c4e72b9807785afee48bb",  # of `a`
+        scopes=(Scope.READ,),
+    )
+    settings = ApiSettings(keys=(key,))
+    async with served_by(app_of(store, control, settings)) as served:
+        stream = await opened(served, more="Authorization: Bearer a\r\n")
+        await stream.head()
+        await stream.next()
+        object.__setattr__(settings, "keys", (ApiKey(name="other", sha256="0" * 64),))
+        await add(store, session, 1, measured())
+        problem = await stream.next()
+        assert problem is not None
+        assert (problem.event, problem.data["status"]) == ("problem", 401)
+        store.release_waiters()
+
+
+async def test_streams_leave_connections_to_everything_else(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(open_streams, "max_connections", lambda: 12)
+    held = [await opened(served) for _ in range(3)]
+    for stream in held:
+        assert (await stream.head()).startswith("HTTP/1.1 200")
+    refused = await opened(served)
+    head = await refused.head()
+    assert head.startswith("HTTP/1.1 503")
+    assert "retry-after: 5" in head.lower()
+    held[0].client.writer.close()
+    while not (await (again := await opened(served)).head()).startswith("HTTP/1.1 200"):
+        again.client.writer.close()
+
+
+async def test_a_stalled_reader_holds_little_and_ends(served: Served, store: Store, session: int) -> None:
+    stalled, reading = await opened(served), await opened(served)
+    n_results = 0
+    # far more than the kernel takes: 300 kB each
+    for _ in range(40):
+        n_results += 1
+        await add(store, session, n_results, measured(detail="x" * 300_000))
+    await reading.head()
+    await reading.next()
+    assert await reading.numbers(n_results) == list(range(1, n_results + 1))
+    await served.until(lambda: any(each.n_unread > 0 for each in served.connections))
+    (hindering,) = (each for each in served.connections if each.n_unread > 0)
+    assert hindering.n_unread < 100 * 310_000
+    served.pass_time(0.9 * READING_S)
+    assert len(served.connections) == 2
+    served.pass_time(1.1 * READING_S)
+    assert len(served.connections) == 1
+    await add(store, session, n_results + 1, measured())
+    assert await reading.numbers(1) == [n_results + 1]
+    stalled.client.writer.close()
+
+
+async def test_all_streams_share_one_page(
+    served: Served, store: Store, session: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = [await opened(served) for _ in range(20)]
+    for stream in held:
+        await stream.head()
+        await stream.next()
+    n_reads = 0
+    read = store.read
+
+    async def counted(*args: Any) -> Any:
+        nonlocal n_reads
+        n_reads += 1
+        return await read(*args)
+
+    monkeypatch.setattr(store, "read", counted)
+    await add(store, session, 1, measured())
+    for stream in held:
+        assert await stream.numbers(1) == [1]
+    assert n_reads < 5
