@@ -61,10 +61,12 @@ class EventLog:
     def _finish(self, written: "asyncio.Future[None]") -> None:
         self._writing = None
         error = None if written.cancelled() else written.exception()
+        if isinstance(error, StoreError):  # the store was closed first
+            log.error("events were not written: %s", error)
+            return
         if error is not None:
             log.error("events were not written", exc_info=error)
-        if not isinstance(error, StoreError):  # of a store that is closed
-            self._write_next()
+        self._write_next()
 
 
 def _write_all(connection: sqlite3.Connection, changes: Sequence[_Change]) -> None:

@@ -32,6 +32,14 @@ def results_of(daemon: DaemonProcess, calibration_id: str, n_results: int) -> li
     return latest(daemon.wait_for(path, lambda page: len(latest(page)) == n_results))
 
 
+def told(events: dict[str, Any]) -> list[tuple[str, str, str]]:
+    return [
+        (each["type"], each["subject"], each["data"].get("outcome") or each["data"]["calibration_id"])
+        for each in events["items"]
+        if each["type"].startswith(("calibration.", "verification."))
+    ]
+
+
 def test_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
     nominal_id = read_rig(balls / "rig.json").calibration_id
     with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:
@@ -64,6 +72,12 @@ def test_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
         assert run(daemon, "activate", "0001")["is_active"]
         results_of(daemon, nominal_id, 1)
         results = daemon.results()
+        events = daemon.wait_for("/events?limit=1000", lambda now: len(told(now)) == 3)
+        assert told(events) == [
+            ("calibration.activated", name, new_id),
+            ("verification.ended", verification, "passed"),
+            ("calibration.activated", "0001", nominal_id),
+        ]
     assert [each for each, _ in groupby(item["calibration_id"] for item in results)] == [
         nominal_id,
         new_id,

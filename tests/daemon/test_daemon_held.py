@@ -44,6 +44,14 @@ def detail_of_store(health: dict[str, Any]) -> str:
     return str(health["checks"]["store"]["detail"])
 
 
+def alarm_of_store(alarms: dict[str, Any]) -> list[dict[str, Any]]:
+    return [each for each in alarms["items"] if each["check"] == "store"]
+
+
+def of_store(events: dict[str, Any]) -> list[str]:
+    return [each["type"] for each in events["items"] if each["subject"] == "store"]
+
+
 def is_armed(answer: dict[str, Any]) -> bool:
     return bool(answer["state"] == "armed")
 
@@ -72,6 +80,10 @@ def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
             assert (health["ne107"], health["ready"]) == ("failure", False)
             assert remedy in detail_of_store(health)
             assert daemon.get("/results?after=0")["last_seq"] >= 1
+            (alarm,) = daemon.wait_for("/alarms", lambda now: alarm_of_store(now) != [])["items"][:1]
+            assert (alarm["check"], alarm["priority"], remedy in alarm["detail"]) == ("store", "urgent", True)
+            acknowledged = daemon.post(f"/alarms/{alarm['id']}/acknowledge", {})  # written later
+            assert acknowledged["state"] == "acknowledged"
             assert daemon.process.poll() is None
         daemon.wait_for("/acquisition", is_armed)
         daemon.wait_for("/accounting", lambda now: now["by_reason"].get("store_held", 0) >= 1)
@@ -88,6 +100,14 @@ def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
         assert n_backgrounds >= counts["backgrounds"]
         sequences = [result["sequence"] for result in results]
         assert sequences == sorted(sequences)
+        daemon.wait_for("/alarms", lambda now: alarm_of_store(now) == [])
+        events = daemon.wait_for("/events?limit=1000", lambda now: of_store(now)[-1:] == ["alarm.cleared"])
+        assert of_store(events) == ["alarm.raised", "alarm.acknowledged", "alarm.cleared"]
+        assert [item["seq"] for item in events["items"]] == list(range(1, events["last_seq"] + 1))
+        changed = [each["data"]["state"] for each in events["items"] if each["type"] == "acquisition.changed"]
+        assert changed[:4] == ["arming", "armed", "held", "armed"]
+        assert changed[-2:] == ["disarming", "disarmed"]
+        assert [entry["action"] for entry in daemon.get("/audit")["items"]] == ["alarm acknowledged"]
         assert daemon.stop() == 0
         assert "Traceback" not in daemon.log
 

@@ -141,7 +141,7 @@ def test_what_becomes_worse_calls_again_and_what_becomes_better_does_not(bench: 
     bench.set("disk", FAIL)
     bench.after(0)
     assert (bench.only.state, bench.only.priority) == (AlarmState.UNACKNOWLEDGED, Priority.MEDIUM)
-    assert bench.only.acknowledged_by is None
+    assert (bench.only.acknowledged_by, bench.only.acknowledged_at) == (None, None)
     bench.acknowledge(1)
     bench.set("disk", WARN)
     bench.after(60)
