@@ -23,6 +23,7 @@ COMMANDS = {
     "calibration": "service.commands.calibration",
     "measure": "service.commands.measure",
     "lots": "service.commands.lots",
+    "alarms": "service.commands.alarms",
     "report": "service.commands.report",
     "models": "service.commands.models",
     "record": "service.commands.record",
