@@ -11,6 +11,7 @@ from service.api.context import ApiContext
 from service.api.control import Control
 from service.api.docs import docs_page
 from service.api.foreign_pages import ForeignPages
+from service.api.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
 from service.api.key_ring import KeyRing
 from service.api.pace import PacedRequests
 from service.api.problems import ProblemDocument, install_handlers
@@ -57,6 +58,7 @@ def create_app(
     app.state.context = ApiContext(
         store=store, control=control, settings=settings, reading=reading, keys=keys
     )
+    app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept
     app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(PacedRequests)
@@ -110,6 +112,7 @@ def build_routes() -> FastAPI:
         )
 
     install_handlers(app)
+    app.add_exception_handler(AnsweredBeforeError, repeat_answer)
     _describe_problems(app)
     return app
 

@@ -15,6 +15,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from drivers.files.times import utc_now
 from service.api.addresses import host_of, is_loopback
 from service.api.context import ApiContext, Context
+from service.api.idempotency import begin_attempt
 from service.api.key_file import StoredKey
 from service.api.key_ring import KeyRing, note_keys
 from service.api.problems import Problem
@@ -79,7 +80,11 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
             )
         request.state.who = f"key {key.name}"
 
-    return check
+    async def admit(request: Request, context: Context, credentials: Credentials) -> None:
+        await check(request, context, credentials)
+        await begin_attempt(request)
+
+    return admit
 
 
 def who(request: Request) -> str:
