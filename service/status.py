@@ -109,15 +109,19 @@ class Ne107(StrEnum):
 class AcquisitionStatus(Report):
     """State of the rig; counters are since it was last armed."""
 
-    state: AcquisitionState
+    state: AcquisitionState = Field(
+        description="State of the rig; `held`: arming was requested, and devices or the store do not allow it"
+    )
     trouble: str | None = Field(default=None, description="Why it is held; null when it is not")
     activity: Literal["idle", "measuring", "suspended"] = Field(
         default="idle", description="Suspended: armed, and no stone for a minute"
     )
-    cameras_armed: int = 0
-    cameras: int = 0
-    gate: DeviceState = Field(default=DeviceState.CLOSED)
-    gate_error: str | None = None
+    cameras_armed: int = Field(default=0, description="Cameras that expose at each trigger")
+    cameras: int = Field(default=0, description="Cameras of the rig")
+    gate: DeviceState = Field(description="State of the light gate", default=DeviceState.CLOSED)
+    gate_error: str | None = Field(
+        default=None, description="Why the light gate is lost; null when it is not"
+    )
     gate_warnings: tuple[str, ...] = Field(
         default=(), description="What works but needs attention, with the remedy"
     )
@@ -149,10 +153,14 @@ class AcquisitionStatus(Report):
 class HealthCheck(Report):
     """Result of one check of the daemon's health."""
 
-    status: CheckStatus
-    observed_value: float | int | str | bool | None = None
-    observed_unit: str | None = None
-    detail: str | None = None
+    status: CheckStatus = Field(description="Result of the check")
+    observed_value: float | int | str | bool | None = Field(
+        default=None, description="What was observed; null when there is nothing to tell"
+    )
+    observed_unit: str | None = Field(default=None, description="Unit of `observed_value`; null: none")
+    detail: str | None = Field(
+        default=None, description="What is wrong and what to do, in words; null when nothing is"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,14 +221,14 @@ class CameraOptics(Report):
 class CameraStatus(Report):
     """State of one camera, and its counters since the daemon started."""
 
-    id: CameraId
-    state: DeviceState
+    id: CameraId = Field(description="Place of the camera in the rig, such as `c01`")
+    state: DeviceState = Field(description="Whether it exposes, is closed, or does not answer")
     ne107: Ne107 = Field(default=Ne107.GOOD, description="Its state in the terms of NAMUR NE 107")
-    last_error: str | None = None
+    last_error: str | None = Field(default=None, description="Why it was last lost; null when it never was")
     recoveries: int = Field(default=0, description="How often it came back from a loss")
-    serial: str | None = None
-    model: str | None = None
-    address: str | None = None
+    serial: str | None = Field(default=None, description="Serial number; null while unknown")
+    model: str | None = Field(default=None, description="Vendor's name of the model; null while unknown")
+    address: str | None = Field(default=None, description="Its network address; null while unknown")
     frames: int = Field(default=0, description="Frames that arrived complete")
     fps: float = Field(default=0.0, description="Frames per second over the last ten seconds")
     lost: int = Field(default=0, description="Frames reported lost")
@@ -238,15 +246,17 @@ class CameraStatus(Report):
     receive_buffer_bytes: int | None = Field(
         default=None, description="Size of its socket's buffer, as the kernel granted it"
     )
-    temperature_c: float | None = None
+    temperature_c: float | None = Field(
+        default=None, description="Temperature of the camera, °C; null when it does not tell"
+    )
     ptp_offset_ns: int | None = Field(
         default=None, description="Offset from the PTP master's clock; null without PTP"
     )
     latency_ms: float | None = Field(
         default=None, description="From trigger to arrival, mean of the latest 64 bundles"
     )
-    latency_min_ms: float | None = None
-    latency_max_ms: float | None = None
+    latency_min_ms: float | None = Field(default=None, description="The least of these, ms")
+    latency_max_ms: float | None = Field(default=None, description="The greatest of these, ms")
     last_frame_age_s: float | None = Field(
         default=None, description="Seconds since the last frame; null before it"
     )

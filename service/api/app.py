@@ -9,12 +9,13 @@ from service.api.auth import require
 from service.api.body_limit import BodyLimit
 from service.api.context import ApiContext
 from service.api.control import Control
+from service.api.description import DESCRIPTION, SERVERS, TAGS, complete
 from service.api.docs import docs_page
 from service.api.foreign_pages import ForeignPages
 from service.api.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
 from service.api.key_ring import KeyRing
 from service.api.pace import PacedRequests
-from service.api.problems import ProblemDocument, install_handlers
+from service.api.problems import install_handlers
 from service.api.reader_process import Reading
 from service.api.routes import (
     accounting,
@@ -44,11 +45,6 @@ from service.api.settings import ApiSettings, Scope
 from service.api.version import API_VERSION, BASE
 from service.store import Store
 
-DESCRIPTION = """\
-The unit of a quantity ends its name: `_mm`, `_mm2`, `_mm3`, `_g`, `_px`, `_ms`. Positions are in the frame of the rig,
-whose z axis points up. Times are RFC 3339 in UTC. `null` means unknown or not applicable, never zero. Later versions
-add fields: ignore those that you do not know."""
-
 
 def create_app(
     store: Store, control: Control, settings: ApiSettings, reading: Reading, keys: KeyRing
@@ -72,6 +68,8 @@ def build_routes() -> FastAPI:
         version=API_VERSION,
         summary="The shape of every stone that leaves the crusher",
         description=DESCRIPTION,
+        servers=SERVERS,
+        openapi_tags=[{"name": tag, "description": text} for tag, text in TAGS.items()],
         openapi_url=f"{BASE}/openapi.json",
         docs_url=None,  # FastAPI's own pages load scripts from a public network: dead in a plant
         redoc_url=None,
@@ -113,20 +111,20 @@ def build_routes() -> FastAPI:
 
     install_handlers(app)
     app.add_exception_handler(AnsweredBeforeError, repeat_answer)
-    _describe_problems(app)
+    _describe(app)
     return app
 
 
-def _describe_problems(app: FastAPI) -> None:
-    """Add the schema of problem details to the OpenAPI document."""
+def _describe(app: FastAPI) -> None:
+    """Complete the OpenAPI document of the routes."""
     generate = app.openapi
+    completed: list[dict[str, Any]] = []
 
     def openapi() -> dict[str, Any]:
-        document = generate()
-        schemas = document["components"]["schemas"]
-        if "Problem" not in schemas:
-            problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
-            schemas |= problem.pop("$defs") | {"Problem": problem}
-        return document
+        if not completed:
+            document = generate()
+            complete(document)
+            completed.append(document)
+        return completed[0]
 
     app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend it

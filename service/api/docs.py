@@ -28,7 +28,11 @@ def docs_page(document: dict[str, Any]) -> str:
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             by_tag.setdefault(operation["tags"][0], []).append(_operation(path, method.upper(), operation))
-    sections = "".join(f"<h2>{escape(tag)}</h2>{''.join(parts)}" for tag, parts in by_tag.items())
+    described = {tag["name"]: tag["description"] for tag in document["tags"]}
+    sections = "".join(
+        f"<h2>{escape(tag)}</h2><p>{_prose(described.get(tag, ''))}</p>{''.join(parts)}"
+        for tag, parts in by_tag.items()
+    )
     schemas = "".join(_schema(name, schema) for name, schema in document["components"]["schemas"].items())
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(info["title"])}</title>'
@@ -73,7 +77,8 @@ def _schema(name: str, schema: dict[str, Any]) -> str:
 
 def _contents(answer: dict[str, Any]) -> Iterator[str]:
     for media_type, content in answer.get("content", {}).items():
-        yield _type(content["schema"]) if content.get("schema") else f"<code>{escape(media_type)}</code>"
+        is_file = content["schema"].get("format") == "binary"
+        yield f"<code>{escape(media_type)}</code>" if is_file else _type(content["schema"])
 
 
 def _type(schema: dict[str, Any]) -> str:

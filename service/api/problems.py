@@ -69,8 +69,8 @@ TITLES = {
 class FieldError(BaseModel):
     """One wrong field of a request."""
 
-    field: str
-    message: str
+    field: str = Field(description="Where it is: `body.`, `query.`, `path.` or `header.` and its name")
+    message: str = Field(description="What is wrong with it")
 
 
 class ProblemDocument(BaseModel):
@@ -80,7 +80,7 @@ class ProblemDocument(BaseModel):
 
     type: str = Field(description="`urn:stonefall:problem:<kind>`: decide by this, or by the status")
     title: str = Field(description="The kind of problem in words")
-    status: int
+    status: int = Field(description="HTTP status of this answer")
     detail: str = Field(description="This occurrence in words; not for programs")
     instance: str = Field(description="Path of the request")
     errors: list[FieldError] = Field(default=[], description="With `invalid-request`: every wrong field")

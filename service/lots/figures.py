@@ -15,7 +15,9 @@ class Figure(Report):
     """A figure with its uncertainty, in the unit of its name."""
 
     state: State = Field(description="`insufficient`: too few stones for a verdict; `not_measured`: no value")
-    value: float | None = None
+    value: float | None = Field(
+        default=None, description="Value in the unit of the figure's name; null unless it was measured"
+    )
     low: float | None = Field(default=None, description="Lower end of the 95 % interval")
     high: float | None = Field(default=None, description="Upper end of it")
     standard_error: float | None = Field(default=None, description="Of sampling and measuring together")
@@ -28,15 +30,17 @@ class Figure(Report):
 class Range(Report):
     """Limits of a specification, percent."""
 
-    min_percent: float
-    max_percent: float
+    min_percent: float = Field(description="Least percent that is allowed")
+    max_percent: float = Field(description="Greatest percent that is allowed")
 
 
 class Decision(Report):
     """The verdict on one figure."""
 
-    verdict: Verdict
-    limits: Range
+    verdict: Verdict = Field(
+        description="By the 95 % interval: inside the limits, outside, or neither for certain"
+    )
+    limits: Range = Field(description="What the specification allows")
     more_stones: int | None = Field(
         default=None, description="Stones until it is expected to be decided; null: decided, or never"
     )
@@ -46,17 +50,17 @@ class Decision(Report):
 class CurveStep(Report):
     """The gradation at one sieve."""
 
-    sieve_mm: float
+    sieve_mm: float = Field(description="Aperture of the sieve, square holes (EN 933-2, ASTM E11), mm")
     passing_percent: Figure = Field(description="By mass")
-    passing_by_number_percent: Figure
+    passing_by_number_percent: Figure = Field(description="Share of the stones, by number, that pass, %")
     decision: Decision | None = Field(description="Null where the specification has no limits")
 
 
 class CorrelatedStep(Report):
     """The gradation at one sieve, as the laboratory's sieves would find it."""
 
-    sieve_mm: float
-    passing_percent: Figure
+    sieve_mm: float = Field(description="Aperture of the sieve, mm")
+    passing_percent: Figure = Field(description="Passing by mass (EN 933-1), %")
 
 
 class CorrelatedCurve(Report):
@@ -64,15 +68,15 @@ class CorrelatedCurve(Report):
 
     version: int = Field(description="Of the study")
     factor: float = Field(description="Sieve's size by the instrument's")
-    n_lots: int
+    n_lots: int = Field(description="Lots that the study rests on")
     held_out_rmse: float | None = Field(description="Points of passing, on lots that it was not fitted to")
-    curve: list[CorrelatedStep]
+    curve: list[CorrelatedStep] = Field(description="By rising sieve")
 
 
 class Quantile(Report):
     """A size that a share of the mass is smaller than; the two are different figures, and never mixed."""
 
-    percent: int
+    percent: int = Field(description="Share of the mass, %: 50 is the median D50")
     interpolated_mm: Figure = Field(description="Log-linear between neighbouring sieves")
     exact_mm: Figure = Field(description="From the stones themselves")
 
@@ -80,7 +84,7 @@ class Quantile(Report):
 class FlatAndElongated(Report):
     """ASTM D4791 at one ratio, percent: by mass and by number."""
 
-    ratio: int
+    ratio: int = Field(description="Ratio of two dimensions that is judged by, such as 3 for 3:1")
     flat_percent: Mapping[str, Figure] = Field(description="Method A: width to thickness above the ratio")
     elongated_percent: Mapping[str, Figure] = Field(description="Method A: length to width above it")
     flat_and_elongated_percent: Mapping[str, Figure] = Field(
@@ -99,13 +103,13 @@ class ShapeIndices(Report):
     flakiness_percent: Figure = Field(description="FI, EN 933-3")
     shape_percent: Figure = Field(description="SI, EN 933-4")
     needle_flaky_percent: Figure = Field(description="JTG 3432 T 0312")
-    flat_and_elongated: list[FlatAndElongated]
+    flat_and_elongated: list[FlatAndElongated] = Field(description="ASTM D4791 at each ratio")
 
 
 class Unmeasured(Report):
     """Stones that fell and are in no figure, and what they may have weighed."""
 
-    n_stones: int
+    n_stones: int = Field(description="Rejected and lost stones")
     by_reason: Mapping[str, int] = Field(description="By outcome and reason, such as `rejected: clipped`")
     expected_percent: float | None = Field(
         description="Of the measured mass, if each was as heavy as the mean"
@@ -118,29 +122,31 @@ class Unmeasured(Report):
 class ProductDocument(Report):
     """The version of a product that a lot is of."""
 
-    product: str
-    version: int
-    title: str
-    density_kg_m3: float
-    specification: str | None
+    product: str = Field(description="Id of the product")
+    version: int = Field(description="Version of the product")
+    title: str = Field(description="Name of the product for people")
+    density_kg_m3: float = Field(description="Density of the particles, EN 1097-6, kg/m³")
+    specification: str | None = Field(description="Specification that it is judged by; null: none")
 
 
 class LotDocument(Report):
     """A lot in the words of ISA-95."""
 
-    lot: str
-    state: LotState
+    lot: str = Field(description="Material lot")
+    state: LotState = Field(description="`open`: takes what falls; `closed`; `void`: counts no more")
     product: str = Field(description="Material definition")
-    product_version: int
-    equipment: str | None
-    sublot: str | None
-    sample_id: str | None
-    sampler: str | None
-    tonnage_t: float | None
-    remark: str | None
-    opened_at: str = Field(json_schema_extra=TIME)
-    closed_at: str | None = Field(json_schema_extra=TIME)
-    void_reason: str | None
+    product_version: int = Field(description="Version of the product that the lot was opened with")
+    equipment: str | None = Field(description="The crusher or belt that it comes from")
+    sublot: str | None = Field(description="Material sublot")
+    sample_id: str | None = Field(description="Id of the laboratory sample")
+    sampler: str | None = Field(description="Who took the sample")
+    tonnage_t: float | None = Field(description="Mass of the whole lot, t")
+    remark: str | None = Field(description="Whatever else the plant said of it")
+    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
+    closed_at: str | None = Field(
+        description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
+    )
+    void_reason: str | None = Field(description="Why it counts no more; null unless void")
     n_stones: int = Field(description="Stones that fell, whatever became of them")
 
 
@@ -148,37 +154,37 @@ class LotFigures(Report):
     """All figures of the stones of a lot, or of a time."""
 
     lot: LotDocument | None = Field(description="Null for a window, a shift, and results without a store")
-    product: ProductDocument | None
+    product: ProductDocument | None = Field(description="Version of the product; null without one")
     since: str | None = Field(description="First stone, RFC 3339 UTC", json_schema_extra=TIME)
     until: str | None = Field(description="Last stone", json_schema_extra=TIME)
     triggers: int = Field(description="measured + rejected + lost")
-    measured: int
-    rejected: int
-    lost: int
+    measured: int = Field(description="Stones with a body and its measures")
+    rejected: int = Field(description="Stones whose views were found unfit")
+    lost: int = Field(description="Stones whose views were never looked at")
     by_quality: Mapping[str, int] = Field(description="Measured stones by quality")
     mass_kg: float | None = Field(description="Of the measured stones; null without a density")
     n_effective: float = Field(description="So many stones of equal mass would tell as much")
-    sieve_set: str
-    specification: str | None
-    specification_source: str | None
+    sieve_set: str = Field(description="Sieves that were used")
+    specification: str | None = Field(description="Specification that was judged by; null: none")
+    specification_source: str | None = Field(description="Standard or site that the specification is from")
     curve: list[CurveStep] = Field(description="By rising sieve")
     correlated: CorrelatedCurve | None = Field(
         default=None, description="Null without a correlation study of the product"
     )
-    quantiles: list[Quantile]
-    indices: ShapeIndices
-    flakiness_decision: Decision | None
-    shape_decision: Decision | None
+    quantiles: list[Quantile] = Field(description="Sizes D10 to D90")
+    indices: ShapeIndices = Field(description="Fineness, uniformity, mean sizes and shape")
+    flakiness_decision: Decision | None = Field(description="Verdict on FI (EN 933-3); null without limits")
+    shape_decision: Decision | None = Field(description="Verdict on SI (EN 933-4); null without limits")
     verdict: Verdict | None = Field(description="Null without a specification")
     is_partial: bool = Field(description="True when some figures of the specification were not measured")
     countdown: str | None = Field(description="What is decided and what is not, in words")
-    unmeasured: Unmeasured
+    unmeasured: Unmeasured = Field(description="What fell and is in no figure")
     least_portion_kg: float | None = Field(description="Least test portion of EN 933-1 for D; null without D")
     scale_sd_percent: float = Field(description="Standard deviation of all lengths, by the calibration")
-    calibration_ids: list[str]
-    algorithm_versions: list[str]
-    is_simulated: bool
-    is_replay: bool
+    calibration_ids: list[str] = Field(description="Calibrations that the stones were measured with")
+    algorithm_versions: list[str] = Field(description="Versions of the algorithms that measured them")
+    is_simulated: bool = Field(description="True when images of some stones are synthetic")
+    is_replay: bool = Field(description="True when some stones did not fall")
 
 
 def figure(estimate: Estimate) -> Figure:

@@ -65,8 +65,8 @@ class Hull(BaseModel):
 
     model_config = ConfigDict(extra="allow")
 
-    volume_mm3: float
-    surface_area_mm2: float
+    volume_mm3: float = Field(description="Volume of the visual hull, mm³")
+    surface_area_mm2: float = Field(description="Surface area of the visual hull, mm²")
     equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
 
 
@@ -128,7 +128,10 @@ class Result(BaseModel):
         default=None,
         description="True when the host's clock was not set: `captured_at` or `recorded_at` is before 2026",
     )
-    outcome: Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST]
+    outcome: Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST] = Field(
+        description="`measured`: the stone has a body and its measures; `rejected`: the views were looked at and found"
+        " unfit; `lost`: they were never looked at"
+    )
     reason: str | None = Field(default=None, description="Why rejected or lost, one word; null when measured")
     detail: str | None = Field(default=None, description="The reason for people")
     quality: Literal["good", "reduced", "degraded"] | None = Field(
@@ -170,23 +173,43 @@ class Result(BaseModel):
     length_mm: Number = _measured("Greatest dimension (ASTM D4791 length), mm")
     width_mm: Number = _measured("Greatest dimension at right angles to the length (ASTM D4791 width), mm")
     thickness_mm: Number = _measured("Dimension at right angles to both (ASTM D4791 thickness), mm")
-    max_feret_mm: Number = _measured("Greatest distance of two parallel tangent planes, mm")
-    min_feret_mm: Number = _measured("Least distance of two parallel tangent planes, mm")
+    max_feret_mm: Number = _measured(
+        "Greatest distance of two parallel tangent planes (EN 933-4 length L), mm"
+    )
+    min_feret_mm: Number = _measured(
+        "Least distance of two parallel tangent planes (EN 933-4 thickness E), mm"
+    )
     min_box_mm: Numbers = _measured("Edges a >= b >= c of the box of least volume, mm")
-    sieve_size_mm: Number = _measured("Smallest square aperture the body passes, mm")
-    equivalent_diameter_mm: Number = _measured("Diameter of the sphere of `volume_mm3`, mm")
+    sieve_size_mm: Number = _measured(
+        "Smallest square aperture the body passes in its best orientation (square holes of EN 933-2), mm"
+    )
+    equivalent_diameter_mm: Number = _measured("Diameter of the sphere of `volume_mm3`: (6 V / pi)^(1/3), mm")
     equivalent_diameter_raw_mm: Number = _measured("Diameter of the sphere of `volume_raw_mm3`, mm")
     sphericity: Number = _measured(
-        "Wadell's sphericity: area of the sphere of equal volume by surface area, 0..1"
+        "Wadell's sphericity: area of the sphere of equal volume by surface area A of the mesh,"
+        " pi^(1/3) (6 V)^(2/3) / A, 0..1; 1: a sphere"
     )
-    convexity: Number = _measured("Volume by volume of the convex hull, 0..1")
-    elongation_ratio: Number = _measured("b / a of the least box, 0..1")
-    flatness_ratio: Number = _measured("c / b of the least box, 0..1")
-    zingg_class: Text = _measured("Zingg's form of the least box: equant, disc, rod or blade")
-    krumbein: Number = _measured("Krumbein's intercept sphericity (b c / a²)^(1/3) of the least box, 0..1")
-    corey: Number = _measured("Corey's shape factor c / sqrt(a b) of the least box, 0..1")
+    convexity: Number = _measured(
+        "Volume of the mesh by volume of its convex hull, 0..1; an upper bound, as silhouettes show no dents"
+    )
+    elongation_ratio: Number = _measured(
+        "Zingg's elongation ratio b / a, of the edges a >= b >= c in `min_box_mm`, 0..1; 1: as wide as long"
+    )
+    flatness_ratio: Number = _measured(
+        "Zingg's flatness ratio c / b, of the edges in `min_box_mm`, 0..1; 1: as thick as wide"
+    )
+    zingg_class: Text = _measured(
+        "Zingg's form: `equant` with b / a and c / b above 2/3, `disc` with b / a alone, `rod` with c / b alone,"
+        " `blade` with neither"
+    )
+    krumbein: Number = _measured(
+        "Krumbein's intercept sphericity (b c / a²)^(1/3), of the edges in `min_box_mm`, 0..1"
+    )
+    corey: Number = _measured("Corey's shape factor c / sqrt(a b), of the edges in `min_box_mm`, 0..1")
     angularity: Number = _measured(
-        "Gradient angularity of the outlines, mean over the views; larger is sharper"
+        "Gradient angularity after AASHTO T 381, with squares: the sum over 180 points of an outline of the squared"
+        " change of its direction, degrees², / 59; mean over the views, 0..10000. A circle has 110, a square 1115. Not"
+        " comparable with values of an AIMS device"
     )
     mass_g: Number = _measured("Mass at the configured density, g; null without a density")
     center_mm: Numbers = _measured("Centroid in the rig's frame (x, y, z up), mm")

@@ -2,11 +2,17 @@
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
+import pytest
+from pydantic import BaseModel
 
+from service.api.examples import EXAMPLES
 from service.api.openapi import openapi_text
+from service.api.settings import ApiSettings
 
 COMMITTED = Path(__file__).parents[2] / "deploy" / "openapi.json"
 
@@ -47,3 +53,55 @@ async def test_the_page_needs_nothing_else(client: httpx.AsyncClient) -> None:
     assert set(re.findall(r'href="#(\w+)"', page)) <= anchors
     for path in json.loads(openapi_text())["paths"]:
         assert f"<code>{path}</code>" in page
+
+
+def operations() -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for path, described in json.loads(openapi_text())["paths"].items():
+        for method, operation in described.items():
+            yield path, method, operation
+
+
+def test_everything_has_a_description() -> None:
+    document = json.loads(openapi_text())
+    tags = {tag["name"] for tag in document["tags"] if tag["description"]}
+    missing = [
+        name for name, schema in document["components"]["schemas"].items() if not schema.get("description")
+    ]
+    for name, schema in document["components"]["schemas"].items():
+        fields = schema.get("properties", {}).items()
+        missing += [f"{name}.{field}" for field, body in fields if not body.get("description")]
+    for path, method, operation in operations():
+        parameters = operation.get("parameters", [])
+        missing += [f"{method} {path}: {each['name']}" for each in parameters if not each.get("description")]
+        missing += [f"tag {tag}" for tag in operation["tags"] if tag not in tags]
+    assert missing == []
+
+
+def test_files_are_binary_and_everything_else_has_a_schema() -> None:
+    media_types = set()
+    for path, method, operation in operations():
+        for answer in operation["responses"].values():
+            for media_type, content in answer.get("content", {}).items():
+                assert content["schema"], (method, path)
+                if "json" not in media_type:
+                    assert content["schema"] == {"type": "string", "format": "binary"}, (method, path)
+                    media_types.add(media_type)
+    assert {"image/png", "application/x-tar", "model/ply", "application/pdf", "text/csv"} <= media_types
+
+
+def test_every_post_may_be_repeated_with_a_key() -> None:
+    for path, method, operation in operations():
+        names = {each["name"] for each in operation.get("parameters", ())}
+        assert ("Idempotency-Key" in names) == (method == "post"), path
+        assert "security" in operation or method == "get", path  # the key is looked at with the scope
+
+
+@pytest.mark.parametrize("model", EXAMPLES, ids=lambda model: model.__name__)
+def test_examples_are_valid(model: type[BaseModel]) -> None:
+    model.model_validate_json(json.dumps(EXAMPLES[model]), strict=True)
+
+
+def test_the_service_is_where_the_document_says() -> None:
+    (server,) = json.loads(openapi_text())["servers"]
+    defaults = {name: variable["default"] for name, variable in server["variables"].items()}
+    assert server["url"].format(**defaults) == f"http://{ApiSettings().host}:{ApiSettings().port}"

@@ -20,9 +20,9 @@ class AccountingDocument(BaseModel):
 
     session: int | None = Field(description="Session (run of the daemon) that is counted; null: all")
     triggers: int = Field(description="Stones and balls that the light gate reported")
-    measured: int
-    rejected: int
-    lost: int
+    measured: int = Field(description="Triggers whose stone has a body and its measures")
+    rejected: int = Field(description="Triggers whose views were looked at and found unfit")
+    lost: int = Field(description="Triggers whose views were never looked at")
     in_progress: int = Field(description="Triggers without an outcome yet")
     is_balanced: bool = Field(description="Whether the sum holds; false is a fault of the service")
     backgrounds: int = Field(description="Exposures of the empty rig; not among the triggers")

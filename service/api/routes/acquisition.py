@@ -1,7 +1,7 @@
 """Arm and disarm the rig."""
 
 from fastapi import APIRouter, Depends
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import Context
@@ -21,7 +21,7 @@ class AcquisitionRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    state: AcquisitionTarget
+    state: AcquisitionTarget = Field(description="`armed`: measure every stone; `disarmed`: ignore them")
 
 
 @router.get(

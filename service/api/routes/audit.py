@@ -27,13 +27,13 @@ After = Annotated[int, Query(ge=0, le=MAX_SEQ, description="`entry` of the last 
 class AuditEntryDocument(BaseModel):
     """One change; never edited."""
 
-    entry: int
-    at: str = Field(json_schema_extra=TIME)
+    entry: int = Field(description="Number of the entry, in the order of the changes")
+    at: str = Field(description="When it was changed, RFC 3339 UTC", json_schema_extra=TIME)
     who: str = Field(description="Name of the key, or `this machine` while there is none")
     action: str = Field(description="Such as `lot opened`, `calibration activated`, `acquisition disarmed`")
     subject: str = Field(description="What was changed, such as the id of a lot")
-    before: dict[str, Any] | None
-    after: dict[str, Any] | None
+    before: dict[str, Any] | None = Field(description="What it was before; null when there was nothing")
+    after: dict[str, Any] | None = Field(description="What it is since; null when there is nothing")
     digest: str | None = Field(
         description="SHA-256 of the digest before and of this entry, which makes the entries a chain; null in those of"
         " earlier versions"
@@ -43,7 +43,7 @@ class AuditEntryDocument(BaseModel):
 class AuditPage(BaseModel):
     """Entries in their order."""
 
-    items: list[AuditEntryDocument]
+    items: list[AuditEntryDocument] = Field(description="By rising `entry`")
 
 
 @router.get("/audit", response_model=AuditPage, responses=problem_responses())
@@ -51,7 +51,7 @@ async def audit(
     context: Context,
     subject: Subject = None,
     after: After = 0,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Entries of a page, at most")] = 100,
 ) -> dict[str, Any]:
     """Return who changed what, oldest first. Every write over REST is in here, but for the cursors of consumers."""
     return {"items": [asdict(each) for each in await context.store.read(entries, subject, after, limit)]}

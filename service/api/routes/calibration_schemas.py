@@ -45,8 +45,10 @@ class Signature(BaseModel):
 class CalibrationSummary(BaseModel):
     """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
 
-    id: str
-    state: CalibrationState
+    id: str = Field(description="Name of the calibration in the addresses")
+    state: CalibrationState = Field(
+        description="How far it is: `collecting`, `solving` and `solved` are open, the others ended"
+    )
     is_active: bool = Field(description="Whether stones are measured with it now")
     calibration_id: str | None = Field(
         description="Checksum of its rig file, which results name; null without a rig"
@@ -58,11 +60,11 @@ class CalibrationSummary(BaseModel):
         description="`bundle`, `paper` or `stones` as requested; of a configured rig file also `nominal` or `imported`"
     )
     ball_diameters_mm: list[float] = Field(description="As requested, mm")
-    created_at: str = Field(json_schema_extra=TIME)
+    created_at: str = Field(description="When it was begun, RFC 3339 UTC", json_schema_extra=TIME)
     changed_at: str = Field(description="Latest change of its state", json_schema_extra=TIME)
     by: str | None = Field(description="Who began it")
     decided_by: str | None = Field(description="Who accepted, rejected or cancelled it")
-    note: str | None
+    note: str | None = Field(description="Whatever was noted when it was begun; null for nothing")
     initial_calibration_id: str | None = Field(description="`calibration_id` in use when it was begun")
     detail: str | None = Field(
         description="Why it was cancelled, could not be solved, or must not be accepted; null otherwise"
@@ -72,24 +74,24 @@ class CalibrationSummary(BaseModel):
 class ActivationDocument(BaseModel):
     """One activation of a calibration."""
 
-    id: str
-    calibration_id: str
-    at: str = Field(json_schema_extra=TIME)
-    by: str | None
+    id: str = Field(description="`id` of the calibration")
+    calibration_id: str = Field(description="Checksum of its rig file, which results name")
+    at: str = Field(description="When it was activated, RFC 3339 UTC", json_schema_extra=TIME)
+    by: str | None = Field(description="Who activated it; null: unknown")
 
 
 class Calibrations(BaseModel):
     """All calibrations, newest first, and the history of activations."""
 
     active: ActivationDocument = Field(description="The one in use, since when and by whom")
-    items: list[CalibrationSummary]
+    items: list[CalibrationSummary] = Field(description="Newest first")
     activations: list[ActivationDocument] = Field(description="All of them, newest first")
 
 
 class Drop(BaseModel):
     """One ball or stone that was observed."""
 
-    bundle: str
+    bundle: str = Field(description="Name of the bundle of images")
     diameter_mm: float | None = Field(
         description="Requested diameter that is closest to its apparent size, mm; null: a stone, or too few views"
     )
@@ -108,28 +110,28 @@ class Drop(BaseModel):
 class CameraCoverageDocument(BaseModel):
     """Drops that one camera saw."""
 
-    n_drops: int
+    n_drops: int = Field(description="Drops that this camera saw whole")
     field_share: float = Field(description="Share of the image in which drops were seen, 0..1")
 
 
 class CoverageDocument(BaseModel):
     """Distribution of the drops over the measuring volume and the images."""
 
-    is_sufficient: bool
+    is_sufficient: bool = Field(description="Whether the drops suffice for a solution")
     missing: str | None = Field(description="What to drop next; null when nothing is missing")
     n_drops: int = Field(description="Drops located by two cameras or more")
     extent_mm: list[float] = Field(description="Extent of their centres along x, y, z; mm")
     spread_mm: list[float] = Field(
         description="Standard deviation of their centres along their principal axes, mm"
     )
-    cameras: dict[str, CameraCoverageDocument]
+    cameras: dict[str, CameraCoverageDocument] = Field(description="By camera")
 
 
 class CalibrationDocument(CalibrationSummary):
     """One calibration with its drops and its report."""
 
     drops: list[Drop] = Field(description="In the order in which they fell")
-    coverage: CoverageDocument
+    coverage: CoverageDocument = Field(description="How well the drops so far cover volume and images")
     residuals_before_px: dict[str, float] = Field(
         description="Per camera, rms over the drops so far, with the calibration in use when they fell, px"
     )

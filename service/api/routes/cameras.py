@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from service.api.context import ApiContext, Context
 from service.api.problems import Problem, problem_responses
@@ -25,7 +25,7 @@ class Camera(CameraStatus):
 class Cameras(BaseModel):
     """All cameras of the rig."""
 
-    items: list[Camera]
+    items: list[Camera] = Field(description="By place in the rig")
 
 
 @router.get("", response_model=Cameras, responses=problem_responses())

@@ -16,13 +16,15 @@ from service.store.holds import CursorError, TooManyConsumersError, consumers, f
 
 router = APIRouter(prefix="/consumers", tags=["results"])
 
-ConsumerName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+ConsumerName = Annotated[
+    str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Name that the consumer chooses")
+]
 
 
 class Consumer(BaseModel):
     """A named reader of the feed, and its place there."""
 
-    name: str
+    name: str = Field(description="Name that the consumer chose")
     after: int = Field(description="`seq` of the last result that it has")
     moved_at: str = Field(description="When the cursor was parked, RFC 3339 UTC", json_schema_extra=TIME)
     unread: int = Field(description="Results since")
@@ -34,7 +36,7 @@ class Consumer(BaseModel):
 class Consumers(BaseModel):
     """All consumers, by name."""
 
-    items: list[Consumer]
+    items: list[Consumer] = Field(description="By name")
 
 
 class Cursor(BaseModel):

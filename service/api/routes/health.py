@@ -22,7 +22,9 @@ RETRY_AFTER_S = 5
 class HealthDocument(BaseModel):
     """Health in detail, modelled on the expired Internet draft health+json."""
 
-    status: CheckStatus
+    status: CheckStatus = Field(
+        description="In the words of health+json: `pass` for NE 107 good, `fail` for failure, else `warn`"
+    )
     ne107: Ne107 = Field(description="Device state in the terms of NAMUR NE 107")
     gate_ne107: Ne107 = Field(description="The light gate alone; each camera has its own in `/cameras`")
     rig_ne107: Ne107 = Field(description="Geometry and optics of the rig: is all as it was calibrated")
@@ -38,13 +40,15 @@ class HealthDocument(BaseModel):
 class Live(BaseModel):
     """The process answers."""
 
-    status: Literal["pass"] = "pass"
+    status: Literal["pass"] = Field(default="pass", description="Always `pass`: the process answers")
 
 
 class Ready(BaseModel):
     """Stones can be measured."""
 
-    ready: Literal[True] = True
+    ready: Literal[True] = Field(
+        default=True, description="Always true; otherwise the answer is the problem `not-ready`"
+    )
 
 
 @router.get("/live", response_model=Live, responses=problem_responses())

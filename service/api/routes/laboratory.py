@@ -52,29 +52,33 @@ class SievingRequest(BaseModel):
         default=None,
         description="Lines of aperture in mm (or `pan`), semicolon or tab, mass in g, or in kg where it says so",
     )
-    sample_id: Text | None = None
-    by: Text | None = None
-    remark: Annotated[str, Field(max_length=2000)] | None = None
+    sample_id: Text | None = Field(default=None, description="Id of the laboratory sample")
+    by: Text | None = Field(default=None, description="Who sieved")
+    remark: Annotated[str, Field(max_length=2000)] | None = Field(
+        default=None, description="Whatever else is to be kept with it"
+    )
 
 
 class SievingDocument(BaseModel):
     """A sieving of a lot."""
 
-    sieving: int
-    at: str = Field(json_schema_extra=TIME)
-    retained_g: dict[str, float]
-    pan_g: float
-    mass_g: float
+    sieving: int = Field(description="Number of the sieving")
+    at: str = Field(description="When it was entered, RFC 3339 UTC", json_schema_extra=TIME)
+    retained_g: dict[str, float] = Field(
+        description="Mass retained on each sieve (EN 933-1), g, by aperture in mm"
+    )
+    pan_g: float = Field(description="Mass in the pan, g")
+    mass_g: float = Field(description="Mass of all fractions, g")
     passing_percent: dict[str, float] = Field(description="By aperture in mm")
-    sample_id: str | None
-    by: str | None
-    remark: str | None
+    sample_id: str | None = Field(description="Id of the laboratory sample")
+    by: str | None = Field(description="Who sieved")
+    remark: str | None = Field(description="As it was given")
 
 
 class Sievings(BaseModel):
     """All sievings of a lot, in their order."""
 
-    items: list[SievingDocument]
+    items: list[SievingDocument] = Field(description="In the order in which they were entered")
 
 
 class StudyRequest(BaseModel):
@@ -88,37 +92,40 @@ class StudyRequest(BaseModel):
 class CorrelationDocument(BaseModel):
     """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
 
-    product: str
-    version: int
-    at: str = Field(json_schema_extra=TIME)
-    form: Form
+    product: str = Field(description="Id of the product")
+    version: int = Field(description="Number of the study, from 1")
+    at: str = Field(description="When it was made, RFC 3339 UTC", json_schema_extra=TIME)
+    form: Form = Field(description="`factor`: one factor for all sizes; otherwise a rising mapping")
     factor: float = Field(description="Sieve's size by the instrument's, mean of all sizes")
     instrument_mm: list[float] = Field(description="Knots of the mapping; one knot is one factor")
-    sieve_mm: list[float]
+    sieve_mm: list[float] = Field(description="Sizes of the laboratory's sieves at the knots, mm")
     relative_se: list[float | None] = Field(
         description="Standard error at each knot, from lot to lot; null with one lot"
     )
-    n_lots: int
-    n_points: int
+    n_lots: int = Field(description="Lots that were sieved and measured")
+    n_points: int = Field(description="Points of all curves that were compared")
     raw_rmse: float = Field(description="Points of passing by which raw curves miss the laboratory's")
-    raw_bias: float
+    raw_bias: float = Field(description="Mean of raw minus the laboratory's passing, percentage points")
     rmse: float = Field(description="The same with the mapping, on the lots that it was fitted to")
     held_out_rmse: float | None = Field(
         description="Each lot by the mapping of the others; null with one lot"
     )
-    held_out_bias: float | None
+    held_out_bias: float | None = Field(
+        description="Mean of these differences, each lot by the mapping of the others, percentage points; null with one"
+        " lot"
+    )
 
 
 class Correlations(BaseModel):
     """All versions of a product's study, the newest first; the newest is in use."""
 
-    items: list[CorrelationDocument]
+    items: list[CorrelationDocument] = Field(description="Newest first")
 
 
 class Scatter(BaseModel):
     """How far the runs of a sample lie apart in one figure."""
 
-    mean: float
+    mean: float = Field(description="Mean of all runs, in the unit of the figure's name")
     repeatability_sd: float = Field(description="s_r: of runs under equal conditions")
     between_sd: float | None = Field(
         description="s_L: between groups, beyond what s_r explains; null with one"
@@ -133,16 +140,16 @@ class Scatter(BaseModel):
 class RunDocument(BaseModel):
     """A lot that is a run of the sample."""
 
-    lot: str
+    lot: str = Field(description="Id of the lot")
     group: str = Field(description="Runs of equal conditions have the same")
 
 
 class RepeatabilityDocument(BaseModel):
     """Repeatability and reproducibility from repeated runs of one sample (ISO 5725-2)."""
 
-    sample_id: str
+    sample_id: str = Field(description="Id of the laboratory sample")
     product: str = Field(description="Of the newest run; all are measured by it")
-    product_version: int
+    product_version: int = Field(description="Version of the product")
     runs: list[RunDocument] = Field(description="Oldest first")
     figures: dict[str, Scatter] = Field(
         description="By name, in the unit at its end; figures that every run has"

@@ -41,7 +41,7 @@ from service.store import read
 
 router = APIRouter(prefix="/lots", tags=["lots"])
 
-LotName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+LotName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the lot")]
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Tonnage = Annotated[float | None, Field(ge=0, le=1e6, description="Of the whole lot, t")]
 READABLE = [Depends(require(Scope.READ))]
@@ -64,11 +64,16 @@ class LotRequest(BaseModel):
     product: Id = Field(description="Material definition")
     product_version: int | None = Field(default=None, ge=1, strict=True, description="The newest when absent")
     equipment: Text | None = Field(default=None, description="The crusher or belt that it comes from")
-    sublot: Text | None = None
-    sample_id: Text | None = None
-    sampler: Text | None = None
+    sublot: Text | None = Field(default=None, description="Material sublot, ISA-95")
+    sample_id: Text | None = Field(
+        default=None,
+        description="Id of the laboratory sample; lots with the same one are compared by `/repeatability`",
+    )
+    sampler: Text | None = Field(default=None, description="Who took the sample")
     tonnage_t: Tonnage = None
-    remark: Annotated[str, Field(max_length=2000)] | None = None
+    remark: Annotated[str, Field(max_length=2000)] | None = Field(
+        default=None, description="Whatever else the plant says of it"
+    )
 
 
 class CloseRequest(BaseModel):
@@ -84,7 +89,9 @@ class VoidRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    reason: Annotated[str, Field(min_length=1, max_length=2000)]
+    reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
+        description="Why it counts no more; kept with the lot and in the audit"
+    )
 
 
 class AssignRequest(BaseModel):
@@ -99,35 +106,41 @@ class AssignRequest(BaseModel):
 class LotsPage(BaseModel):
     """Lots, newest first."""
 
-    items: list[LotDocument]
+    items: list[LotDocument] = Field(description="Newest first")
     next_before: str | None = Field(description="Pass as `before` for the next page; null on the last")
 
 
 class Assigned(BaseModel):
     """What an assignment changed."""
 
-    lot: LotDocument
+    lot: LotDocument = Field(description="The lot as it is now")
     n_assigned: int = Field(description="Stones that are in the lot now and were in none")
 
 
 class StoneBehindStep(BaseModel):
     """A stone between two neighbouring sieves of the curve."""
 
-    seq: int
-    id: str
-    captured_at: str = Field(json_schema_extra=TIME)
-    quality: str
-    sieve_size_mm: float
-    volume_mm3: float
+    seq: int = Field(description="`seq` of the result")
+    id: str = Field(description="`id` of the result")
+    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
+    quality: str = Field(
+        description="How far from the truth the result may be: `good`, `reduced` or `degraded`"
+    )
+    sieve_size_mm: float = Field(
+        description="Smallest square aperture the body passes (EN 933-2 square holes), mm"
+    )
+    volume_mm3: float = Field(description="Corrected volume, mm³")
     influence_percent: float = Field(description="Its share of the lot's mass")
 
 
 class StonesBehindStep(BaseModel):
     """The stones that pass one sieve and not the next smaller one, the heaviest first."""
 
-    above_mm: float
-    up_to_mm: float
-    items: list[StoneBehindStep]
+    above_mm: float = Field(
+        description="Aperture of the next smaller sieve of the set, mm; 0 below the smallest"
+    )
+    up_to_mm: float = Field(description="Aperture of the upper sieve, mm")
+    items: list[StoneBehindStep] = Field(description="The heaviest first")
 
 
 async def request_of(
@@ -142,6 +155,7 @@ async def request_of(
 
 
 Measuring = Annotated[Request, Depends(request_of)]
+ReportLanguage = Annotated[Language, Query(description="Language of the report")]
 
 
 @router.post(
@@ -172,10 +186,10 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
 @router.get("", response_model=LotsPage, dependencies=READABLE, responses=problem_responses())
 async def list_lots(
     context: Context,
-    state: LotState | None = None,
-    product: Annotated[str | None, Query(max_length=64)] = None,
+    state: Annotated[LotState | None, Query(description="Only lots in this state")] = None,
+    product: Annotated[str | None, Query(max_length=64, description="Only lots of this product")] = None,
     before: Annotated[Time | None, Query(description="Opened before, RFC 3339")] = None,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Lots of a page, at most")] = 100,
 ) -> LotsPage:
     """Return lots, newest first."""
     found = await context.store.read(lots, state, product, before, limit + 1)
@@ -248,7 +262,7 @@ async def report(
     asked: HttpRequest,
     lot: LotName,
     measuring: Measuring,
-    language: Language = Language.ENGLISH,
+    language: ReportLanguage = Language.ENGLISH,
 ) -> Response:
     """Return the report of a lot in the format that `Accept` prefers: HTML, PDF, CSV or XLSX."""
     offers = [each.media_type.partition(";")[0] for each in ReportFormat]
@@ -269,9 +283,9 @@ async def report(
 async def report_file(
     context: Context,
     lot: LotName,
-    report_format: ReportFormat,
+    report_format: Annotated[ReportFormat, Path(description="Format of the file")],
     measuring: Measuring,
-    language: Language = Language.ENGLISH,
+    language: ReportLanguage = Language.ENGLISH,
 ) -> Response:
     """Return the report of a lot as a file of this format."""
     return await _report(context, lot, report_format, language, measuring)
@@ -288,7 +302,7 @@ async def particles_behind_step(
     lot: LotName,
     sieve: Annotated[float, Query(gt=0, le=1000, description="Aperture of the upper sieve, mm")],
     measuring: Measuring,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Stones of the answer, at most")] = 100,
 ) -> dict[str, Any]:
     """Return the stones behind a step of the curve: that pass this sieve and not the next smaller one of the set."""
     record = existing(await context.store.read(find_lot, lot), "lot", lot)

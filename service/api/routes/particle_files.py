@@ -5,9 +5,9 @@ They never change but by being removed: content negotiation and caching go as fa
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
 from service.api.context import ApiContext, Context
@@ -66,7 +66,10 @@ async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> 
     responses={**MESH, **problem_responses(404, 410)},
 )
 async def mesh_file(
-    context: Context, request: Request, particle_id: ParticleKey, mesh_format: MeshFormat
+    context: Context,
+    request: Request,
+    particle_id: ParticleKey,
+    mesh_format: Annotated[MeshFormat, Path(description="Format of the file")],
 ) -> Response:
     """Return the mesh in the format of the suffix: PLY or STL in mm with z up, or GLB in metres with y up."""
     return await _mesh_response(context, request, particle_id, mesh_format)

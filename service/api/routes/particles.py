@@ -26,16 +26,20 @@ Time = Annotated[str, AfterValidator(rfc3339), Query(json_schema_extra={"format"
 class ParticlesPage(BaseModel):
     """Results that pass the filters, newest first."""
 
-    items: list[Result]
+    items: list[Result] = Field(description="Newest first")
     next_cursor: str | None = Field(description="Pass as `cursor` for the next page; null on the last")
 
 
 @router.get("", response_model=ParticlesPage, responses=problem_responses())
 async def particles(
     context: Context,
-    outcome: Literal["measured", "rejected", "lost"] | None = None,
-    quality: Literal["good", "reduced", "degraded"] | None = None,
-    kind: Literal["particle", "ball"] | None = None,
+    outcome: Annotated[
+        Literal["measured", "rejected", "lost"] | None, Query(description="Only with this outcome")
+    ] = None,
+    quality: Annotated[
+        Literal["good", "reduced", "degraded"] | None, Query(description="Only of this quality")
+    ] = None,
+    kind: Annotated[Literal["particle", "ball"] | None, Query(description="Only of this kind")] = None,
     min_sieve_size_mm: SizeMm = None,
     max_sieve_size_mm: SizeMm = None,
     since: Annotated[Time | None, Query(description="Captured at or after, RFC 3339")] = None,

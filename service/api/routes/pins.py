@@ -20,7 +20,9 @@ class Pin(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    is_pinned: bool = Field(strict=True)
+    is_pinned: bool = Field(
+        description="True: keep result and files whatever their age; false: no longer", strict=True
+    )
     reason: str = Field(default="", max_length=300, description="For people: why it must be kept")
 
 

@@ -26,7 +26,7 @@ from service.results.fields import TIME
 
 router = APIRouter(prefix="/products", tags=["lots"])
 
-ProductName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+ProductName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the product")]
 Percent = Annotated[float, Field(ge=0, le=100)]
 PercentRange = Annotated[
     list[Percent], Field(min_length=2, max_length=2, description="Least and greatest percent, both allowed")
@@ -40,7 +40,7 @@ class OwnSpecification(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    name: Text
+    name: Text = Field(description="Name of the specification, printed on reports")
     passing: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], PercentRange] = Field(
         description="Percent passing by mass, by aperture in mm"
     )
@@ -53,7 +53,7 @@ class ProductRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    title: Text
+    title: Text = Field(description="Name of the product for people, such as `8/16 basalt`")
     density_kg_m3: float = Field(gt=0, le=20_000, description="Of the particles, EN 1097-6, kg/m³")
     lower_mm: ApertureMm | None = Field(default=None, description="d of a product d/D, mm")
     upper_mm: ApertureMm | None = Field(default=None, description="D of it, mm")
@@ -73,30 +73,32 @@ class ProductVersion(ProductRequest):
 
     model_config = ConfigDict(extra="allow")
 
-    product: str
-    version: int
-    created_at: str = Field(json_schema_extra=TIME)
+    product: str = Field(description="Id of the product, ISA-95 material definition")
+    version: int = Field(description="Number of this version, from 1; each change is another one")
+    created_at: str = Field(description="When this version was made, RFC 3339 UTC", json_schema_extra=TIME)
 
 
 class ProductsDocument(BaseModel):
     """The newest version of all products, by name."""
 
-    items: list[ProductVersion]
+    items: list[ProductVersion] = Field(description="Newest versions, by name")
 
 
 class SieveSetDocument(BaseModel):
     """A set of sieves."""
 
-    name: str
-    source: str
-    apertures_mm: list[float]
+    name: str = Field(description="Name to be used as `sieve_set`")
+    source: str = Field(description="Standard that it is from")
+    apertures_mm: list[float] = Field(description="Apertures, mm, rising")
 
 
 class Standards(BaseModel):
     """What can be named in a product."""
 
-    sieve_sets: list[SieveSetDocument]
-    specifications: list[str]
+    sieve_sets: list[SieveSetDocument] = Field(description="Sets of sieves")
+    specifications: list[str] = Field(
+        description="Names to be used as `specification`, `flakiness_category` or `shape_category`"
+    )
 
 
 @router.get(

@@ -20,15 +20,17 @@ from service.results.fields import TIME
 router = APIRouter(prefix="/recordings", tags=["recordings"])
 
 NAME = r"^[A-Za-z0-9_-]{1,64}$"
-RecordingName = Annotated[str, Path(pattern=NAME)]
+RecordingName = Annotated[str, Path(pattern=NAME, description="Name of the recording")]
 STATUS_OF_REFUSAL = {Refusal.EXISTS: 409, Refusal.RUNNING: 409, Refusal.NO_ROOM: 507}
 
 
 class Recording(BaseModel):
     """State of a recording. A `complete` one can be replayed and measured, a `failed` one left no usable files."""
 
-    name: str
-    state: RecordingState
+    name: str = Field(description="Name of its folder, and in the addresses")
+    state: RecordingState = Field(
+        description="`recording`: under way; `complete`: usable; `failed`: no usable files"
+    )
     created_at: str = Field(description="RFC 3339 UTC", json_schema_extra=TIME)
     bundles: int = Field(description="Bundles written so far, exposures of the empty rig included")
     bytes: int = Field(description="Size of the bundles on disk")
@@ -43,7 +45,7 @@ class Recording(BaseModel):
 class Recordings(BaseModel):
     """All recordings, by name."""
 
-    items: list[Recording]
+    items: list[Recording] = Field(description="By name")
 
 
 class RecordingRequest(BaseModel):

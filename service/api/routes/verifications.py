@@ -28,14 +28,18 @@ class VerificationRequest(BaseModel):
 
     diameter_mm: DiameterMm = Field(default=15.0, description="Diameter of the ball, mm")
     count: int = Field(default=5, ge=2, le=100, strict=True, description="Number of drops to measure")
-    note: Annotated[str, Field(max_length=2000)] | None = None
-    by: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    note: Annotated[str, Field(max_length=2000)] | None = Field(
+        default=None, description="Whatever is to be kept with it"
+    )
+    by: Annotated[str, Field(min_length=1, max_length=200)] | None = Field(
+        default=None, description="Who verifies"
+    )
 
 
 class VerifiedBallDocument(BaseModel):
     """One ball of a verification."""
 
-    bundle: str
+    bundle: str = Field(description="Name of the bundle of images")
     equivalent_diameter_mm: float | None = Field(
         description="Diameter of the sphere of equal volume, mm; null when rejected, or far from the stated one"
     )
@@ -60,36 +64,38 @@ class VerificationSummary(BaseModel):
 class VerificationDocument(BaseModel):
     """A verification: its balls, and its verdict once they are complete."""
 
-    id: str
-    state: VerificationState
+    id: str = Field(description="Name of the verification in the addresses")
+    state: VerificationState = Field(description="How far it is, or its verdict")
     diameter_mm: float = Field(description="Diameter of the ball as requested, mm")
     count: int = Field(
         description="Number of drops to measure; rejected ones and those of another size do not count"
     )
     calibration_id: str = Field(description="`calibration_id` of the calibration that is verified")
-    created_at: str = Field(json_schema_extra=TIME)
+    created_at: str = Field(description="When it was begun, RFC 3339 UTC", json_schema_extra=TIME)
     changed_at: str = Field(description="The latest ball, or the end", json_schema_extra=TIME)
-    by: str | None
-    note: str | None
+    by: str | None = Field(description="Who verifies; null: unknown")
+    note: str | None = Field(description="As it was given")
     summary: VerificationSummary | None = Field(description="Null before the first ball")
-    balls: list[VerifiedBallDocument]
+    balls: list[VerifiedBallDocument] = Field(description="In the order in which they fell")
     problems: list[str] = Field(description="Why it failed or was cancelled, with the remedy")
 
 
-class VoidRequest(BaseModel):
+class VoidVerificationRequest(BaseModel):
     """Why a verdict counts no more."""
 
     model_config = ConfigDict(extra="forbid")
 
-    reason: Annotated[str, Field(min_length=1, max_length=2000)]
+    reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
+        description="Why the verdict counts no more; kept with the verification"
+    )
 
 
 class ChartPoint(BaseModel):
     """One verification of the chart."""
 
-    verification: str
-    at: str = Field(json_schema_extra=TIME)
-    state: VerificationState
+    verification: str = Field(description="`id` of the verification")
+    at: str = Field(description="When it ended, RFC 3339 UTC", json_schema_extra=TIME)
+    state: VerificationState = Field(description="Its verdict")
     error_mm: float = Field(description="Mean of the equivalent diameters minus the true one")
     is_beyond_limits: bool = Field(description="Further than three standard deviations from the centre")
     is_shifted: bool = Field(description="The ninth in a row on one side of the centre, or one after it")
@@ -98,17 +104,19 @@ class ChartPoint(BaseModel):
 class ChartDocument(BaseModel):
     """Control chart of the verifications with one ball, ISO 7870-2: void ones are left out."""
 
-    diameter_mm: float
-    centre_mm: float
+    diameter_mm: float = Field(description="True diameter of the ball, mm")
+    centre_mm: float = Field(description="Centre line: mean error, mm")
     lower_mm: float | None = Field(description="Null with fewer than 8 verifications")
-    upper_mm: float | None
+    upper_mm: float | None = Field(
+        description="Upper limit, three standard deviations above the centre, mm; null with fewer than 8"
+    )
     points: list[ChartPoint] = Field(description="Oldest first")
 
 
 class Verifications(BaseModel):
     """All verifications, newest first."""
 
-    items: list[VerificationDocument]
+    items: list[VerificationDocument] = Field(description="Newest first")
 
 
 @router.get(
@@ -217,7 +225,7 @@ async def cancel_verification(
     responses=problem_responses(404),
 )
 async def void_verification(
-    context: Context, verification: VerificationName, wanted: VoidRequest, asking: Who
+    context: Context, verification: VerificationName, wanted: VoidVerificationRequest, asking: Who
 ) -> dict[str, Any]:
     """Declare a verdict void: it counts no more, for health and results the one before does."""
     known = context.control.calibrations.verifications

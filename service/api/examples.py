@@ -1,0 +1,71 @@
+"""Examples of the main requests and answers, for the OpenAPI document; a test validates each by its model."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from service.api.problems import ProblemDocument
+from service.api.routes.consumers import Cursor
+from service.api.routes.laboratory import SievingRequest
+from service.api.routes.lots import AssignRequest, CloseRequest, LotRequest, VoidRequest
+from service.api.routes.pins import Pin
+from service.api.routes.products import ProductRequest
+from service.api.routes.recordings import RecordingRequest
+from service.api.routes.results import ResultsPage
+from service.api.routes.verifications import VerificationRequest
+from service.lots.figures import LotDocument
+
+INSTANCE_ID = "141fc8a1-0136-4f71-9b89-bda3f11805d3"
+
+EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
+    ProductRequest: {
+        "title": "8/16 basalt",
+        "density_kg_m3": 2850,
+        "lower_mm": 8,
+        "upper_mm": 16,
+        "specification": "GC85-20",
+        "flakiness_category": "FI20",
+    },
+    LotRequest: {"lot": "L-1207", "product": "basalt-8-16", "equipment": "crusher-2", "sampler": "A. Miller"},
+    CloseRequest: {"tonnage_t": 24.5},
+    VoidRequest: {"reason": "wrong belt"},
+    AssignRequest: {"since": "2026-03-01T06:00:00Z", "until": "2026-03-01T06:40:00Z"},
+    LotDocument: {
+        "lot": "L-1207",
+        "state": "open",
+        "product": "basalt-8-16",
+        "product_version": 1,
+        "equipment": "crusher-2",
+        "sublot": None,
+        "sample_id": None,
+        "sampler": "A. Miller",
+        "tonnage_t": None,
+        "remark": None,
+        "opened_at": "2026-03-01T06:00:00.000Z",
+        "closed_at": None,
+        "void_reason": None,
+        "n_stones": 312,
+    },
+    SievingRequest: {"retained_g": {"16": 12.5, "12.5": 410.0, "8": 530.5}, "pan_g": 21.0, "by": "B. Smith"},
+    Cursor: {"after": 1234},
+    Pin: {"is_pinned": True, "reason": "sent to the laboratory"},
+    RecordingRequest: {"name": "belt-2-morning", "count": 100, "pre_trigger": 2},
+    VerificationRequest: {"diameter_mm": 15.0, "count": 5, "by": "A. Miller"},
+    ResultsPage: {
+        "instance_id": INSTANCE_ID,
+        "first_seq": 1,
+        "last_seq": 2,
+        "next_after": 2,
+        "items": [],
+    },
+    ProblemDocument: {
+        "type": "urn:stonefall:problem:cursor-ahead",
+        "title": "The cursor is ahead of the history",
+        "status": 409,
+        "detail": "the newest result is 2, not 99",
+        "instance": "/api/v1/results",
+        "first_seq": 1,
+        "last_seq": 2,
+    },
+}
