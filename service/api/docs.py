@@ -30,7 +30,7 @@ def docs_page(document: dict[str, Any]) -> str:
             by_tag.setdefault(operation["tags"][0], []).append(_operation(path, method.upper(), operation))
     described = {tag["name"]: tag["description"] for tag in document["tags"]}
     sections = "".join(
-        f"<h2>{escape(tag)}</h2><p>{_prose(described.get(tag, ''))}</p>{''.join(parts)}"
+        f"<h2>{escape(tag)}</h2><p>{_prose(described.get(tag) or '')}</p>{''.join(parts)}"
         for tag, parts in by_tag.items()
     )
     schemas = "".join(_schema(name, schema) for name, schema in document["components"]["schemas"].items())

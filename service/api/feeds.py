@@ -1,14 +1,13 @@
 """What clients follow by a number without gaps: the pages of a feed, the wait for more, and the place of a cursor."""
 
 import asyncio
-import sqlite3
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from service.api.context import ApiContext
-from service.api.pages import FeedPage, event_page, event_stream, result_stream
+from service.api.pages import FeedPage, Names, event_page, event_stream, feed_page, result_stream
 from service.api.problems import Problem
 from service.store import Store, read
 
@@ -19,7 +18,8 @@ MAX_SMALL = 20
 KEEP_S = 1.0
 """Time for which a small page is the answer to all who ask for it."""
 
-PageQuery = Callable[[sqlite3.Connection, str, int, int], FeedPage]
+PageQuery = Callable[..., FeedPage]
+"""Takes a connection, the id of the history, `after`, `limit`, and what the feed adds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +31,7 @@ class Feed:
     is_large: bool  # a page of many items takes long
     last: Callable[[Store], int]
     wait_beyond: Callable[[Store, int], Awaitable[None]]
+    more: tuple[Names, ...] = ()  # of the query: the fields that were chosen
 
 
 def _last_event(store: Store) -> int:
@@ -53,9 +54,15 @@ EVENTS = Feed(kind="event", query=event_page, is_large=False, last=_last_event, 
 EVENT_STREAM = Feed(
     kind="event", query=event_stream, is_large=False, last=_last_event, wait_beyond=_beyond_event
 )
+RESULTS = Feed(kind="result", query=feed_page, is_large=True, last=_last_seq, wait_beyond=_beyond_result)
 RESULT_STREAM = Feed(
     kind="result", query=result_stream, is_large=True, last=_last_seq, wait_beyond=_beyond_result
 )
+
+
+def choosing(feed: Feed, names: Names) -> Feed:
+    """Return a feed of results with these fields of each, or all."""
+    return replace(feed, more=(names,))
 
 
 async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:
@@ -74,14 +81,15 @@ async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wa
 async def page_now(context: ApiContext, feed: Feed, after: int, limit: int) -> FeedPage:
     """Return the page after `after`, the same to all who ask for it at this moment."""
     store, last = context.store, feed.last(context.store)
+    wanted = (after, limit, *feed.more)
 
     async def make() -> FeedPage:
         if is_big:
-            return await context.reading.run(read, store.path, feed.query, store.instance_id, after, limit)
-        return await store.read(feed.query, store.instance_id, after, limit)
+            return await context.reading.run(read, store.path, feed.query, store.instance_id, *wanted)
+        return await store.read(feed.query, store.instance_id, *wanted)
 
     is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
-    return await context.shared.get((feed.query, after, limit, last), make, keep_s=0 if is_big else KEEP_S)
+    return await context.shared.get((feed.query, *wanted, last), make, keep_s=0 if is_big else KEEP_S)
 
 
 def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:

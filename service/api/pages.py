@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +10,13 @@ from pydantic import BaseModel
 
 from service.lots.evaluation import lot_figures, window_figures
 from service.lots.yardsticks import Request
-from service.results.fields import completed
-from service.store import ParticleFilter, Record
-from service.store.events import events_after
-from service.store.reads import particles, results_after
+from service.results.selection import served
+from service.store import ParticleFilter
+from service.store.events import EventsPage, events_after
+from service.store.reads import ResultPage, particles, results_after
+
+Names = tuple[str, ...] | None
+"""Fields of a result that are wanted; None: all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,47 +29,33 @@ class FeedPage:
     content: bytes
 
 
-def feed_page(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
-    """Return the page of up to `limit` results after `after`."""
+def feed_page(
+    connection: sqlite3.Connection, instance_id: str, after: int, limit: int, names: Names = None
+) -> FeedPage:
+    """Return the page of up to `limit` results after `after`, each with these fields or all."""
     page = results_after(connection, after, limit)
-    next_after = page.items[-1]["seq"] if page.items else after
-    head = {
-        "instance_id": instance_id,
-        "first_seq": page.first_seq,
-        "last_seq": page.last_seq,
-        "next_after": next_after,
-    }
-    return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, page.items))
+    return _feed_page(page, after, instance_id, (served(record, names) for record in page.items))
 
 
-def result_stream(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
+def result_stream(
+    connection: sqlite3.Connection, instance_id: str, after: int, limit: int, names: Names = None
+) -> FeedPage:
     """Return the same results as server-sent events."""
     page = results_after(connection, after, limit)
-    items = [completed(record) for record in page.items]
-    content = b"".join(server_sent("result", item, item["seq"]) for item in items)
-    return FeedPage(page.first_seq, page.last_seq, items[-1]["seq"] if items else after, content)
+    items = (served(record, names) for record in page.items)
+    return _sent(page, after, (server_sent("result", item, item["seq"]) for item in items))
 
 
 def event_page(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
     """Return the page of up to `limit` events after `after`."""
     page = events_after(connection, after, limit)
-    next_after = page.items[-1]["seq"] if page.items else after
-    head = {
-        "instance_id": instance_id,
-        "first_seq": page.first_seq,
-        "last_seq": page.last_seq,
-        "next_after": next_after,
-    }
-    items = ",".join(_json(item) for item in page.items)
-    content = f'{_json(head)[:-1]},"items":[{items}]}}'.encode()
-    return FeedPage(page.first_seq, page.last_seq, next_after, content)
+    return _feed_page(page, after, instance_id, page.items)
 
 
 def event_stream(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
     """Return the same events as server-sent events."""
     page = events_after(connection, after, limit)
-    content = b"".join(server_sent(item["type"], item, item["seq"]) for item in page.items)
-    return FeedPage(page.first_seq, page.last_seq, page.items[-1]["seq"] if page.items else after, content)
+    return _sent(page, after, (server_sent(item["type"], item, item["seq"]) for item in page.items))
 
 
 def server_sent(event: str, data: Any, number: int | None = None) -> bytes:
@@ -76,12 +65,13 @@ def server_sent(event: str, data: Any, number: int | None = None) -> bytes:
 
 
 def particles_page(
-    connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int, limit: int
+    connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int, limit: int, names: Names = None
 ) -> bytes:
     """Return the page of the newest `limit` results that fit and are older than `before_seq`."""
     records = particles(connection, wanted, before_seq, limit + 1)
     items = records[:limit]
-    return _page_json({"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}, items)
+    head = {"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}
+    return _page_json(head, (served(record, names) for record in items))
 
 
 def lot_figures_json(connection: sqlite3.Connection, lot: str, request: Request) -> bytes | None:
@@ -100,10 +90,30 @@ def _model_json(model: BaseModel | None) -> bytes | None:
     return None if model is None else model.model_dump_json().encode()
 
 
-def _page_json(head: Mapping[str, Any], items: Sequence[Record]) -> bytes:
+def _feed_page(
+    page: ResultPage | EventsPage, after: int, instance_id: str, items: Iterable[Mapping[str, Any]]
+) -> FeedPage:
+    next_after = _last_of(page, after)
+    head = {
+        "instance_id": instance_id,
+        "first_seq": page.first_seq,
+        "last_seq": page.last_seq,
+        "next_after": next_after,
+    }
+    return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, items))
+
+
+def _sent(page: ResultPage | EventsPage, after: int, items: Iterable[bytes]) -> FeedPage:
+    return FeedPage(page.first_seq, page.last_seq, _last_of(page, after), b"".join(items))
+
+
+def _last_of(page: ResultPage | EventsPage, after: int) -> int:
+    return int(page.items[-1]["seq"]) if page.items else after
+
+
+def _page_json(head: Mapping[str, Any], items: Iterable[Mapping[str, Any]]) -> bytes:
     members = [f"{_json(name)}:{_json(value)}" for name, value in head.items()]
-    records = [_json(completed(record)) for record in items]
-    members.append(f'"items":[{",".join(records)}]')
+    members.append(f'"items":[{",".join(map(_json, items))}]')
     return f"{{{','.join(members)}}}".encode()
 
 

@@ -26,6 +26,16 @@ def always_present(schema: dict[str, Any]) -> None:
         property_.pop("default", None)
 
 
+ALWAYS = ("seq", "id", "kind", "outcome", "is_simulated", "is_replay")
+"""Fields that are in every answer, whichever are chosen: what is not production must never be billed as such."""
+
+
+def chosen_present(schema: dict[str, Any]) -> None:
+    """Mark as required what is in every choice of fields; without `fields` all are there, defaults included."""
+    always_present(schema)
+    schema["required"] = list(ALWAYS)
+
+
 class Outcome(StrEnum):
     """What became of a trigger; a word of the REST contract."""
 
@@ -112,9 +122,12 @@ class Verified(StrEnum):
 
 
 class Result(BaseModel):
-    """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`."""
+    """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`.
 
-    model_config = ConfigDict(extra="allow", json_schema_extra=always_present)
+    All fields are there, unless the request chose some with `fields`.
+    """
+
+    model_config = ConfigDict(extra="allow", json_schema_extra=chosen_present)
 
     seq: int = Field(description="Place in the feed: strictly increasing, without gaps, never reused")
     id: str = Field(description="Unique across stores; the key for removing duplicates")

@@ -76,6 +76,16 @@ def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> Resul
     return ResultPage(first_seq=first_seq, last_seq=last_seq, items=[_record(*row) for row in rows])
 
 
+def seq_before(connection: sqlite3.Connection, recorded_at: str) -> int:
+    """Return the number before the first result that became durable at or after a time; the last one without any."""
+    row = connection.execute(
+        "SELECT coalesce((SELECT min(seq) - 1 FROM results WHERE json_extract(record, '$.recorded_at') >= ?), last_seq)"
+        " FROM store",
+        (recorded_at,),
+    ).fetchone()
+    return int(row[0])
+
+
 def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
     """Return the result with this id (text) or this seq (number), None if there is none."""
     column = "seq" if isinstance(key, int) else "id"

@@ -91,11 +91,11 @@ async def test_while_the_first_is_carried_out_the_next_is_told_to_come_again(
 ) -> None:
     begun, release = asyncio.Event(), asyncio.Event()
 
-    async def stop(name: str) -> None:
+    async def find(name: str) -> None:
         begun.set()
         await release.wait()
 
-    monkeypatch.setattr(control.recordings, "stop", stop)
+    monkeypatch.setattr(control.recordings, "find", find)
     monkeypatch.setattr(idempotency, "WAIT_S", 0.05)
     first = asyncio.create_task(client.post("/recordings/a/stop", headers=keyed()))
     await begun.wait()
@@ -117,7 +117,7 @@ async def test_what_depends_on_more_than_the_request_is_tried_again(
         raise ZeroDivisionError
 
     with monkeypatch.context() as patched:
-        patched.setattr(control.recordings, "stop", fail)
+        patched.setattr(control.recordings, "find", fail)
         failed = await client.post("/recordings/a/stop", headers=keyed())
     assert_problem(failed, 500, "internal-error")
     tried = await client.post("/recordings/a/stop", headers=keyed())

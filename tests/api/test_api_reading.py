@@ -23,12 +23,12 @@ from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.api import pace, reader_process
 from service.api.app import create_app
+from service.api.feeds import MAX_SMALL
 from service.api.key_ring import KeyRing
 from service.api.pace import BURST, RATE_HZ, Pace
 from service.api.pages import feed_page
 from service.api.reader_process import BusyError, ReaderProcess
 from service.api.renditions import NotKeptError, preview_png
-from service.api.routes.results import MAX_SMALL
 from service.api.settings import ApiSettings
 from service.errors import StoreError
 from service.store import Store, read

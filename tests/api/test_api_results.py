@@ -2,13 +2,17 @@
 
 import asyncio
 import sqlite3
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
-from support.rest import add, measured, rejected
+from support.rest import add, assert_problem, measured, rejected
 
 from service.api.routes.results import ResultsPage
+from service.results.fields import ALWAYS, MEASURED_FIELDS, Result
+from service.results.selection import LEAN
 from service.store import Store
 
 
@@ -115,3 +119,63 @@ async def test_limits(client: httpx.AsyncClient, query: str) -> None:
     answer = await client.get(f"/results?{query}")
     assert (answer.status_code, answer.json()["type"]) == (422, "urn:stonefall:problem:invalid-request")
     assert answer.json()["errors"][0]["field"] == f"query.{query.split('=')[0]}"
+
+
+async def test_a_lean_feed_has_less_than_a_kilobyte_a_result(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    numbers = {
+        name: 10000 / 7 for name in MEASURED_FIELDS if name.endswith(("_mm", "_mm3", "_g", "_percent"))
+    }
+    await add(store, session, 1, measured(**numbers, quality="degraded", calibration_id="0123456789abcdef"))
+    answer = await client.get("/results", params={"fields": "lean"})
+    (item,) = answer.json()["items"]
+    assert list(item) == [name for name in Result.model_fields if name in LEAN]
+    assert (item["mass_g"], item["is_simulated"], item["is_replay"]) == (10000 / 7, True, True)
+    assert len(answer.content) < 1000
+
+
+async def test_fields_are_chosen_and_unknown_ones_named(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await add(store, session, 1, measured(mass_g=2.5))
+    for path in ("/results", "/particles"):
+        (whole,) = (await client.get(path)).json()["items"]
+        (item,) = (await client.get(path, params={"fields": "mass_g, lot"})).json()["items"]
+        assert item == {name: whole[name] for name in (*ALWAYS, "mass_g", "lot")}
+        (item,) = (await client.get(path, params={"fields": "lean,optics"})).json()["items"]
+        assert set(item) == LEAN | {"optics"}
+        assert set(whole) >= set(Result.model_fields)
+        refused = await client.get(path, params={"fields": "mass_g,weight,colour"})
+        assert_problem(refused, 422, "invalid-request")
+        (error,) = refused.json()["errors"]
+        assert (error["field"], error["message"][:36]) == (
+            "query.fields",
+            "no result has 'colour', 'weight'; th",
+        )
+
+
+async def test_a_time_finds_the_cursor(client: httpx.AsyncClient, store: Store, session: int) -> None:
+    for i in range(4):
+        await add(store, session, i, measured())
+    with closing(sqlite3.connect(store.path)) as database:
+        for seq, minute in ((1, 0), (2, 10), (3, 5), (4, 20)):  # the clock was set back after the second
+            time = f"2026-03-01T06:{minute:02}:00.000Z"
+            database.execute(
+                "UPDATE results SET record = json_set(record, '$.recorded_at', ?) WHERE seq = ?", (time, seq)
+            )
+        database.commit()
+
+    async def since(time: str, **more: Any) -> tuple[list[int], int]:
+        page = (await client.get("/results", params={"since": time, **more})).json()
+        return [item["seq"] for item in page["items"]], page["next_after"]
+
+    assert await since("2026-03-01T00:00:00Z", limit=2) == ([1, 2], 2)
+    assert await since("2026-03-01T06:10:00.000Z") == ([2, 3, 4], 4)
+    assert await since("2026-03-01T07:10:00+01:00") == ([2, 3, 4], 4)
+    assert await since("2026-03-01T06:10:00.001Z") == ([4], 4)
+    assert await since("2026-03-02T00:00:00Z") == ([], 4)
+    for wrong in ("after=1&since=2026-03-01T00:00:00Z", "since=yesterday", "since=2026-03-01T00:00:00"):
+        refused = await client.get(f"/results?{wrong}")
+        assert_problem(refused, 422, "invalid-request")
+        assert refused.json()["errors"][0]["field"] == "query.since"

@@ -13,8 +13,8 @@ from service.api.lot_reports import ReportRequest, lot_report
 from service.api.pages import lot_figures_json
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.particle_files import best_match
-from service.api.routes.particles import Time
 from service.api.routes.products import Text
+from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.calibration.verifications import Verification, VerificationState

@@ -4,13 +4,13 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query
 from fastapi.responses import JSONResponse, Response
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import BaseModel, Field
 
-from pipeline.frames import rfc3339
 from service.api.context import ApiContext, Context
 from service.api.feeds import MAX_SEQ, MAX_SMALL
 from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
+from service.api.routes.results import ChosenFields, Time
 from service.results.fields import Result, completed
 from service.store import ParticleFilter, Record, read
 
@@ -20,7 +20,6 @@ ParticleKey = Annotated[
     str, Path(pattern=r"^([0-9a-f]{8}-)?[0-9]{1,15}$", description="`id` of a result, or its `seq`")
 ]
 SizeMm = Annotated[float | None, Query(ge=0, allow_inf_nan=False, description="Sieve size, mm; inclusive")]
-Time = Annotated[str, AfterValidator(rfc3339), Query(json_schema_extra={"format": "date-time"})]
 
 
 class ParticlesPage(BaseModel):
@@ -33,6 +32,7 @@ class ParticlesPage(BaseModel):
 @router.get("", response_model=ParticlesPage, responses=problem_responses())
 async def particles(
     context: Context,
+    names: ChosenFields,
     outcome: Annotated[
         Literal["measured", "rejected", "lost"] | None, Query(description="Only with this outcome")
     ] = None,
@@ -64,9 +64,9 @@ async def particles(
     before_seq = MAX_SEQ if cursor is None else int(cursor)
     if limit > MAX_SMALL:
         path = context.store.path
-        page = await context.reading.run(read, path, particles_page, wanted, before_seq, limit)
+        page = await context.reading.run(read, path, particles_page, wanted, before_seq, limit, names)
     else:
-        page = await context.store.read(particles_page, wanted, before_seq, limit)
+        page = await context.store.read(particles_page, wanted, before_seq, limit, names)
     return Response(page, media_type="application/json")
 
 

@@ -1,21 +1,23 @@
 """The feed: every outcome in order, for a client that keeps its own position."""
 
-import asyncio
-from contextlib import suppress
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from fastapi.responses import Response
-from pydantic import BaseModel, Field
+from pydantic import AfterValidator, BaseModel, Field
 
-from service.api.context import ApiContext, Context
-from service.api.feeds import KEEP_S, MAX_SEQ, MAX_SMALL, cursor_problem
-from service.api.pages import FeedPage, feed_page
-from service.api.problems import problem_responses
-from service.results.fields import Result
-from service.store import read
+from pipeline.frames import rfc3339
+from service.api.context import Context
+from service.api.feeds import MAX_SEQ, RESULTS, choosing, cursor_problem, page_after
+from service.api.pages import Names
+from service.api.problems import Problem, problem_responses
+from service.results.fields import TIME, Result
+from service.results.selection import UnknownFieldsError, chosen_fields
+from service.store.reads import seq_before
 
 router = APIRouter(prefix="/results", tags=["results"])
+
+Time = Annotated[str, AfterValidator(rfc3339), Query(json_schema_extra=TIME)]
 
 
 class ResultsPage(BaseModel):
@@ -28,9 +30,32 @@ class ResultsPage(BaseModel):
     items: list[Result] = Field(description="In the order of `seq`; empty when there is nothing new")
 
 
-@router.get("", response_model=ResultsPage, responses=problem_responses(409, 410))
+async def fields_of(
+    fields: Annotated[
+        str | None,
+        Query(
+            max_length=2000,
+            description="Only these fields of each result, separated by commas; `lean`: those that a MES needs, under"
+            " 1 kB. `seq`, `id`, `kind`, `outcome`, `is_simulated` and `is_replay` are always there",
+            examples=["lean", "sieve_size_mm,mass_g"],
+        ),
+    ] = None,
+) -> Names:
+    """Return the fields of a result that a request asks for."""
+    try:
+        return None if fields is None else chosen_fields(fields)
+    except UnknownFieldsError as err:
+        errors = [{"field": "query.fields", "message": str(err)}]
+        raise Problem(422, "invalid-request", f"query.fields: {err}", errors=errors) from err
+
+
+ChosenFields = Annotated[Names, Depends(fields_of)]
+
+
+@router.get("", response_model=ResultsPage, responses=problem_responses(409, 410, 422))
 async def results(
     context: Context,
+    names: ChosenFields,
     after: Annotated[
         int, Query(ge=0, le=MAX_SEQ, description="`seq` of the last result you have; 0: from the beginning")
     ] = 0,
@@ -38,41 +63,26 @@ async def results(
     wait_s: Annotated[
         float, Query(ge=0, le=30, description="Longest wait for a result when there is none yet, s")
     ] = 0,
+    since: Annotated[
+        Time | None,
+        Query(
+            description="Begin with the first result that became durable (`recorded_at`) at or after this time,"
+            " RFC 3339, instead of `after`: to find a cursor. Then go on with `next_after`"
+        ),
+    ] = None,
 ) -> Response:
     """Return the results after `after`, in order, without gaps, each at least once.
 
     410 `cursor-expired`: results after `after` are no longer kept, the feed begins at `first_seq`. 409 `cursor-ahead`:
     the feed has not reached `after`, as when the store was replaced or restored from a backup.
     """
-    page = await _page(context, after, limit, wait_s)
-    if (problem := cursor_problem(page, after, "result")) is not None:
+    if since is not None:
+        if after > 0:
+            message = "gives the place that `after` gives: leave out one of them"
+            errors = [{"field": "query.since", "message": message}]
+            raise Problem(422, "invalid-request", f"query.since: {message}", errors=errors)
+        after = await context.store.read(seq_before, since)
+    page = await page_after(context, choosing(RESULTS, names), after, limit, wait_s)
+    if (problem := cursor_problem(page, after, RESULTS.kind)) is not None:
         raise problem
     return Response(page.content, media_type="application/json")
-
-
-async def _page(context: ApiContext, after: int, limit: int, wait_s: float) -> FeedPage:
-    """Return the page after `after`, as soon as there is a result on it or `wait_s` are over."""
-    store = context.store
-    if wait_s == 0 or after != store.last_seq:
-        page = await _page_now(context, after, limit)
-        if wait_s == 0 or after != page.last_seq:
-            return page
-    with suppress(TimeoutError):
-        async with asyncio.timeout(wait_s):
-            await store.wait_beyond(after)
-    await context.waking.turn()
-    return await _page_now(context, after, limit)
-
-
-async def _page_now(context: ApiContext, after: int, limit: int) -> FeedPage:
-    """Return the page after `after`, the same to all who ask for it at this moment."""
-    store = context.store
-
-    async def make() -> FeedPage:
-        if is_big:
-            return await context.reading.run(read, store.path, feed_page, store.instance_id, after, limit)
-        return await store.read(feed_page, store.instance_id, after, limit)
-
-    is_big = min(limit, store.last_seq - after) > MAX_SMALL
-    question = ("results", after, limit, store.last_seq)
-    return await context.shared.get(question, make, keep_s=0 if is_big else KEEP_S)

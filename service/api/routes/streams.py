@@ -6,8 +6,9 @@ from fastapi import APIRouter, Depends, Header, Query, Request
 
 from service.api.auth import Credentials, require
 from service.api.context import Context
-from service.api.feeds import EVENT_STREAM, MAX_SEQ, RESULT_STREAM
+from service.api.feeds import EVENT_STREAM, MAX_SEQ, RESULT_STREAM, choosing
 from service.api.problems import problem_responses
+from service.api.routes.results import ChosenFields
 from service.api.settings import Scope
 from service.api.streams import EventStream, FeedStream, StillAllowed, open_stream
 
@@ -50,14 +51,16 @@ Allow = Annotated[StillAllowed, Depends(still_allowed)]
     response_class=EventStream,
     responses=problem_responses(409, 410, 503),
 )
-async def results_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> FeedStream:
+async def results_stream(
+    request: Request, context: Context, names: ChosenFields, after: Cursor, allow: Allow
+) -> FeedStream:
     """Send every result as it comes: the feed as server-sent events.
 
     First comes `history` (`instance_id`, `first_seq`, `last_seq`), then a `result` each, with `seq` as its `id`; after
     15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
     wrong later is an event `problem`, the last one.
     """
-    return await open_stream(context, RESULT_STREAM, after, request.scope["path"], allow)
+    return await open_stream(context, choosing(RESULT_STREAM, names), after, request.scope["path"], allow)
 
 
 @router.get(
