@@ -17,6 +17,7 @@ from service.api.key_ring import KeyRing
 from service.api.pace import PacedRequests
 from service.api.problems import install_handlers
 from service.api.reader_process import Reading
+from service.api.request_ids import RequestIds
 from service.api.routes import (
     accounting,
     acquisition,
@@ -58,6 +59,7 @@ def create_app(
     app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(PacedRequests)
+    app.add_middleware(RequestIds)  # the outermost: every answer has one
     return app
 
 

@@ -11,7 +11,8 @@ from service.api.problems import ProblemDocument, problem_responses
 DESCRIPTION = """\
 The unit of a quantity ends its name: `_mm`, `_mm2`, `_mm3`, `_g`, `_px`, `_ms`. Positions are in the frame of the rig,
 whose z axis points up. Times are RFC 3339 in UTC. `null` means unknown or not applicable, never zero. Later versions
-add fields: ignore those that you do not know."""
+add fields: ignore those that you do not know. Every answer has an `X-Request-Id`, yours if you send one: the log of the
+service names it."""
 
 SERVERS = [
     {

@@ -88,6 +88,7 @@ EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
         "status": 409,
         "detail": "the newest result is 2, not 99",
         "instance": "/api/v1/results",
+        "request_id": "5f0c2a3e-8f0b-4f6e-9d3b-0a6a2f5d7c11",
         "first_seq": 1,
         "last_seq": 2,
     },

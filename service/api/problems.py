@@ -14,6 +14,7 @@ from starlette.routing import compile_path
 
 from service.alarms.machine import AlarmConflictError
 from service.api.reader_process import BusyError
+from service.api.request_ids import HEADER, request_id_of
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
 from service.lots.lots import LotConflictError
@@ -66,6 +67,11 @@ TITLES = {
 """`title` by the last part of `type`; problems that are not here are named by the phrase of their status."""
 
 
+WAIT = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
+"""Statuses that always say when to come again."""
+RETRY_AFTER_S = 5
+
+
 class FieldError(BaseModel):
     """One wrong field of a request."""
 
@@ -83,6 +89,11 @@ class ProblemDocument(BaseModel):
     status: int = Field(description="HTTP status of this answer")
     detail: str = Field(description="This occurrence in words; not for programs")
     instance: str = Field(description="Path of the request")
+    request_id: str | None = Field(
+        default=None,
+        description="The `X-Request-Id` of the request, or one made for it; the log names it. Absent when a connection"
+        " was refused before its request was read",
+    )
     errors: list[FieldError] = Field(default=[], description="With `invalid-request`: every wrong field")
 
 
@@ -103,24 +114,29 @@ class Problem(HTTPException):
         self.members = members  # of the problem object, beside those of the standard
 
 
-def problem_document(problem: Problem, instance: str) -> dict[str, Any]:
-    """Return the members of the problem details."""
+def problem_document(problem: Problem, instance: str, request_id: str | None = None) -> dict[str, Any]:
+    """Return the members of the problem details; without a `request_id` if the request was not read."""
     return {
         "type": f"urn:stonefall:problem:{problem.slug}",
         "title": TITLES.get(problem.slug, HTTPStatus(problem.status_code).phrase),
         "status": problem.status_code,
         "detail": problem.detail,
         "instance": instance,
+        **({} if request_id is None else {"request_id": request_id}),
         **problem.members,
     }
 
 
 def problem_response(request: Request, problem: Problem) -> JSONResponse:
-    """Return the problem as `application/problem+json`."""
+    """Return the problem as `application/problem+json`; who must wait is told for how long."""
+    request_id = request_id_of(request)
+    headers = {HEADER: request_id, **(problem.headers or {})}
+    if problem.status_code in WAIT:
+        headers.setdefault("Retry-After", str(RETRY_AFTER_S))
     return JSONResponse(
-        problem_document(problem, request.scope["path"]),
+        problem_document(problem, request.scope["path"], request_id),
         status_code=problem.status_code,
-        headers=problem.headers,
+        headers=headers,
         media_type="application/problem+json",
     )
 
@@ -217,7 +233,7 @@ async def _handle_yardstick(request: Request, error: Exception) -> JSONResponse:
 
 async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     # the message names paths of this machine: it is for the journal, not for the client
-    log.error("%s %s failed: %s", request.method, request.scope["path"], error)
+    log.error("%s: %s", _failure(request), error)
     trouble = request.app.state.context.store.trouble
     if trouble is not None and trouble.cause is Cause.DAMAGED:  # asking again does not help
         return problem_response(request, Problem(500, "store-damaged", str(trouble)))
@@ -227,13 +243,17 @@ async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     )
 
 
+def _failure(request: Request) -> str:
+    return f"request {request_id_of(request)}: {request.method} {request.scope['path']} failed"
+
+
 async def _handle_busy(request: Request, error: Exception) -> JSONResponse:
     headers = {"Retry-After": "2"}
     return problem_response(request, Problem(503, "busy", str(error), headers=headers, retry_after_s=2))
 
 
 async def _handle_bug(request: Request, error: Exception) -> JSONResponse:
-    log.error("%s %s failed", request.method, request.scope["path"], exc_info=error)
+    log.error(_failure(request), exc_info=error)
     return problem_response(
         request, Problem(500, "internal-error", "unexpected error: see the journal of the service")
     )

@@ -50,7 +50,7 @@ async def asked(store: Store, control: FakeControl, reading: Any, path: str) -> 
     async with client_of(
         create_app(store, control, ApiSettings(), reading, KeyRing((), store.dir))
     ) as client:
-        return await client.get(path)
+        return await client.get(path, headers={"X-Request-Id": "one"})
 
 
 class CountingThread(ReadingThread):

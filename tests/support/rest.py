@@ -203,5 +203,7 @@ def assert_problem(answer: httpx.Response, status: int, slug: str) -> None:
     assert (answer.status_code, problem["status"]) == (status, status)
     assert problem["type"] == f"urn:stonefall:problem:{slug}"
     assert problem["instance"] == answer.request.url.path
+    assert problem["request_id"] == answer.headers["X-Request-Id"]
+    assert "Retry-After" in answer.headers or status not in (429, 503)
     assert problem["title"]
     assert problem["detail"]
