@@ -43,6 +43,7 @@ TITLES = {
     "not-acceptable": "No acceptable media type",
     "not-kept": "This file was not kept",
     "not-ready": "Not ready to measure stones",
+    "precondition-failed": "It was changed meanwhile",
     "recording-exists": "A recording of this name exists",
     "recording-running": "A recording is running",
     "request-in-progress": "The first request with this key is still being carried out",

@@ -1,6 +1,9 @@
 """Lots of the plant: opened, closed, voided; their stones, and the figures that these make up."""
 
-from dataclasses import asdict
+import re
+import sqlite3
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -9,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
+from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
 from service.api.lot_reports import ReportRequest, lot_report
 from service.api.pages import lot_figures_json
 from service.api.problems import Problem, existing, problem_responses
@@ -44,6 +48,8 @@ router = APIRouter(prefix="/lots", tags=["lots"])
 LotName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the lot")]
 Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Tonnage = Annotated[float | None, Field(ge=0, le=1e6, description="Of the whole lot, t")]
+STONES = re.compile('-[0-9]+(?=")')
+"""The number of stones in the tag of a lot."""
 READABLE = [Depends(require(Scope.READ))]
 OPERABLE = [Depends(require(Scope.OPERATE))]
 
@@ -180,7 +186,7 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
     except UnknownProductError as err:
         raise Problem(404, "unknown-product", f"there is no product {err}") from err
     response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
-    return lot_document(record)
+    return _served(response, record)
 
 
 @router.get("", response_model=LotsPage, dependencies=READABLE, responses=problem_responses())
@@ -197,31 +203,51 @@ async def list_lots(
     return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
 
 
-@router.get("/{lot}", response_model=LotDocument, dependencies=READABLE, responses=problem_responses(404))
-async def get_lot(context: Context, lot: LotName) -> LotDocument:
-    """Return a lot."""
-    return lot_document(existing(await context.store.read(find_lot, lot), "lot", lot))
+@router.get(
+    "/{lot}",
+    response_model=LotDocument,
+    dependencies=READABLE,
+    responses={**NOT_MODIFIED, **problem_responses(404)},
+)
+async def get_lot(context: Context, asked: HttpRequest, response: Response, lot: LotName) -> Any:
+    """Return a lot; its `ETag` is for `If-Match` of a change."""
+    record = existing(await context.store.read(find_lot, lot), "lot", lot)
+    return unchanged(asked, _tag(record)) or _served(response, record)
 
 
 @router.post(
     "/{lot}/close",
     response_model=LotDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
+    responses=problem_responses(404, 409, 412),
 )
-async def post_close(context: Context, lot: LotName, wanted: CloseRequest, asking: Who) -> LotDocument:
+async def post_close(
+    context: Context,
+    lot: LotName,
+    wanted: CloseRequest,
+    asking: Who,
+    response: Response,
+    if_match: IfMatch = None,
+) -> LotDocument:
     """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
     context.store.require_writable()
-    return _served(lot, await context.store.write(close_lot, lot, wanted.tonnage_t, asking))
+    return _served(response, await _changed(context, lot, if_match, close_lot, wanted.tonnage_t, asking))
 
 
 @router.post(
-    "/{lot}/void", response_model=LotDocument, dependencies=OPERABLE, responses=problem_responses(404)
+    "/{lot}/void", response_model=LotDocument, dependencies=OPERABLE, responses=problem_responses(404, 412)
 )
-async def post_void(context: Context, lot: LotName, wanted: VoidRequest, asking: Who) -> LotDocument:
+async def post_void(
+    context: Context,
+    lot: LotName,
+    wanted: VoidRequest,
+    asking: Who,
+    response: Response,
+    if_match: IfMatch = None,
+) -> LotDocument:
     """Declare a lot void: it counts no more, and is kept."""
     context.store.require_writable()
-    return _served(lot, await context.store.write(void_lot, lot, wanted.reason, asking))
+    return _served(response, await _changed(context, lot, if_match, void_lot, wanted.reason, asking))
 
 
 @router.post(
@@ -314,8 +340,37 @@ async def particles_behind_step(
     return {"above_mm": above_mm, "up_to_mm": sieve, "items": [asdict(each) for each in items]}
 
 
-def _served(lot: str, record: LotRecord | None) -> LotDocument:
-    return lot_document(existing(record, "lot", lot))
+def _served(response: Response, record: LotRecord) -> LotDocument:
+    response.headers["ETag"] = _tag(record)
+    return lot_document(record)
+
+
+def _tag(record: LotRecord) -> str:
+    """Return the version of a lot: what the plant says of it, and how many stones it has."""
+    return f'{_tag_of_facts(record)[:-1]}-{record.n_stones}"'
+
+
+def _tag_of_facts(record: LotRecord) -> str:
+    return etag(asdict(replace(record, n_stones=0)))
+
+
+async def _changed(
+    context: ApiContext,
+    lot: str,
+    if_match: str | None,
+    change: Callable[..., LotRecord | None],
+    *given: object,
+) -> LotRecord:
+    """Return the lot after a change; for `If-Match`, stones that fell meanwhile are no change."""
+
+    def version(connection: sqlite3.Connection) -> str | None:
+        record = find_lot(connection, lot)
+        return None if record is None else _tag_of_facts(record)
+
+    facts = None if if_match is None else STONES.sub("", if_match)
+    return existing(
+        await context.store.write(change_if_match, facts, version, change, lot, *given), "lot", lot
+    )
 
 
 async def _report(

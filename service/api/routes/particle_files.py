@@ -11,6 +11,7 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
 from service.api.context import ApiContext, Context
+from service.api.etags import NOT_MODIFIED, Responses, has_version
 from service.api.problems import Problem, problem_responses
 from service.api.renditions import (
     MeshFormat,
@@ -34,8 +35,6 @@ MEDIA_TYPES = {
 }
 CACHE_FOREVER = "private, max-age=31536000, immutable"
 
-Responses = dict[int | str, dict[str, Any]]
-NOT_MODIFIED: Responses = {304: {"description": "Unchanged: the client has this file already"}}
 IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)}
 MESH: Responses = {
     200: {"content": {media_type: {} for media_type in MEDIA_TYPES.values()}},
@@ -168,12 +167,6 @@ def best_match(accept: str | None, offers: Sequence[str]) -> int | None:
     weights = [_weight(offer, ranges) for offer in offers]
     best = max(weights)
     return weights.index(best) if best > 0 else None
-
-
-def has_version(if_none_match: str | None, etag: str) -> bool:
-    """Return whether the `If-None-Match` header names this version."""
-    tags = [tag.strip().removeprefix("W/") for tag in (if_none_match or "").split(",")]
-    return etag in tags or "*" in tags
 
 
 def _media_range(part: str) -> tuple[str, float]:

@@ -2,15 +2,17 @@
 
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 
 from service.api.context import ApiContext, Context
+from service.api.etags import NOT_MODIFIED, etag, unchanged
 from service.api.feeds import MAX_SEQ, MAX_SMALL
 from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
 from service.api.routes.results import ChosenFields, Time
+from service.api.version import API_VERSION
 from service.results.fields import Result, completed
 from service.store import ParticleFilter, Record, read
 
@@ -19,6 +21,8 @@ router = APIRouter(prefix="/particles", tags=["particles"])
 ParticleKey = Annotated[
     str, Path(pattern=r"^([0-9a-f]{8}-)?[0-9]{1,15}$", description="`id` of a result, or its `seq`")
 ]
+CHANGING = ("lot", "files_removed", "is_pinned", "pin_reason")
+"""Fields of a result that change after it became durable."""
 SizeMm = Annotated[float | None, Query(ge=0, allow_inf_nan=False, description="Sieve size, mm; inclusive")]
 
 
@@ -70,10 +74,21 @@ async def particles(
     return Response(page, media_type="application/json")
 
 
-@router.get("/{particle_id}", response_model=Result, responses=problem_responses(404))
-async def particle(context: Context, particle_id: ParticleKey) -> JSONResponse:
-    """Return one result."""
-    return JSONResponse(completed(await find_record(context, particle_id)))
+@router.get("/{particle_id}", response_model=Result, responses={**NOT_MODIFIED, **problem_responses(404)})
+async def particle(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+    """Return one result; its `ETag` changes with its lot, its pin and the removal of its files."""
+    record = await find_record(context, particle_id)
+    return unchanged(request, record_tag(record)) or record_response(record)
+
+
+def record_tag(record: Record) -> str:
+    """Return the version of a result: a record never changes, but for what happens to it later."""
+    return etag(API_VERSION, record["id"], [record[name] for name in CHANGING])
+
+
+def record_response(record: Record) -> JSONResponse:
+    """Return the answer with a result and its version."""
+    return JSONResponse(completed(record), headers={"ETag": record_tag(record)})
 
 
 async def find_record(context: ApiContext, key: str) -> Record:

@@ -1,16 +1,20 @@
 """Pin results: they and their files are kept whatever their age."""
 
+import sqlite3
+
 from fastapi import APIRouter, Depends
-from fastapi.responses import JSONResponse
+from fastapi.responses import Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import Context
+from service.api.etags import IfMatch, change_if_match
 from service.api.problems import problem_responses
-from service.api.routes.particles import ParticleKey, find_record
+from service.api.routes.particles import ParticleKey, find_record, record_response, record_tag
 from service.api.settings import Scope
-from service.results.fields import Result, completed
+from service.results.fields import Result
 from service.store.holds import pin
+from service.store.reads import particle as stored_particle
 
 router = APIRouter(prefix="/particles", tags=["particles"])
 
@@ -30,11 +34,19 @@ class Pin(BaseModel):
     "/{particle_id}/pin",
     response_model=Result,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=problem_responses(404),
+    responses=problem_responses(404, 412),
 )
-async def pin_particle(context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who) -> JSONResponse:
+async def pin_particle(
+    context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who, if_match: IfMatch = None
+) -> Response:
     """Pin a result, or no longer, and return it. What was removed before does not come back."""
-    record = await find_record(context, particle_id)
+    seq = (await find_record(context, particle_id))["seq"]
     context.store.require_writable()
-    await context.store.write(pin, record["seq"], wanted.reason if wanted.is_pinned else None, asking)
-    return JSONResponse(completed(await find_record(context, particle_id)))
+
+    def version(connection: sqlite3.Connection) -> str | None:
+        record = stored_particle(connection, seq)
+        return None if record is None else record_tag(record)
+
+    reason = wanted.reason if wanted.is_pinned else None
+    await context.store.write(change_if_match, if_match, version, pin, seq, reason, asking)
+    return record_response(await find_record(context, particle_id))

@@ -1,16 +1,20 @@
 """Products, with what they must be; the sieve sets and specifications that are known by name."""
 
+import sqlite3
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Query
+from fastapi import APIRouter, Depends, Path, Query, Response
+from fastapi import Request as HttpRequest
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import Context
+from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
 from service.lots.products import (
+    Product,
     definition_of,
     find_product,
     products,
@@ -130,32 +134,53 @@ async def standards() -> dict[str, Any]:
     "/{product}",
     response_model=ProductVersion,
     dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=problem_responses(422),
+    responses=problem_responses(412, 422),
 )
 async def put_product(
-    context: Context, product: ProductName, wanted: ProductRequest, asking: Who
+    context: Context,
+    product: ProductName,
+    wanted: ProductRequest,
+    asking: Who,
+    response: Response,
+    if_match: IfMatch = None,
 ) -> dict[str, Any]:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
     definition = definition_of(wanted.model_dump())
     yardstick_of(definition, Request())  # raises where it cannot be judged
     context.store.require_writable()
-    return _document(asdict(await context.store.write(save_product, product, definition, asking)))
+
+    def version(connection: sqlite3.Connection) -> str | None:
+        newest = find_product(connection, product)
+        return None if newest is None else _tag(newest)
+
+    saved = await context.store.write(
+        change_if_match, if_match, version, save_product, product, definition, asking
+    )
+    response.headers["ETag"] = _tag(saved)
+    return _document(asdict(saved))
 
 
 @router.get(
     "/{product}",
     response_model=ProductVersion,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(404),
+    responses={**NOT_MODIFIED, **problem_responses(404)},
 )
 async def product(
     context: Context,
+    request: HttpRequest,
+    response: Response,
     product: ProductName,
     version: Annotated[int | None, Query(ge=1, description="The newest when absent")] = None,
-) -> dict[str, Any]:
-    """Return a version of a product."""
-    found = await context.store.read(find_product, product, version)
-    return _document(asdict(existing(found, "product", product)))
+) -> Any:
+    """Return a version of a product; its `ETag` is for `If-Match` of a change."""
+    found = existing(await context.store.read(find_product, product, version), "product", product)
+    response.headers["ETag"] = _tag(found)
+    return unchanged(request, _tag(found)) or _document(asdict(found))
+
+
+def _tag(product: Product) -> str:
+    return etag(product.product, product.version, product.created_at)
 
 
 def _document(product: dict[str, Any]) -> dict[str, Any]:
