@@ -12,6 +12,7 @@ from service.api.control import Control
 from service.api.description import DESCRIPTION, SERVERS, TAGS, complete
 from service.api.docs import docs_page
 from service.api.foreign_pages import ForeignPages
+from service.api.gzipped import GzippedJson
 from service.api.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
 from service.api.key_ring import KeyRing
 from service.api.pace import PacedRequests
@@ -56,6 +57,7 @@ def create_app(
         store=store, control=control, settings=settings, reading=reading, keys=keys
     )
     app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept
+    app.add_middleware(GzippedJson, reading=reading)
     app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(PacedRequests)

@@ -19,7 +19,7 @@ KEEP_S = 1.0
 """Time for which a small page is the answer to all who ask for it."""
 
 PageQuery = Callable[..., FeedPage]
-"""Takes a connection, the id of the history, `after`, `limit`, and what the feed adds."""
+"""Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +31,7 @@ class Feed:
     is_large: bool  # a page of many items takes long
     last: Callable[[Store], int]
     wait_beyond: Callable[[Store, int], Awaitable[None]]
-    more: tuple[Names, ...] = ()  # of the query: the fields that were chosen
+    more: tuple[Names | bool, ...] = ()  # that the query is given: what the client has chosen
 
 
 def _last_event(store: Store) -> int:
@@ -60,9 +60,9 @@ RESULT_STREAM = Feed(
 )
 
 
-def choosing(feed: Feed, names: Names) -> Feed:
-    """Return a feed of results with these fields of each, or all."""
-    return replace(feed, more=(names,))
+def choosing(feed: Feed, *more: Names | bool) -> Feed:
+    """Return a feed of results in the form that a client has chosen: with some fields of each, as gzip."""
+    return replace(feed, more=more)
 
 
 async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:

@@ -1,5 +1,6 @@
 """Pages of results as finished JSON, made on a connection to the store, in whichever process or thread."""
 
+import gzip
 import json
 import sqlite3
 from collections.abc import Iterable, Mapping
@@ -19,6 +20,12 @@ Names = tuple[str, ...] | None
 """Fields of a result that are wanted; None: all."""
 
 
+LEAST_BYTES = 2000
+"""Smaller answers are not worth compressing."""
+LEVEL = 1
+"""Of gzip: 20 results of 170 kB become 70 kB in 2 ms; level 6 takes five times that for 7 % less."""
+
+
 @dataclass(frozen=True, slots=True)
 class FeedPage:
     """A page of the feed, and what decides whether it is the answer."""
@@ -30,11 +37,16 @@ class FeedPage:
 
 
 def feed_page(
-    connection: sqlite3.Connection, instance_id: str, after: int, limit: int, names: Names = None
+    connection: sqlite3.Connection,
+    instance_id: str,
+    after: int,
+    limit: int,
+    names: Names = None,
+    as_gzip: bool = False,
 ) -> FeedPage:
     """Return the page of up to `limit` results after `after`, each with these fields or all."""
     page = results_after(connection, after, limit)
-    return _feed_page(page, after, instance_id, (served(record, names) for record in page.items))
+    return _feed_page(page, after, instance_id, (served(record, names) for record in page.items), as_gzip)
 
 
 def result_stream(
@@ -65,13 +77,23 @@ def server_sent(event: str, data: Any, number: int | None = None) -> bytes:
 
 
 def particles_page(
-    connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int, limit: int, names: Names = None
+    connection: sqlite3.Connection,
+    wanted: ParticleFilter,
+    before_seq: int,
+    limit: int,
+    names: Names = None,
+    as_gzip: bool = False,
 ) -> bytes:
     """Return the page of the newest `limit` results that fit and are older than `before_seq`."""
     records = particles(connection, wanted, before_seq, limit + 1)
     items = records[:limit]
     head = {"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}
-    return _page_json(head, (served(record, names) for record in items))
+    return _page_json(head, (served(record, names) for record in items), as_gzip)
+
+
+def is_gzipped(content: bytes) -> bool:
+    """Return whether JSON is compressed already, by the first bytes of gzip."""
+    return content.startswith(b"\x1f\x8b")
 
 
 def lot_figures_json(connection: sqlite3.Connection, lot: str, request: Request) -> bytes | None:
@@ -91,7 +113,11 @@ def _model_json(model: BaseModel | None) -> bytes | None:
 
 
 def _feed_page(
-    page: ResultPage | EventsPage, after: int, instance_id: str, items: Iterable[Mapping[str, Any]]
+    page: ResultPage | EventsPage,
+    after: int,
+    instance_id: str,
+    items: Iterable[Mapping[str, Any]],
+    as_gzip: bool = False,
 ) -> FeedPage:
     next_after = _last_of(page, after)
     head = {
@@ -100,7 +126,7 @@ def _feed_page(
         "last_seq": page.last_seq,
         "next_after": next_after,
     }
-    return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, items))
+    return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, items, as_gzip))
 
 
 def _sent(page: ResultPage | EventsPage, after: int, items: Iterable[bytes]) -> FeedPage:
@@ -111,10 +137,11 @@ def _last_of(page: ResultPage | EventsPage, after: int) -> int:
     return int(page.items[-1]["seq"]) if page.items else after
 
 
-def _page_json(head: Mapping[str, Any], items: Iterable[Mapping[str, Any]]) -> bytes:
+def _page_json(head: Mapping[str, Any], items: Iterable[Mapping[str, Any]], as_gzip: bool) -> bytes:
     members = [f"{_json(name)}:{_json(value)}" for name, value in head.items()]
     members.append(f'"items":[{",".join(map(_json, items))}]')
-    return f"{{{','.join(members)}}}".encode()
+    page = f"{{{','.join(members)}}}".encode()
+    return gzip.compress(page, LEVEL, mtime=0) if as_gzip and len(page) >= LEAST_BYTES else page
 
 
 def _json(value: Any) -> str:

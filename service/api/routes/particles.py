@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, etag, unchanged
 from service.api.feeds import MAX_SEQ, MAX_SMALL
+from service.api.gzipped import TakesGzip
 from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
 from service.api.routes.results import ChosenFields, Time
@@ -37,6 +38,7 @@ class ParticlesPage(BaseModel):
 async def particles(
     context: Context,
     names: ChosenFields,
+    as_gzip: TakesGzip,
     outcome: Annotated[
         Literal["measured", "rejected", "lost"] | None, Query(description="Only with this outcome")
     ] = None,
@@ -68,9 +70,11 @@ async def particles(
     before_seq = MAX_SEQ if cursor is None else int(cursor)
     if limit > MAX_SMALL:
         path = context.store.path
-        page = await context.reading.run(read, path, particles_page, wanted, before_seq, limit, names)
+        page = await context.reading.run(
+            read, path, particles_page, wanted, before_seq, limit, names, as_gzip
+        )
     else:
-        page = await context.store.read(particles_page, wanted, before_seq, limit, names)
+        page = await context.store.read(particles_page, wanted, before_seq, limit, names, as_gzip)
     return Response(page, media_type="application/json")
 
 

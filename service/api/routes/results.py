@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, Field
 from pipeline.frames import rfc3339
 from service.api.context import Context
 from service.api.feeds import MAX_SEQ, RESULTS, choosing, cursor_problem, page_after
+from service.api.gzipped import TakesGzip
 from service.api.pages import Names
 from service.api.problems import Problem, problem_responses
 from service.results.fields import TIME, Result
@@ -56,6 +57,7 @@ ChosenFields = Annotated[Names, Depends(fields_of)]
 async def results(
     context: Context,
     names: ChosenFields,
+    as_gzip: TakesGzip,
     after: Annotated[
         int, Query(ge=0, le=MAX_SEQ, description="`seq` of the last result you have; 0: from the beginning")
     ] = 0,
@@ -82,7 +84,7 @@ async def results(
             errors = [{"field": "query.since", "message": message}]
             raise Problem(422, "invalid-request", f"query.since: {message}", errors=errors)
         after = await context.store.read(seq_before, since)
-    page = await page_after(context, choosing(RESULTS, names), after, limit, wait_s)
+    page = await page_after(context, choosing(RESULTS, names, as_gzip), after, limit, wait_s)
     if (problem := cursor_problem(page, after, RESULTS.kind)) is not None:
         raise problem
     return Response(page.content, media_type="application/json")
