@@ -9,6 +9,7 @@ from importlib.resources import files
 
 from pydantic import TypeAdapter
 
+from service.language import Language
 from service.status import CheckStatus
 
 CAMERA = "camera"
@@ -31,13 +32,6 @@ class Priority(StrEnum):
     def rank(self) -> int:
         """Return 0 for the most urgent one."""
         return list(Priority).index(self)
-
-
-class Language(StrEnum):
-    """Languages of cause and action."""
-
-    EN = "en"
-    DE = "de"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from drivers.files.times import utc_now
 from service.api.renditions import NotKeptError, preview_png
 from service.api.version import API_VERSION
+from service.language import Language
 from service.lots.evaluation import lot_figures
 from service.lots.figures import LotFigures
 from service.lots.laboratory import StoredSieving, sievings
@@ -18,7 +19,6 @@ from service.reports.report import (
     GalleryReason,
     GalleryStone,
     LaboratorySieving,
-    Language,
     LastVerification,
     ReportData,
     ReportFormat,

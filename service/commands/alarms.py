@@ -5,15 +5,15 @@ from typing import Annotated, Any
 
 import typer
 
-from service.alarms.rules import Language
 from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask
+from service.language import Language
 
 
 def command(
     acknowledge: Annotated[
         int | None, typer.Option(metavar="ID", help="Take note of this alarm, and print the others.")
     ] = None,
-    language: Annotated[Language, typer.Option(help="Of causes and actions.")] = Language.EN,
+    language: Annotated[Language, typer.Option(help="Of causes and actions.")] = Language.ENGLISH,
     url: Url = DEFAULT_URL,
     key: Key = None,
     as_json: AsJson = False,

@@ -41,6 +41,7 @@ from service.commands.lots import curve_table
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
 from service.errors import ServiceError, UsageError
+from service.language import Language
 from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
 from service.lots.stones import lot_of_records
@@ -51,7 +52,6 @@ from service.processing.processing import FixedCalibration, Processing, Processi
 from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import WorkerPool
-from service.reports.report import Language
 from service.reports.svg import curve_svg
 from service.results.fields import LossReason, Outcome
 

@@ -12,12 +12,13 @@ from drivers.files.times import utc_now
 from service.api.version import API_VERSION
 from service.commands.measure import RESULTS
 from service.errors import ServiceError, UsageError
+from service.language import Language
 from service.lots.evaluation import figures_of
 from service.lots.products import Product, ProductDefinition
 from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.reports.render import render
-from service.reports.report import Language, ReportData, ReportFormat
+from service.reports.report import ReportData, ReportFormat
 from service.results.fields import completed
 
 

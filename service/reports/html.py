@@ -7,10 +7,11 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from service.language import Language
 from service.reports.content import document_of
 from service.reports.drawing import Drawing
 from service.reports.pictures import readable_png
-from service.reports.report import Language, ReportData
+from service.reports.report import ReportData
 from service.reports.svg import svg
 
 TEMPLATES = Path(__file__).with_name("templates")

@@ -4,17 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from service.language import Language
 from service.lots.figures import LotFigures
 
 Scalar = str | int | float | bool | None
 """What a cell of a table holds."""
-
-
-class Language(StrEnum):
-    """Language of a report, as browsers and `lang=` name it."""
-
-    ENGLISH = "en"
-    GERMAN = "de"
 
 
 class ReportFormat(StrEnum):

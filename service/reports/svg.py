@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from service.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import gradation_curve
 from service.reports.drawing import LABEL_SIZE, Area, Dot, Drawing, Label, Line, Point, Shape
-from service.reports.report import Language
 from service.reports.words import words
 
 COLOURS = {  # light and dark; a page may set the variables itself, which then hold in both

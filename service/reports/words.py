@@ -8,8 +8,8 @@ from functools import cache
 from math import isfinite
 from pathlib import Path
 
+from service.language import Language
 from service.lots.figures import Figure
-from service.reports.report import Language
 from service.reports.texts import LONGEST_HEADING, abridged
 
 FOLDER = Path(__file__).with_name("words")

@@ -8,13 +8,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.alarms.alarm import Alarm, AlarmState
 from service.alarms.machine import MAX_SHELVED_S
-from service.alarms.rules import Language, Priority, Rule, Rules
+from service.alarms.rules import Priority, Rule, Rules
 from service.alarms.table import history
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
+from service.language import Language
 from service.results.fields import TIME
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
@@ -79,7 +80,7 @@ class ShelveRequest(BaseModel):
 
 
 @router.get("", response_model=AlarmsDocument, dependencies=READABLE, responses=problem_responses())
-async def alarms(context: Context, language: Words = Language.EN) -> dict[str, Any]:
+async def alarms(context: Context, language: Words = Language.ENGLISH) -> dict[str, Any]:
     """Return the alarms that have not ended, each with its cause and what to do."""
     found, rules = context.control.alarms.list(), context.control.alarms.rules
     return {
@@ -95,7 +96,7 @@ async def alarm_history(
     check: Annotated[str | None, Query(max_length=100, description="Of this check alone")] = None,
     before: Annotated[int, Query(ge=1, le=MAX_SEQ, description="`next_before` of the page before")] = MAX_SEQ,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    language: Words = Language.EN,
+    language: Words = Language.ENGLISH,
 ) -> dict[str, Any]:
     """Return all alarms, those that have not ended among them, newest first."""
     found = await context.store.read(history, check, before, limit + 1)
@@ -113,7 +114,7 @@ async def alarm_history(
     responses=problem_responses(404, 409),
 )
 async def acknowledge_alarm(
-    context: Context, alarm: Number, asking: Who, language: Words = Language.EN
+    context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
     """Take note of an alarm; one whose cause is gone ends by that. Repeating it changes nothing.
 
@@ -129,7 +130,7 @@ async def acknowledge_alarm(
     responses=problem_responses(404),
 )
 async def shelve_alarm(
-    context: Context, alarm: Number, wanted: ShelveRequest, asking: Who, language: Words = Language.EN
+    context: Context, alarm: Number, wanted: ShelveRequest, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
     """Put an alarm aside for a time, a day at most; if its cause is there afterwards it is raised again."""
     shelved = await context.control.alarms.shelve(alarm, wanted.minutes, asking, wanted.reason)
@@ -143,7 +144,7 @@ async def shelve_alarm(
     responses=problem_responses(404, 409),
 )
 async def unshelve_alarm(
-    context: Context, alarm: Number, asking: Who, language: Words = Language.EN
+    context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
     """Take an alarm from the shelf before its time; 409 `alarm-conflict` for one that is not shelved."""
     return _found(context, alarm, await context.control.alarms.unshelve(alarm, asking), language)

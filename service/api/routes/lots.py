@@ -22,6 +22,7 @@ from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
 from service.calibration.verifications import Verification, VerificationState
+from service.language import Language
 from service.lots.evaluation import lot_document
 from service.lots.figures import LotDocument, LotFigures
 from service.lots.lots import (
@@ -39,7 +40,7 @@ from service.lots.lots import (
 from service.lots.products import find_product
 from service.lots.stored_stones import stones_behind
 from service.lots.yardsticks import Request, yardstick_of
-from service.reports.report import Language, LastVerification, ReportFormat, VerificationOutcome
+from service.reports.report import LastVerification, ReportFormat, VerificationOutcome
 from service.results.fields import TIME, Verified
 from service.store import read
 

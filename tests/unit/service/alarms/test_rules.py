@@ -2,8 +2,9 @@
 
 import pytest
 
-from service.alarms.rules import Language, Rule, load_rules
+from service.alarms.rules import Rule, load_rules
 from service.health.assessment import CHECKS
+from service.language import Language
 
 RULES = load_rules()
 

@@ -10,10 +10,10 @@ from support.lot_figures import NOT_MEASURED, curve, decision, measured, step
 from support.quick_and_full import examples
 
 from pipeline.gradation.specification import Verdict
+from service.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import BOTTOM, LEFT, RIGHT, TOP, gradation_curve, shown_steps, unmeasured_ranges
 from service.reports.drawing import Dot, Line, Style
-from service.reports.report import Language
 from service.reports.svg import curve_svg
 from service.reports.words import words
 

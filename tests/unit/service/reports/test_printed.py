@@ -21,6 +21,7 @@ from support.lot_figures import (
 )
 
 from pipeline.gradation.specification import Verdict
+from service.language import Language
 from service.lots.figures import Unmeasured
 from service.lots.lots import LotState
 from service.reports.content import document_of
@@ -32,7 +33,6 @@ from service.reports.render import render
 from service.reports.report import (
     GalleryReason,
     GalleryStone,
-    Language,
     ReportData,
     ReportFormat,
     VerificationOutcome,

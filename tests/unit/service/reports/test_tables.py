@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 import pytest
 from support.lot_figures import lot_document, report_data, stones
 
+from service.language import Language
 from service.reports.csv_file import cell, render_csv
-from service.reports.report import Language, ReportData, StoneTable, stone_table
+from service.reports.report import ReportData, StoneTable, stone_table
 from service.reports.workbook import render_xlsx
 
 Cell = str | float | None

@@ -12,8 +12,9 @@ from pipeline.errors import RejectReason
 from pipeline.gradation.estimates import State
 from pipeline.gradation.specification import Verdict
 from pipeline.views.quality import Quality
+from service.language import Language
 from service.lots.lots import LotState
-from service.reports.report import GalleryReason, Language, VerificationOutcome
+from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.words import words
 from service.results.fields import LossReason, Outcome
 

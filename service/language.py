@@ -1,0 +1,10 @@
+"""The languages in which people are told of reports and alarms."""
+
+from enum import StrEnum
+
+
+class Language(StrEnum):
+    """Language of what people read, as browsers name it."""
+
+    ENGLISH = "en"
+    GERMAN = "de"
