@@ -105,22 +105,17 @@ class Alarms:
         before, after = self._machine.unshelve(number, time.monotonic()), None
         for change in self._machine.update(self._checks, time.monotonic(), utc_now()):
             if change.alarm.id == number:
-                after = await self._noted(change, before, who, "alarm unshelved")
+                after = change.alarm
+                self._note(change, _audited(before, after, who, "alarm unshelved"))
             else:
                 self._note(change)
+        await self._log.written(WRITTEN_S)
         return after or before
 
     async def _noted(self, change: Change, before: Alarm | None, who: str, action: str) -> Alarm:
-        alarm = change.alarm
-        facts = None if before is None else asdict(before)
-        self._note(
-            change,
-            partial(
-                audit.note, who=who, action=action, subject=alarm.check, before=facts, after=asdict(alarm)
-            ),
-        )
+        self._note(change, _audited(before, change.alarm, who, action))
         await self._log.written(WRITTEN_S)
-        return alarm
+        return change.alarm
 
     def _note(self, change: Change, noted: Write | None = None) -> None:
         alarm = change.alarm
@@ -136,6 +131,11 @@ class Alarms:
             else (NewEvent(type=change.event, subject=alarm.check, data=_data(alarm)),)
         )
         self._log.note(*events, write=write)
+
+
+def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write:
+    facts = None if before is None else asdict(before)
+    return partial(audit.note, who=who, action=action, subject=after.check, before=facts, after=asdict(after))
 
 
 def _data(alarm: Alarm) -> Mapping[str, Any]:

@@ -36,8 +36,12 @@ TAGS = {
     "lots": "Products, lots and the gradation of lots (EN 933, ASTM C136), in the words of ISA-95.",
     "laboratory": "Sievings of the laboratory, correlation studies, repeatability (ISO 5725-2).",
     "cameras": "State and latest frame of each camera.",
+    "alarms": "What needs somebody now, and what to do (ISA-18.2).",
+    "events": "What happened beside results: lots, alarms, calibrations, states; a feed of its own.",
+    "streams": "Both feeds as server-sent events.",
     "accounting": "The balance: triggers = measured + rejected + lost + in progress.",
     "audit": "Who changed what.",
+    "configuration": "The settings that the daemon runs with.",
 }
 
 BINARY = {"type": "string", "format": "binary"}

@@ -234,7 +234,7 @@ async def _handle_yardstick(request: Request, error: Exception) -> JSONResponse:
 
 async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     # the message names paths of this machine: it is for the journal, not for the client
-    log.error("%s: %s", _failure(request), error)
+    log.error("%s: %s", failure_of(request), error)
     trouble = request.app.state.context.store.trouble
     if trouble is not None and trouble.cause is Cause.DAMAGED:  # asking again does not help
         return problem_response(request, Problem(500, "store-damaged", str(trouble)))
@@ -244,7 +244,8 @@ async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     )
 
 
-def _failure(request: Request) -> str:
+def failure_of(request: Request) -> str:
+    """Return how the log begins to tell that a request failed."""
     return f"request {request_id_of(request)}: {request.method} {request.scope['path']} failed"
 
 
@@ -254,7 +255,7 @@ async def _handle_busy(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _handle_bug(request: Request, error: Exception) -> JSONResponse:
-    log.error(_failure(request), exc_info=error)
+    log.error(failure_of(request), exc_info=error)
     return problem_response(
         request, Problem(500, "internal-error", "unexpected error: see the journal of the service")
     )

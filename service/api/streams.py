@@ -9,14 +9,16 @@ import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import aclosing
 
+from fastapi import Request
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.api.context import ApiContext
 from service.api.feeds import Feed, cursor_problem, page_now
 from service.api.pages import FeedPage, server_sent
-from service.api.problems import Problem, problem_document
+from service.api.problems import Problem, failure_of, problem_document
 from service.api.reader_process import BusyError
+from service.api.request_ids import request_id_of
 from service.errors import StoreError
 
 log = logging.getLogger(__name__)
@@ -44,8 +46,10 @@ class EventStream(StreamingResponse):
 class FeedStream(EventStream):
     """The answer that sends a feed from `after` on, until client or daemon end."""
 
-    def __init__(self, context: ApiContext, feed: Feed, after: int, path: str, allow: StillAllowed) -> None:
-        self._chunks = _chunks(context, feed, after, path, allow)
+    def __init__(
+        self, context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
+    ) -> None:
+        self._chunks = _chunks(context, feed, after, request, allow)
         headers = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}  # a proxy is not to collect it
         super().__init__(self._chunks, headers=headers)
         self._streams = context.streams
@@ -57,7 +61,7 @@ class FeedStream(EventStream):
 
 
 async def open_stream(
-    context: ApiContext, feed: Feed, after: int, path: str, allow: StillAllowed
+    context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
 ) -> FeedStream:
     """Return the stream of a feed.
 
@@ -70,11 +74,11 @@ async def open_stream(
     page = await page_now(context, feed, after, 1)
     if (problem := cursor_problem(page, after, feed.kind)) is not None:
         raise problem
-    return FeedStream(context, feed, after, path, allow)
+    return FeedStream(context, feed, after, request, allow)
 
 
 async def _chunks(
-    context: ApiContext, feed: Feed, after: int, path: str, allow: StillAllowed
+    context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
 ) -> AsyncGenerator[bytes, None]:
     """Yield pages as server-sent events, and something at least every `HEARTBEAT_S`."""
     store, is_begun = context.store, False
@@ -100,11 +104,16 @@ async def _chunks(
             except TimeoutError:
                 yield HEARTBEAT
     except Problem as problem:
-        yield server_sent("problem", problem_document(problem, path))
+        yield _sent_problem(problem, request)
     except StoreError as err:
-        log.error("%s failed: %s", path, err)
+        log.error("%s: %s", failure_of(request), err)
         unavailable = Problem(503, "store-unavailable", "connect again in 5 s", retry_after_s=5)
-        yield server_sent("problem", problem_document(unavailable, path))
+        yield _sent_problem(unavailable, request)
+
+
+def _sent_problem(problem: Problem, request: Request) -> bytes:
+    document = problem_document(problem, request.scope["path"], request_id_of(request))
+    return server_sent("problem", document)
 
 
 async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage:

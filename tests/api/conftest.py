@@ -8,9 +8,11 @@ from support.calibration_desk import open_desk
 from support.recordings import SOURCE
 from support.rest import FakeControl, app_of, client_of
 
+from service.alarms.alarms import Alarms, open_alarms
 from service.api.settings import ApiSettings
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
+from service.store.event_log import EventLog
 
 
 @pytest.fixture
@@ -20,6 +22,12 @@ def control(tmp_path: Path) -> FakeControl:
         open_recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}),
         calibrations=open_desk(tmp_path / "desk"),
     )
+
+
+@pytest.fixture
+async def alarms(store: Store, control: FakeControl) -> Alarms:
+    control.alarms = await open_alarms(store, EventLog(store))
+    return control.alarms
 
 
 @pytest.fixture

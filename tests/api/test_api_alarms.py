@@ -19,12 +19,6 @@ QUARANTINE, RECORDING, TRIGGER_LINE = "quarantine", "recording", "trigger_line"
 """Checks that are alarms at once: these tests do not wait."""
 
 
-@pytest.fixture
-async def alarms(store: Store, control: FakeControl) -> Alarms:
-    control.alarms = await open_alarms(store, EventLog(store))
-    return control.alarms
-
-
 def checks(**statuses: CheckStatus) -> dict[str, HealthCheck]:
     return {name: HealthCheck(status=status, detail=f"{name} says so") for name, status in statuses.items()}
 

@@ -15,11 +15,12 @@ from support.calibration_desk import a_drop, solve
 from support.recordings import make_bundle
 from support.rest import FakeControl, add, app_of, client_of, measured
 
+from service.alarms.alarms import Alarms
 from service.api.app import build_routes
 from service.api.routes.audit import PAGE
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.api.version import BASE
-from service.status import AcquisitionState
+from service.status import AcquisitionState, CheckStatus, HealthCheck
 from service.store import Store
 from service.store.audit import COLUMNS, note_alone
 
@@ -128,13 +129,26 @@ async def write_everything(write: Writing, control: FakeControl, store: Store, s
     assert (void["before"]["state"], void["after"]["state"]) == ("passed", "void")
 
 
+async def write_alarms(write: Writing, alarms: Alarms) -> None:
+    failed = HealthCheck(status=CheckStatus.FAIL, detail="no camera exposes")
+    alarms.update({"trigger_line": failed})  # an alarm at once
+    number, line = {"alarm": "1"}, "trigger_line"
+    known = await write("POST", "/alarms/{alarm}/acknowledge", None, "alarm acknowledged", line, **number)
+    assert (known["before"]["state"], known["after"]["state"]) == ("unacknowledged", "acknowledged")
+    body = {"minutes": 60, "reason": "spare part is ordered"}
+    await write("POST", "/alarms/{alarm}/shelve", body, "alarm shelved", line, **number)
+    back = await write("POST", "/alarms/{alarm}/unshelve", None, "alarm unshelved", line, **number)
+    assert (back["before"]["state"], back["after"]["state"]) == ("shelved", "unacknowledged")
+
+
 async def test_every_route_that_writes_leaves_an_entry(
-    store: Store, session: int, control: FakeControl
+    store: Store, session: int, control: FakeControl, alarms: Alarms
 ) -> None:
     async with client_of(app_of(store, control, ApiSettings(keys=(KEY,)))) as client:
         client.headers["Authorization"] = "Bearer token"
         write = Writing(client)
         await write_everything(write, control, store, session)
+        await write_alarms(write, alarms)
         n_entries = len(await write.entries())
         assert (await client.put("/consumers/mes/cursor", json={"after": 1})).status_code == 200
         assert len(await write.entries()) == n_entries

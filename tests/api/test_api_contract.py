@@ -4,16 +4,20 @@ import asyncio
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.rest import FakeControl, add, app_of, measured, particle_files, rejected
 from support.served import served_by
 
+from service.alarms.alarms import Alarms
 from service.api import pace
 from service.api.openapi import openapi_text
+from service.api.version import BASE
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
+from service.status import CheckStatus, HealthCheck
 from service.store import Store
 
 CHECKS = (
@@ -32,14 +36,36 @@ NAMES = """
 "path.product" = "basalt-8-16"
 "path.lot" = "L2"
 "path.calibration" = "0001"
+"path.alarm" = 1
 """
 """What there is, so that requests find it: the configuration of schemathesis."""
+
+
+STREAMED = {f"{BASE}/results/stream": "Result", f"{BASE}/events/stream": "EventDocument"}
+"""Schema of the items of a stream, which OpenAPI 3.1 has no word for."""
+
+
+def event_of(schema: str) -> dict[str, Any]:
+    """Return the schema of a server-sent event in the manner of schemathesis: the first, or an item."""
+    item = {
+        "contentMediaType": "application/json",
+        "contentSchema": {"$ref": f"#/components/schemas/{schema}"},
+    }
+    return {
+        "type": "object",
+        "if": {"properties": {"event": {"const": "history"}}},
+        "then": {"properties": {"id": False}},
+        "else": {"properties": {"data": item}, "required": ["id"]},
+    }
 
 
 def strict_document(base_url: str) -> str:
     """Return the document as it is served at `base_url`; a problem must be named with its status, not as any other."""
     document = json.loads(openapi_text())
     document["servers"] = [{"url": base_url}]
+    for path, schema in STREAMED.items():
+        content = document["paths"][path]["get"]["responses"]["200"]["content"]
+        content["text/event-stream"]["schema"] = event_of(schema)
     for operations in document["paths"].values():
         for operation in operations.values():
             operation["responses"].pop("default", None)
@@ -73,12 +99,14 @@ async def test_schemathesis_finds_nothing(
     store: Store,
     session: int,
     control: FakeControl,
+    alarms: Alarms,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     await fill(store, session, tmp_path / "out")
+    alarms.update({"trigger_line": HealthCheck(status=CheckStatus.FAIL)})  # an alarm at once
     control.images["c01"] = np.zeros((6, 8), np.uint8)
-    store.release_waiters()  # no long poll waits
+    store.release_waiters()  # no long poll waits, and streams end
     monkeypatch.setattr(pace, "RATE_HZ", 1e6)
     document = tmp_path / "openapi.json"
     config = tmp_path / "schemathesis.toml"

@@ -8,12 +8,10 @@ from typing import Any, TypeVar
 
 import httpx
 import pytest
-from support.rest import FakeControl, ReadingThread, add, client_of, measured, particle_files
+from support.rest import FakeControl, ReadingThread, add, app_of, client_of, measured, particle_files
 
 from service.api import gzipped
-from service.api.app import create_app
 from service.api.reader_process import BusyError
-from service.api.settings import ApiSettings
 from service.store import Store
 
 T = TypeVar("T")
@@ -88,7 +86,7 @@ async def test_what_is_big_is_compressed_beside_the_daemon_or_not_at_all(
 ) -> None:
     monkeypatch.setattr(gzipped, "MAX_ON_LOOP_BYTES", 10_000)
     reading = Recording()
-    async with client_of(create_app(store, control, ApiSettings(), reading)) as client:
+    async with client_of(app_of(store, control, reading=reading)) as client:
         answer, _ = await raw(client, "/openapi.json", GZIP)
         assert (answer.headers["Content-Encoding"], reading.asked) == ("gzip", [gzip.compress])
         reading.is_busy = True

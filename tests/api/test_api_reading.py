@@ -13,6 +13,7 @@ from support.rest import (
     FakeControl,
     ReadingThread,
     add,
+    app_of,
     assert_problem,
     client_of,
     measured,
@@ -22,14 +23,11 @@ from support.rest import (
 from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.api import pace, reader_process
-from service.api.app import create_app
 from service.api.feeds import MAX_SMALL
-from service.api.key_ring import KeyRing
 from service.api.pace import BURST, RATE_HZ, Pace
 from service.api.pages import feed_page
 from service.api.reader_process import BusyError, ReaderProcess
 from service.api.renditions import NotKeptError, preview_png
-from service.api.settings import ApiSettings
 from service.errors import StoreError
 from service.store import Store, read
 from service.store.reads import results_after
@@ -47,9 +45,7 @@ async def reading() -> AsyncIterator[ReaderProcess]:
 
 
 async def asked(store: Store, control: FakeControl, reading: Any, path: str) -> httpx.Response:
-    async with client_of(
-        create_app(store, control, ApiSettings(), reading, KeyRing((), store.dir))
-    ) as client:
+    async with client_of(app_of(store, control, reading=reading)) as client:
         return await client.get(path, headers={"X-Request-Id": "one"})
 
 

@@ -14,7 +14,9 @@ from support.served import PATIENCE_S, Client, Served, served_by
 
 from service.api import open_streams, streams
 from service.api.connections import READING_S, REQUEST_S
-from service.api.settings import ApiKey, ApiSettings, Scope
+from service.api.key_file import create_key, revoke_key
+from service.api.settings import ApiSettings, Scope
+from service.results.fields import ALWAYS
 from service.store import Store, open_store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
@@ -209,24 +211,35 @@ async def test_a_cursor_that_expires_later_ends_the_stream_with_the_problem(
     assert await stream.next() is None
 
 
-async def test_a_key_that_is_taken_away_ends_the_stream(
+async def test_fields_are_chosen_and_a_stream_is_never_compressed(
+    served: Served, store: Store, session: int
+) -> None:
+    await add(store, session, 1, measured(mass_g=2.5))
+    stream = await opened(served, "/results/stream?fields=mass_g", "Accept-Encoding: gzip\r\n")
+    assert "content-encoding" not in (await stream.head()).lower()
+    await stream.next()
+    result = await stream.next()
+    assert result is not None
+    assert set(result.data) == {*ALWAYS, "mass_g"}
+    refused = await opened(served, "/results/stream?fields=weight")
+    assert (await refused.head()).startswith("HTTP/1.1 422")
+
+
+async def test_a_key_that_is_revoked_ends_the_stream(
     store: Store, control: FakeControl, session: int
 ) -> None:
-    key = ApiKey(
-        name="mes",
-        sha256="ca978112ca1bbdcafac231b39a23dc4da786eff8147c4e72b9807785afee48bb",  # of `a`
-        scopes=(Scope.READ,),
-    )
-    settings = ApiSettings(keys=(key,))
-    async with served_by(app_of(store, control, settings)) as served:
-        stream = await opened(served, more="Authorization: Bearer a\r\n")
+    _, token = create_key(store.dir, "mes", (Scope.READ,), None, "root")
+    async with served_by(app_of(store, control)) as served:
+        stream = await opened(served, more=f"Authorization: Bearer {token}\r\nX-Request-Id: one\r\n")
         await stream.head()
         await stream.next()
-        object.__setattr__(settings, "keys", (ApiKey(name="other", sha256="0" * 64),))
+        revoke_key(store.dir, "mes", "root")
         await add(store, session, 1, measured())
         problem = await stream.next()
         assert problem is not None
-        assert (problem.event, problem.data["status"]) == ("problem", 401)
+        assert (problem.event, problem.data["status"], problem.data["request_id"]) == ("problem", 401, "one")
+        assert "key 'mes' was revoked at 2" in problem.data["detail"]
+        assert await stream.next() is None
         store.release_waiters()
 
 

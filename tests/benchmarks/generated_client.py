@@ -17,7 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from api.test_api_contract import fill
 from support.calibration_desk import open_desk
 from support.recordings import SOURCE
-from support.rest import FakeControl, app_of, serving
+from support.rest import FakeControl, app_of
+from support.served import served_by
 
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import open_store
@@ -74,9 +75,9 @@ async def try_client(generator: Path, folder: Path) -> int:
         await fill(store, session, folder / "out")
         settings = RecordingsSettings(reserve_gb=0.0)
         recordings = open_recordings(folder / "recordings", SOURCE, settings, {"command": "test"})
-        async with serving(
-            app_of(store, FakeControl(recordings, calibrations=open_desk(folder / "desk")))
-        ) as address:
+        control = FakeControl(recordings, calibrations=open_desk(folder / "desk"))
+        async with served_by(app_of(store, control)) as served:
+            address = f"http://127.0.0.1:{served.port}"
             python = str(generator.parent / "python")
             return await (await asyncio.create_subprocess_exec(python, str(calls), address)).wait()
 

@@ -21,6 +21,7 @@ from service.alarms.alarms import Alarms
 from service.api.app import create_app
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
+from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.health.assessment import Facts
@@ -123,10 +124,15 @@ class ReadingThread:
         return await asyncio.to_thread(function, *arguments)
 
 
-def app_of(store: Store, control: FakeControl, settings: ApiSettings | None = None) -> FastAPI:
-    """Return the application with a thread in the place of the reading process."""
+def app_of(
+    store: Store,
+    control: FakeControl,
+    settings: ApiSettings | None = None,
+    reading: Reading | None = None,
+) -> FastAPI:
+    """Return the application, with a thread in the place of the reading process unless one is given."""
     settings = settings or ApiSettings()
-    return create_app(store, control, settings, ReadingThread(), KeyRing(settings.keys, store.dir))
+    return create_app(store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store.dir))
 
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:

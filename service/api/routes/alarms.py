@@ -30,7 +30,7 @@ MAX_SHELVED_MINUTES = MAX_SHELVED_S / 60
 class AlarmDocument(BaseModel):
     """An alarm, from its first rise to its end."""
 
-    id: int
+    id: int = Field(description="Number of the alarm, in the order in which they were raised")
     check: str = Field(
         description="The check of `/health` that does not pass, such as `gate` or `camera:c01`"
     )
@@ -41,18 +41,22 @@ class AlarmDocument(BaseModel):
     detail: str | None = Field(description="What the check says")
     cause: str = Field(description="What the alarm means")
     action: str = Field(description="What to do")
-    raised_at: str = Field(json_schema_extra=TIME)
-    changed_at: str = Field(json_schema_extra=TIME)
+    raised_at: str = Field(description="When it was first raised, RFC 3339 UTC", json_schema_extra=TIME)
+    changed_at: str = Field(description="When its state or priority last changed", json_schema_extra=TIME)
     occurrences: int = Field(
         description="How often its cause came back before somebody acknowledged it, and 1"
     )
     cleared_at: str | None = Field(json_schema_extra=TIME, description="When its cause was last gone")
-    acknowledged_at: str | None = Field(json_schema_extra=TIME)
-    acknowledged_by: str | None
-    shelved_until: str | None = Field(json_schema_extra=TIME)
-    shelved_by: str | None
-    shelf_reason: str | None
-    ended_at: str | None = Field(json_schema_extra=TIME)
+    acknowledged_at: str | None = Field(
+        json_schema_extra=TIME, description="When somebody took note; null while nobody has"
+    )
+    acknowledged_by: str | None = Field(description="Name of the key that took note")
+    shelved_until: str | None = Field(
+        json_schema_extra=TIME, description="When it comes back; null while it is not shelved"
+    )
+    shelved_by: str | None = Field(description="Name of the key that put it aside")
+    shelf_reason: str | None = Field(description="Why it was put aside")
+    ended_at: str | None = Field(json_schema_extra=TIME, description="When it ended; null while it has not")
 
 
 class AlarmsDocument(BaseModel):
@@ -66,7 +70,7 @@ class AlarmsDocument(BaseModel):
 class AlarmHistory(BaseModel):
     """Alarms, newest first."""
 
-    items: list[AlarmDocument]
+    items: list[AlarmDocument] = Field(description="Newest first")
     next_before: int | None = Field(description="Pass as `before` for the next page; null on the last")
 
 
@@ -76,7 +80,7 @@ class ShelveRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     minutes: Annotated[float, Field(gt=0, le=MAX_SHELVED_MINUTES, description="A day at most")]
-    reason: Annotated[str, Field(min_length=1, max_length=2000)]
+    reason: Annotated[str, Field(min_length=1, max_length=2000, description="Why it can wait")]
 
 
 @router.get("", response_model=AlarmsDocument, dependencies=READABLE, responses=problem_responses())
@@ -95,7 +99,7 @@ async def alarm_history(
     context: Context,
     check: Annotated[str | None, Query(max_length=100, description="Of this check alone")] = None,
     before: Annotated[int, Query(ge=1, le=MAX_SEQ, description="`next_before` of the page before")] = MAX_SEQ,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Alarms of a page, at most")] = 100,
     language: Words = Language.ENGLISH,
 ) -> dict[str, Any]:
     """Return all alarms, those that have not ended among them, newest first."""

@@ -60,7 +60,7 @@ async def audit(
 @router.get(
     "/audit.csv",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}, **problem_responses()},
+    responses={200: {"content": {"text/csv": {}}}, **problem_responses()},
 )
 async def audit_csv(context: Context, subject: Subject = None, after: After = 0) -> StreamingResponse:
     """Return all entries as CSV (RFC 4180), oldest first, `before` and `after` as JSON."""

@@ -19,7 +19,7 @@ class EventDocument(BaseModel):
     """Something that happened."""
 
     seq: int = Field(description="Strictly increasing, without gaps")
-    at: str = Field(json_schema_extra=TIME)
+    at: str = Field(description="When it happened, RFC 3339 UTC", json_schema_extra=TIME)
     type: EventType = Field(description="What happened; later versions have more types")
     subject: str = Field(description="To what: a lot, the check of an alarm, a calibration, a verification")
     data: dict[str, Any] = Field(description="More of it, by type")

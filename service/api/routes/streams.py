@@ -58,9 +58,9 @@ async def results_stream(
 
     First comes `history` (`instance_id`, `first_seq`, `last_seq`), then a `result` each, with `seq` as its `id`; after
     15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
-    wrong later is an event `problem`, the last one.
+    wrong later is an event `problem`, the last one. `fields` chooses fields as of `/results`.
     """
-    return await open_stream(context, choosing(RESULT_STREAM, names), after, request.scope["path"], allow)
+    return await open_stream(context, choosing(RESULT_STREAM, names), after, request, allow)
 
 
 @router.get(
@@ -70,4 +70,4 @@ async def results_stream(
 )
 async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> FeedStream:
     """Send every event as it comes: `/events` as server-sent events, each by its type, like `/results/stream`."""
-    return await open_stream(context, EVENT_STREAM, after, request.scope["path"], allow)
+    return await open_stream(context, EVENT_STREAM, after, request, allow)
