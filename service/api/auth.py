@@ -60,7 +60,6 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
                 429,
                 "too-many-attempts",
                 f"too many wrong keys came from {host}: try again in {wait_s} s",
-                headers={"Retry-After": str(wait_s)},
                 retry_after_s=wait_s,
             )
         if key is None:

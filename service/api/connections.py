@@ -12,7 +12,7 @@ from functools import cache
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from service.api.problems import Problem, problem_document
+from service.api.problems import RETRY_AFTER_S, Problem, problem_document
 from service.api.version import BASE
 
 REQUEST_S = 10.0
@@ -140,7 +140,7 @@ def _refusal(n_answered: int) -> bytes:
         "HTTP/1.1 503 Service Unavailable",
         "Content-Type: application/problem+json",
         f"Content-Length: {len(body)}",
-        "Retry-After: 5",
+        f"Retry-After: {RETRY_AFTER_S}",
         "Connection: close",
     )
     return "\r\n".join([*head, "", ""]).encode() + body

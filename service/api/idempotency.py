@@ -109,8 +109,7 @@ class Attempt:
                     await first._ended.wait()
             except TimeoutError:
                 detail = f"the first request with the key {self._key!r} is still being carried out"
-                headers = {"Retry-After": "1"}
-                raise Problem(409, "request-in-progress", detail, headers=headers, retry_after_s=1) from None
+                raise Problem(409, "request-in-progress", detail, retry_after_s=1) from None
         self._place = place
         self._under_way[place] = self
         if (answer := await self._store.read(find_answer, who, self._key)) is not None:
@@ -118,7 +117,7 @@ class Attempt:
             raise AnsweredBeforeError(answer)
         if await self._store.read(n_answers, who) >= MAX_KEPT:
             detail = f"{MAX_KEPT} answers of the last 24 h are kept for {who}: send no key, or come again"
-            raise Problem(429, "too-many-keys", detail, headers={"Retry-After": "3600"}, retry_after_s=3600)
+            raise Problem(429, "too-many-keys", detail, retry_after_s=3600)
         self._is_first = True
 
     async def keep(self, messages: Sequence[Message]) -> None:

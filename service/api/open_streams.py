@@ -6,8 +6,6 @@ from contextlib import contextmanager
 from service.api.connections import max_connections
 from service.api.problems import Problem
 
-RETRY_AFTER_S = 5
-
 
 class OpenStreams:
     """Counts the streams that are open."""
@@ -18,13 +16,7 @@ class OpenStreams:
     def require_room(self) -> None:
         """Raise the problem 503 when a quarter of all connections are streams."""
         if self._n >= max(1, max_connections() // 4):
-            raise Problem(
-                503,
-                "too-many-connections",
-                f"{self._n} streams are open already",
-                headers={"Retry-After": str(RETRY_AFTER_S)},
-                retry_after_s=RETRY_AFTER_S,
-            )
+            raise Problem(503, "too-many-connections", f"{self._n} streams are open already")
 
     @contextmanager
     def one_more(self) -> Iterator[None]:

@@ -99,7 +99,10 @@ class ProblemDocument(BaseModel):
 
 
 class Problem(HTTPException):
-    """An error that becomes the answer to a request. `slug` is the last part of its `type`."""
+    """An error that becomes the answer to a request. `slug` is the last part of its `type`.
+
+    `retry_after_s` says when to come again, which 429 and 503 always do.
+    """
 
     def __init__(
         self,
@@ -108,8 +111,14 @@ class Problem(HTTPException):
         detail: str,
         *,
         headers: Mapping[str, str] | None = None,
+        retry_after_s: int | None = None,
         **members: Any,
     ) -> None:
+        if retry_after_s is None and status in WAIT:
+            retry_after_s = RETRY_AFTER_S
+        if retry_after_s is not None:
+            headers = {**(headers or {}), "Retry-After": str(retry_after_s)}
+            members["retry_after_s"] = retry_after_s
         super().__init__(status, detail, headers)
         self.slug = slug
         self.members = members  # of the problem object, beside those of the standard
@@ -129,15 +138,12 @@ def problem_document(problem: Problem, instance: str, request_id: str | None = N
 
 
 def problem_response(request: Request, problem: Problem) -> JSONResponse:
-    """Return the problem as `application/problem+json`; who must wait is told for how long."""
+    """Return the problem as `application/problem+json`."""
     request_id = request_id_of(request)
-    headers = {HEADER: request_id, **(problem.headers or {})}
-    if problem.status_code in WAIT:
-        headers.setdefault("Retry-After", str(RETRY_AFTER_S))
     return JSONResponse(
         problem_document(problem, request.scope["path"], request_id),
         status_code=problem.status_code,
-        headers=headers,
+        headers={HEADER: request_id, **(problem.headers or {})},
         media_type="application/problem+json",
     )
 
@@ -238,10 +244,12 @@ async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     trouble = request.app.state.context.store.trouble
     if trouble is not None and trouble.cause is Cause.DAMAGED:  # asking again does not help
         return problem_response(request, Problem(500, "store-damaged", str(trouble)))
-    return problem_response(
-        request,
-        Problem(503, "store-unavailable", "try again in 5 s", headers={"Retry-After": "5"}, retry_after_s=5),
-    )
+    return problem_response(request, store_unavailable())
+
+
+def store_unavailable() -> Problem:
+    """Return the problem of a store that cannot be read or written now."""
+    return Problem(503, "store-unavailable", f"try again in {RETRY_AFTER_S} s")
 
 
 def failure_of(request: Request) -> str:
@@ -250,8 +258,7 @@ def failure_of(request: Request) -> str:
 
 
 async def _handle_busy(request: Request, error: Exception) -> JSONResponse:
-    headers = {"Retry-After": "2"}
-    return problem_response(request, Problem(503, "busy", str(error), headers=headers, retry_after_s=2))
+    return problem_response(request, Problem(503, "busy", str(error), retry_after_s=2))
 
 
 async def _handle_bug(request: Request, error: Exception) -> JSONResponse:

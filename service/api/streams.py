@@ -16,7 +16,7 @@ from starlette.types import Receive, Scope, Send
 from service.api.context import ApiContext
 from service.api.feeds import Feed, cursor_problem, page_now
 from service.api.pages import FeedPage, server_sent
-from service.api.problems import Problem, failure_of, problem_document
+from service.api.problems import Problem, failure_of, problem_document, store_unavailable
 from service.api.reader_process import BusyError
 from service.api.request_ids import request_id_of
 from service.errors import StoreError
@@ -107,8 +107,7 @@ async def _chunks(
         yield _sent_problem(problem, request)
     except StoreError as err:
         log.error("%s: %s", failure_of(request), err)
-        unavailable = Problem(503, "store-unavailable", "connect again in 5 s", retry_after_s=5)
-        yield _sent_problem(unavailable, request)
+        yield _sent_problem(store_unavailable(), request)
 
 
 def _sent_problem(problem: Problem, request: Request) -> bytes:

@@ -16,7 +16,6 @@ router = APIRouter(prefix="/health", tags=["health"])
 
 OVERALL_STATUS = {Ne107.GOOD: CheckStatus.PASS, Ne107.FAILURE: CheckStatus.FAIL}
 """Status of the whole device; a warning in all other states."""
-RETRY_AFTER_S = 5
 
 
 class HealthDocument(BaseModel):
@@ -63,14 +62,7 @@ async def ready(context: Context) -> Ready:
     health = context.control.health()
     if not health.ready:
         detail = "; ".join(health.reasons) or "no reason given"
-        raise Problem(
-            503,
-            "not-ready",
-            detail,
-            headers={"Retry-After": str(RETRY_AFTER_S)},
-            reasons=list(health.reasons),
-            retry_after_s=RETRY_AFTER_S,
-        )
+        raise Problem(503, "not-ready", detail, reasons=list(health.reasons))
     return Ready()
 
 
