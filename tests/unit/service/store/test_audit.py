@@ -12,6 +12,7 @@ from service.cli import build_app
 from service.errors import StoreError
 from service.store import Store, open_store
 from service.store.audit import check_chain, note_alone
+from service.store.events import events_after
 
 
 def tamper(state_dir: Path, statement: str) -> None:
@@ -62,18 +63,23 @@ async def test_a_last_entry_that_was_removed_shows_beside_the_digest_of_before(
     assert after.digest != before.digest
 
 
-async def test_entries_of_an_earlier_version_are_covered_by_the_first_after_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("schema", [4, 5])  # 5: the first with digests
+async def test_entries_of_an_earlier_version_are_covered_by_the_first_after_them(
+    tmp_path: Path, schema: int
+) -> None:
     with closing(sqlite3.connect(tmp_path / "results.sqlite")) as old:
-        for number in range(1, 5):
+        for number in range(1, schema + 1):
             (script,) = (
                 each for each in files("service.store").iterdir() if each.name[:3] == f"{number:03d}"
             )
             old.executescript(f"{script.read_text(encoding='utf-8')}; PRAGMA user_version = {number}")
         entry = (1, "2026-03-01T00:00:00.000Z", "key mes", "lot opened", "L1", None, "{}")
-        old.execute("INSERT INTO audit VALUES (?, ?, ?, ?, ?, ?, ?)", entry)
+        columns = "entry, at, who, action, subject, before, after"
+        old.execute(f"INSERT INTO audit ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", entry)  # noqa: S608
         old.commit()
     with open_store(tmp_path) as store:
         assert (await store.read(check_chain)).n_entries == 1
+        assert (await store.read(events_after, 0, 10)).last_seq == 0
         await note(store, 1)
         assert (await store.read(check_chain)).broken_at is None
         tamper(tmp_path, "UPDATE audit SET subject = 'L9' WHERE entry = 1")
