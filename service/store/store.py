@@ -186,8 +186,7 @@ class Store:
             if self._n_notes >= MAX_NOTES:
                 return
         self._n_notes += 1
-        note = partial(audit.note_alone, who=who, action=action, subject=subject, before=before, after=after)
-        written = self._submit(note)
+        written = self.write_later(audit.note_alone, who, action, subject, before, after)
         written.add_done_callback(self._forget_note)
         await self._unless_held(written)
 
