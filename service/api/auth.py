@@ -13,7 +13,7 @@ from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from drivers.files.times import utc_now
-from service.api.addresses import host_of, is_loopback
+from service.addresses import host_of, is_loopback
 from service.api.context import ApiContext, Context
 from service.api.idempotency import begin_attempt
 from service.api.key_file import StoredKey

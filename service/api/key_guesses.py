@@ -4,7 +4,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from ipaddress import IPv6Address, ip_network
 
-from service.api.addresses import address_of
+from service.addresses import address_of
 
 MAX_WRONG = 10
 """Wrong keys in a row after which an address must wait."""

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from service.api.addresses import is_host, is_loopback
+from service.addresses import is_host, is_loopback
 
 KEY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 """Name of a key that `stonefall keys` creates."""

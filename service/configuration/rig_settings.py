@@ -26,7 +26,7 @@ from pipeline.fall import FALL_HEIGHT_MM, Fall, fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
-from service.configuration.paths import ConfiguredPath, resolve_path
+from service.configured_paths import ConfiguredPath, resolve_path
 from service.recording.live_recording import RecordingSource
 
 OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")

@@ -10,7 +10,7 @@ from pipeline.errors import ModelError
 from pipeline.segmentation.onnx_runtime import onnxruntime
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.segmentation.subtraction import SegmentationParameters
-from service.configuration.paths import resolve_path
+from service.configured_paths import resolve_path
 from service.models.networks import load_model, read_model
 from service.processing.segmenters import SegmenterPlan
 

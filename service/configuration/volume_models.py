@@ -7,7 +7,7 @@ from pathlib import Path
 from drivers.files.durable import replacing
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.particle import MeasuringParameters
-from service.configuration.paths import ConfiguredPath
+from service.configured_paths import ConfiguredPath
 from service.errors import VolumeModelError
 
 FORMAT = "stonefall-volume/1"

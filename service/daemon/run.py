@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from socket import socket
 
-from service.api.addresses import is_loopback
+from service.addresses import is_loopback
 from service.api.app import create_app
 from service.api.reader_process import ReaderProcess, Reading
 from service.api.server import RestServer, listen, server_config
