@@ -145,6 +145,7 @@ def lot_document(record: LotRecord) -> LotDocument:
         opened_at=record.opened_at,
         closed_at=record.closed_at,
         void_reason=record.void_reason,
+        revision=record.revision,
         n_stones=record.n_stones,
     )
 

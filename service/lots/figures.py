@@ -147,6 +147,9 @@ class LotDocument(Report):
         description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
     )
     void_reason: str | None = Field(description="Why it counts no more; null unless void")
+    revision: int = Field(
+        description="0 while it is open; 1 when it is closed, and one more with each change after that"
+    )
     n_stones: int = Field(description="Stones that fell, whatever became of them")
 
 

@@ -48,6 +48,7 @@ class LotRecord:
     opened_at: str
     closed_at: str | None
     void_reason: str | None
+    revision: int  # 0 while it is open, then 1, and one more whenever it is changed
     n_stones: int  # that fell, with outcome
 
 
@@ -113,7 +114,7 @@ def close_lot(
         if tonnage_t is not None:
             definition = replace(definition, tonnage_t=tonnage_t)
         connection.execute(
-            "UPDATE lots SET state = 'closed', closed_at = ?, definition = ? WHERE lot = ?",
+            "UPDATE lots SET state = 'closed', closed_at = ?, definition = ?, revision = revision + 1 WHERE lot = ?",
             (utc_now(), json.dumps(asdict(definition)), lot),
         )
         return _noted(connection, lot, who, "lot closed", before, EventType.LOT_CLOSED)
@@ -126,7 +127,8 @@ def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) ->
         if before is None or before.state is LotState.VOID:
             return before
         connection.execute(
-            "UPDATE lots SET state = 'void', void_reason = ?, closed_at = coalesce(closed_at, ?) WHERE lot = ?",
+            "UPDATE lots SET state = 'void', void_reason = ?, closed_at = coalesce(closed_at, ?),"
+            " revision = revision + 1 WHERE lot = ?",
             (reason, utc_now(), lot),
         )
         return _noted(connection, lot, who, "lot voided", before, EventType.LOT_VOIDED)
@@ -149,13 +151,18 @@ def assign(
         n_assigned = connection.execute(
             "UPDATE stones SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL", within
         ).rowcount
-        connection.execute(
+        n_triggers = connection.execute(
             "UPDATE triggers SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"
             " AND kind = 'particle'",
             within,
-        )
+        ).rowcount
         details = {"since": since, "until": until, "n_stones": n_assigned}
         audit.note(connection, who, "stones assigned", lot, after=details)
+        if n_assigned or n_triggers:  # of which some may have no outcome yet
+            connection.execute(
+                "UPDATE lots SET revision = revision + 1 WHERE lot = ? AND state = 'closed'", (lot,)
+            )
+            _note_event(connection, EventType.LOT_ASSIGNED, _existing(connection, lot))
         return _existing(connection, lot), n_assigned
 
 
@@ -187,7 +194,7 @@ def _lots(
     connection: sqlite3.Connection, condition: str, values: tuple[object, ...], limit: int
 ) -> list[LotRecord]:
     rows = connection.execute(
-        "SELECT state, product, version, definition, opened_at, closed_at, void_reason,"  # noqa: S608 - of this module
+        "SELECT state, product, version, definition, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
         " (SELECT count(*) FROM stones WHERE stones.lot = lots.lot)"
         f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
         (*values, limit),
@@ -201,9 +208,10 @@ def _lots(
             opened_at=opened_at,
             closed_at=closed_at,
             void_reason=void_reason,
+            revision=revision,
             n_stones=n_stones,
         )
-        for state, product, version, definition, opened_at, closed_at, void_reason, n_stones in rows
+        for state, product, version, definition, opened_at, closed_at, void_reason, revision, n_stones in rows
     ]
 
 
@@ -229,7 +237,13 @@ def _noted(
 ) -> LotRecord:
     """Note a change of a lot in the audit and among the events, and return the lot as it is now."""
     after = _existing(connection, lot)
-    facts = asdict(after)
-    audit.note(connection, who, action, lot, before=None if before is None else asdict(before), after=facts)
-    note_event(connection, NewEvent(type=event, subject=lot, data=facts.pop("definition") | facts))
+    facts = None if before is None else asdict(before)
+    audit.note(connection, who, action, lot, before=facts, after=asdict(after))
+    _note_event(connection, event, after)
     return after
+
+
+def _note_event(connection: sqlite3.Connection, event: EventType, lot: LotRecord) -> None:
+    facts = asdict(lot)
+    data = facts.pop("definition") | facts
+    note_event(connection, NewEvent(type=event, subject=lot.definition.lot, data=data))

@@ -154,6 +154,7 @@ def lot_section(data: ReportData, say: Words) -> Section:
             (say("lot.tonnage"), tonnage),
             (say("lot.opened"), say.time(lot.opened_at)),
             (say("lot.closed"), say.time(lot.closed_at) if lot.closed_at else say("lot.not_closed")),
+            (say("lot.revision"), str(lot.revision) if lot.revision > 1 else None),
         ]
     if figures.since and figures.until:
         pairs.append((say("lot.stones_fell"), f"{say.time(figures.since)} – {say.time(figures.until)}"))

@@ -19,6 +19,8 @@ class EventType(StrEnum):
     LOT_OPENED = "lot.opened"
     LOT_CLOSED = "lot.closed"
     LOT_VOIDED = "lot.voided"
+    LOT_ASSIGNED = "lot.assigned"
+    """Stones that were in no lot are in this one now."""
     ALARM_RAISED = "alarm.raised"
     """It needs someone: it is new, has come back, has become worse, or is suppressed or shelved no longer."""
     ALARM_CLEARED = "alarm.cleared"
@@ -63,11 +65,17 @@ def note_event(connection: sqlite3.Connection, event: NewEvent) -> int:
     return int(number)
 
 
-def events_after(connection: sqlite3.Connection, after: int, limit: int) -> EventsPage:
-    """Return up to `limit` events after a number, in order."""
+def event_ends(connection: sqlite3.Connection) -> tuple[int, int]:
+    """Return the number of the oldest event that is kept, that of the next one if there is none, and of the newest."""
     last_seq, first_seq = connection.execute(
         "SELECT last_event, coalesce((SELECT min(seq) FROM events), last_event + 1) FROM store"
     ).fetchone()
+    return first_seq, last_seq
+
+
+def events_after(connection: sqlite3.Connection, after: int, limit: int) -> EventsPage:
+    """Return up to `limit` events after a number, in order."""
+    first_seq, last_seq = event_ends(connection)
     rows = connection.execute(
         "SELECT seq, at, type, subject, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?",
         (after, limit),

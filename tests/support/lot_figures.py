@@ -100,6 +100,7 @@ def lot_document(**changes: Any) -> LotDocument:
         "opened_at": "2026-11-20T06:02:11.120Z",
         "closed_at": "2026-11-20T06:58:40.004Z",
         "void_reason": None,
+        "revision": 1,
         "n_stones": 1012,
     }
     return LotDocument(**given | changes)

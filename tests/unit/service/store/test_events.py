@@ -7,8 +7,9 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from support.rest import add, measured
 
-from service.lots.lots import LotDefinition, close_lot, open_lot, void_lot
+from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product
 from service.store import Store, event_log, open_store
 from service.store.backups import restore
@@ -154,3 +155,37 @@ async def test_lots_are_events_in_the_transaction_of_the_change(store: Store) ->
     ]
     assert (items[1]["data"]["state"], items[1]["data"]["tonnage_t"]) == ("closed", 24.5)
     assert items[2]["data"]["void_reason"] == "wrong"
+
+
+async def test_each_change_of_a_lot_that_is_not_open_raises_its_revision(store: Store, session: int) -> None:
+    product = ProductDefinition(title="8/16", density_kg_m3=2700)
+    await store.write(save_product, "basalt", product, "anna")
+
+    async def fall(sequence: int) -> None:
+        await add(store, session, sequence, measured())
+
+    async def put_in_lot() -> int:
+        done = await store.write(assign, "L1", "2000-01-01T00:00:00.000Z", "2100-01-01T00:00:00.000Z", "anna")
+        return 0 if done is None else done[0].revision
+
+    await fall(1)
+    await store.write(open_lot, LotDefinition(lot="L1"), "basalt", None, "anna")
+    assert await put_in_lot() == 0  # it is open
+    await fall(2)
+    closed = await store.write(close_lot, "L1", None, "anna")
+    assert closed is not None
+    assert closed.revision == 1
+    await fall(3)
+    assert [await put_in_lot(), await put_in_lot()] == [2, 2]  # the second time there is nothing to put
+    await store.write(void_lot, "L1", "wrong", "anna")
+    voided = await store.read(find_lot, "L1")
+    assert voided is not None
+    assert voided.revision == 3
+    items = (await store.read(events_after, 0, 10)).items
+    assert [(item["type"], item["data"]["revision"]) for item in items] == [
+        ("lot.opened", 0),
+        ("lot.assigned", 0),
+        ("lot.closed", 1),
+        ("lot.assigned", 2),
+        ("lot.voided", 3),
+    ]
