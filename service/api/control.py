@@ -12,6 +12,7 @@ from prometheus_client import Histogram
 from pipeline.frames import CameraId, Image
 from service.alarms.alarms import Alarms
 from service.calibration.calibrations import Calibrations
+from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
@@ -32,6 +33,9 @@ class Control(Protocol):
 
     @property
     def alarms(self) -> Alarms: ...
+
+    @property
+    def webhooks(self) -> Webhooks: ...
 
     @property
     def delays(self) -> Histogram:

@@ -1,4 +1,4 @@
-"""The report of a lot from the store, made in the process `stonefall-read`."""
+"""The report of a lot from the store, and the files of one that is closed, made in the process `stonefall-read`."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -9,11 +9,15 @@ from pathlib import Path
 from drivers.files.times import utc_now
 from service.api.renditions import NotKeptError, preview_png
 from service.api.version import API_VERSION
+from service.delivery.file_drop import LotFiles
+from service.delivery.settings import DropFormat
+from service.errors import ServiceError, WorkerFailure
 from service.language import Language
 from service.lots.evaluation import lot_figures
 from service.lots.figures import LotFigures
 from service.lots.laboratory import StoredSieving, sievings
 from service.lots.yardsticks import Request
+from service.processing.worker_process import worker_boundary
 from service.reports.render import render
 from service.reports.report import (
     GalleryReason,
@@ -25,6 +29,7 @@ from service.reports.report import (
     SievingStep,
 )
 from service.store.reads import folder
+from service.store.schema import connect_reader
 
 MATTER = {
     GalleryReason.HEAVIEST: ("volume_mm3 DESC", 3),
@@ -34,6 +39,10 @@ MATTER = {
 """The order in which stones matter for a reason, and how many of them are shown."""
 NEAREST = 2
 """Stones that are shown for being nearest to a sieve with limits."""
+
+
+class FilesFailedError(ServiceError):
+    """The files of a lot cannot be made."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +60,53 @@ def lot_report(
     connection: sqlite3.Connection, particles_dir: Path, lot: str, wanted: ReportRequest
 ) -> bytes | None:
     """Return the report of a lot, None if there is none."""
+    data = _report_data(connection, particles_dir, lot, wanted, has_pictures=True)
+    return None if data is None else render(data, wanted.report_format)
+
+
+def lot_files(
+    path: Path, particles_dir: Path, lot: str, wanted: ReportRequest, formats: Sequence[DropFormat]
+) -> LotFiles | None:
+    """Return the files of a lot as it is at one moment, None if there is none.
+
+    Raises
+    ------
+    FilesFailedError
+        They cannot be made, for whatever reason.
+    """
+    try:
+        with worker_boundary(), connect_reader(path) as connection:
+            data = _report_data(
+                connection, particles_dir, lot, wanted, has_pictures=DropFormat.PDF in formats
+            )
+            if data is None or data.figures.lot is None:
+                return None
+            content = {each: _file(data, each) for each in formats}
+            return LotFiles(revision=data.figures.lot.revision, content=content)
+    except WorkerFailure as failure:
+        raise FilesFailedError(str(failure).strip().rpartition("\n")[2]) from None
+
+
+def _file(data: ReportData, drop_format: DropFormat) -> bytes:
+    if drop_format is DropFormat.JSON:
+        return data.figures.model_dump_json().encode()
+    return render(data, ReportFormat(drop_format))
+
+
+def _report_data(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    lot: str,
+    wanted: ReportRequest,
+    *,
+    has_pictures: bool,
+) -> ReportData | None:
+    """Return what the report of a lot says, None if there is none."""
     figures = lot_figures(connection, lot, wanted.figures)
     if figures is None:
         return None
     limits_mm = [step.sieve_mm for step in figures.curve if step.decision is not None]
-    data = ReportData(
+    return ReportData(
         figures=figures,
         created_at=utc_now(),
         language=wanted.language,
@@ -64,9 +115,8 @@ def lot_report(
         verification=wanted.verification,
         is_verification_overdue=wanted.is_verification_overdue,
         sievings=[_sieving(each, figures) for each in sievings(connection, lot)],
-        gallery=_gallery(connection, particles_dir, lot, limits_mm),
+        gallery=_gallery(connection, particles_dir, lot, limits_mm) if has_pictures else (),
     )
-    return render(data, wanted.report_format)
 
 
 def _gallery(

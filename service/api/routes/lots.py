@@ -13,15 +13,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
-from service.api.lot_reports import ReportRequest, lot_report
+from service.api.lot_reports import lot_report
 from service.api.pages import lot_figures_json
 from service.api.problems import Problem, existing, problem_responses
+from service.api.report_requests import report_request
 from service.api.routes.particle_files import best_match
 from service.api.routes.products import Text
 from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.calibration.verifications import Verification, VerificationState
 from service.language import Language
 from service.lots.evaluation import lot_document
 from service.lots.figures import LotDocument, LotFigures
@@ -40,8 +40,8 @@ from service.lots.lots import (
 from service.lots.products import find_product
 from service.lots.stored_stones import stones_behind
 from service.lots.yardsticks import Request, yardstick_of
-from service.reports.report import LastVerification, ReportFormat, VerificationOutcome
-from service.results.fields import TIME, Verified
+from service.reports.report import ReportFormat
+from service.results.fields import TIME
 from service.store import read
 
 router = APIRouter(prefix="/lots", tags=["lots"])
@@ -381,28 +381,9 @@ async def _report(
     language: Language,
     measuring: Request,
 ) -> Response:
-    calibrations = context.control.calibrations
-    last = calibrations.verifications.last(calibrations.rig_file.calibration_id)
-    wanted = ReportRequest(
-        figures=measuring,
-        report_format=report_format,
-        language=language,
-        verification=None if last is None else _last_verification(last),
-        is_verification_overdue=calibrations.verified is Verified.OVERDUE,
-    )
+    wanted = report_request(context.control, measuring, report_format, language)
     store = context.store
     content = await context.reading.run(read, store.path, lot_report, store.particles_dir, lot, wanted)
     name = f'inline; filename="{lot}.{report_format}"'
     headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
     return Response(existing(content, "lot", lot), media_type=report_format.media_type, headers=headers)
-
-
-def _last_verification(last: Verification) -> LastVerification:
-    passed = last.state is VerificationState.PASSED
-    return LastVerification(
-        id=last.id,
-        at=last.changed_at,
-        outcome=VerificationOutcome.PASSED if passed else VerificationOutcome.FAILED,
-        diameter_mm=last.diameter_mm,
-        error_mm=None if last.summary is None else last.summary.error_mm,
-    )

@@ -1,0 +1,173 @@
+"""Write files of closed lots into a folder, each revision of a lot once; what could not be written is made up for.
+
+Which revision of a lot is written is noted in the store after its files are durable: after a crash in between they are
+written again, under the same names.
+"""
+
+import asyncio
+import logging
+import sqlite3
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.files.durable import replacing
+from drivers.files.times import utc_now
+from service.delivery.abandonable import start_abandonable
+from service.delivery.settings import DropFormat, FileDropSettings
+from service.errors import ServiceError, StoreError
+from service.store import Store
+from service.store.schema import transaction
+
+log = logging.getLogger(__name__)
+
+RETRY_S = 30.0
+"""Pause before a folder that took no file is tried again."""
+LOOK_S = 1.0
+"""Time between two looks at a lot whose last stones are still being measured."""
+ANSWER_S = 60.0
+"""A folder that has not taken a file for so long does not answer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotFiles:
+    """The files of a lot, made at one moment."""
+
+    revision: int
+    content: Mapping[DropFormat, bytes]
+
+
+MakeFiles = Callable[[str, FileDropSettings], Awaitable[LotFiles | None]]
+"""Returns the files of a lot, in all formats; None if there is no such lot."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DueLots:
+    """Closed lots whose newest revision is not written."""
+
+    complete: list[str]
+    measured_yet: list[str]  # stones of these have no outcome
+
+
+async def open_file_drop(store: Store, settings: FileDropSettings | None) -> "FileDrop":
+    """Return the file drop, as an earlier run of the daemon has left it."""
+    if settings is not None:
+        await store.write(begin_file_drop)
+    return FileDrop(store, settings)
+
+
+class FileDrop:
+    """Writes the files of closed lots, made by `open_file_drop`: `run` is its task, `trouble` says why it cannot."""
+
+    def __init__(
+        self,
+        store: Store,
+        settings: FileDropSettings | None,
+        *,
+        retry_s: float = RETRY_S,
+        answer_s: float = ANSWER_S,
+    ) -> None:
+        self._store = store
+        self._settings = settings
+        self._retry_s = retry_s
+        self._answer_s = answer_s
+        self.trouble: str | None = None
+
+    async def run(self, make_files: MakeFiles) -> None:
+        """Write what is due whenever something is, until waiting in the store is ended."""
+        if self._settings is None:
+            return
+        while not self._store.is_released:
+            last_event = self._store.last_event
+            pause_s = await self._look(self._settings, make_files)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(pause_s):
+                    await self._store.wait_beyond_event(last_event)
+
+    async def _look(self, settings: FileDropSettings, make_files: MakeFiles) -> float | None:
+        """Write what is due; return how long to wait for the next look, None: until something happens."""
+        troubles = []
+        measured_yet: list[str] = []
+        try:
+            due = await self._store.read(due_lots)
+            measured_yet = due.measured_yet
+            for lot in due.complete:
+                try:
+                    await self._drop(settings, lot, make_files)
+                except ServiceError as err:  # of this lot; the others are written
+                    troubles.append(f"lot {lot}: {err}")
+        except (StoreError, OSError) as err:
+            troubles.append(_words(settings, err))
+        trouble = "; ".join(troubles) or None
+        if trouble is not None and trouble != self.trouble:
+            log.error("file drop: %s", trouble)
+        self.trouble = trouble
+        if trouble is not None:
+            return self._retry_s
+        return LOOK_S if measured_yet else None
+
+    async def _drop(self, settings: FileDropSettings, lot: str, make_files: MakeFiles) -> None:
+        files = await make_files(lot, settings)
+        if files is None:
+            return
+        by_path = {
+            settings.dir / f"{lot}-{files.revision}.{each}": content
+            for each, content in files.content.items()
+        }
+        writing = start_abandonable("file drop", write_files, settings, by_path)
+        while not (await asyncio.wait([writing], timeout=self._answer_s))[0]:
+            self.trouble = f"{settings.dir} has not answered for {self._answer_s:g} s"
+            log.error("file drop: %s", self.trouble)
+        writing.result()
+        await self._store.write(note_dropped, lot, files.revision)
+        log.info("files of a lot written lot=%s revision=%d dir=%s", lot, files.revision, settings.dir)
+
+
+def write_files(settings: FileDropSettings, files: Mapping[Path, bytes]) -> None:
+    """Write files, each whole or not at all; raise `OSError` if the folder is not there or takes none."""
+    settings.require_present()
+    for path, content in files.items():
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+
+
+def begin_file_drop(connection: sqlite3.Connection) -> None:
+    """Note at the first start with a folder that lots closed until now are not due."""
+    with transaction(connection):
+        is_first = connection.execute(
+            "INSERT OR IGNORE INTO file_drop (one, began_at) VALUES (1, ?)", (utc_now(),)
+        ).rowcount
+        if is_first:
+            connection.execute(
+                "INSERT INTO dropped_lots (lot, revision, at) SELECT lot, revision, ? FROM lots WHERE state <> 'open'",
+                (utc_now(),),
+            )
+
+
+def due_lots(connection: sqlite3.Connection) -> DueLots:
+    """Return the lots that were closed, voided or changed since their files were written, oldest first."""
+    rows = connection.execute(
+        "SELECT lot, EXISTS (SELECT 1 FROM triggers WHERE triggers.state = 'open' AND triggers.lot = lots.lot)"
+        " FROM lots LEFT JOIN dropped_lots USING (lot)"
+        " WHERE lots.state <> 'open' AND lots.revision > coalesce(dropped_lots.revision, 0) ORDER BY closed_at"
+    ).fetchall()
+    return DueLots(
+        complete=[lot for lot, is_measured_yet in rows if not is_measured_yet],
+        measured_yet=[lot for lot, is_measured_yet in rows if is_measured_yet],
+    )
+
+
+def note_dropped(connection: sqlite3.Connection, lot: str, revision: int) -> None:
+    """Note that the files of a revision are written."""
+    with transaction(connection):
+        connection.execute(
+            "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)",
+            (lot, revision, utc_now()),
+        )
+
+
+def _words(settings: FileDropSettings, error: StoreError | OSError) -> str:
+    if isinstance(error, StoreError):
+        return str(error)
+    return f"{settings.dir}: {error.strerror or error}"

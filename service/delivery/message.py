@@ -1,0 +1,49 @@
+"""What a webhook says of an event: {type, timestamp, data}, and an id that is the same on every attempt."""
+
+import hashlib
+import json
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+MAX_BYTES = 20_000
+TEST = "webhook.test"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """A message, ready to be signed."""
+
+    id: str
+    type: str
+    event: int | None  # its number; None for a test
+    body: bytes
+
+
+def message_of(event: Mapping[str, Any], instance_id: str) -> Message:
+    """Return the message of an event as the feed has it; one that is too large comes without its details."""
+    told = [event["seq"], event["at"], event["type"], event["subject"]]
+    # not of the instance: that is another one after a restored backup, and the event the same
+    digest = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
+    body = _body(event, instance_id, event["data"])
+    if len(body) >= MAX_BYTES:
+        body = _body(event, instance_id, None)
+    return Message(id=f"event-{event['seq']}-{digest}", type=event["type"], event=event["seq"], body=body)
+
+
+def trial_message(instance_id: str, at: str) -> Message:
+    """Return a message that tells of nothing."""
+    event = {"seq": None, "at": at, "type": TEST, "subject": "test"}
+    return Message(id=f"test-{uuid.uuid4()}", type=TEST, event=None, body=_body(event, instance_id, {}))
+
+
+def _body(event: Mapping[str, Any], instance_id: str, details: Mapping[str, Any] | None) -> bytes:
+    data = {
+        "instance_id": instance_id,
+        "seq": event["seq"],
+        "subject": event["subject"],
+        "details": details,
+    }
+    document = {"type": event["type"], "timestamp": event["at"], "data": data}
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace")

@@ -1,0 +1,92 @@
+"""How far an endpoint is with the events, and when it is tried again: pure, time comes in."""
+
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from http import HTTPStatus
+
+from pipeline.frames import rfc3339
+
+PAUSES_S = (5.0, 300.0, 1800.0, 7200.0, 18_000.0, 36_000.0)
+"""Pauses after the first failures of an event; the last one is repeated."""
+JITTER = 0.1
+"""Share by which a pause is longer at most: endpoints that failed together are not tried together."""
+GIVE_UP_S = 24 * 3600.0
+"""Time of pauses after which an endpoint is disabled; not by the clock, which may be set meanwhile."""
+MIN_PAUSE_S = 1.0
+ASKS_TO_WAIT = (HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What came of one request."""
+
+    status: int | None = None  # None: there was no answer
+    problem: str | None = None  # None: the message was taken
+    retry_after_s: float | None = None
+    duration_ms: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """How far an endpoint is; times are RFC 3339."""
+
+    after: int  # last event that it has taken
+    attempts: int = 0  # failed ones of the next event
+    waited_s: float = 0.0  # since the first of these: the pauses between them
+    failing_since: str | None = None
+    next_attempt_at: str | None = None
+    last_problem: str | None = None  # None once the next message was taken
+    last_taken_at: str | None = None
+    disabled_at: str | None = None
+
+    def pause_s(self, now: datetime) -> float:
+        """Return how long to wait before the next attempt; clocks that were set meanwhile delay it by a day at most."""
+        if self.next_attempt_at is None:
+            return 0.0
+        remaining = datetime.fromisoformat(self.next_attempt_at) - now
+        return min(max(remaining.total_seconds(), 0.0), GIVE_UP_S)
+
+
+def next_progress(
+    progress: Progress, event: int, answer: Answer, now: datetime, chance: float = 0.0
+) -> Progress:
+    """Return the progress after an attempt to tell of `event`; `chance` is random, 0 to 1."""
+    at = rfc3339(now)
+    if answer.problem is None:
+        return Progress(after=event, last_taken_at=at)
+    failed = replace(
+        progress,
+        attempts=progress.attempts + 1,
+        failing_since=progress.failing_since or at,
+        last_problem=answer.problem,
+        next_attempt_at=None,
+    )
+    left_s = GIVE_UP_S - progress.waited_s
+    if answer.status == HTTPStatus.GONE or left_s <= 0:
+        return replace(failed, disabled_at=at)
+    pause_s = PAUSES_S[min(progress.attempts, len(PAUSES_S) - 1)] * (1 + JITTER * chance)
+    if answer.retry_after_s is not None and answer.status in ASKS_TO_WAIT:
+        pause_s = max(answer.retry_after_s, MIN_PAUSE_S)
+    pause_s = min(pause_s, left_s)
+    return replace(
+        failed,
+        waited_s=progress.waited_s + pause_s,
+        next_attempt_at=rfc3339(now + timedelta(seconds=pause_s)),
+    )
+
+
+def enabled(progress: Progress) -> Progress:
+    """Return the progress of an endpoint that is tried again at once, as if it had not failed."""
+    return Progress(after=progress.after, last_taken_at=progress.last_taken_at)
+
+
+def replayed(progress: Progress, after: int) -> Progress:
+    """Return the progress of an endpoint that is told again of all events after a number."""
+    return replace(
+        progress,
+        after=after,
+        attempts=0,
+        waited_s=0.0,
+        failing_since=None,
+        next_attempt_at=None,
+    )

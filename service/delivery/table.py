@@ -1,0 +1,168 @@
+"""The tables of webhooks: how far each endpoint is, its newest deliveries, and the events that it is to be told of."""
+
+import json
+import sqlite3
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from service.delivery.progress import Progress, enabled, replayed
+from service.store import audit
+from service.store.events import EventType, event_ends
+from service.store.schema import transaction
+
+PROGRESS = TypeAdapter(Progress)
+MAX_DELIVERIES = 500
+"""Newest deliveries of each endpoint that are kept."""
+
+
+class EventCursorError(ValueError):
+    """The events do not reach that far, or no longer have what follows; `ends` are their first and last number."""
+
+    def __init__(self, after: int, first_seq: int, last_seq: int) -> None:
+        super().__init__(
+            f"events {first_seq} to {last_seq} are kept: nothing can be told again after {after}"
+        )
+        self.is_ahead = after > last_seq
+        self.ends: dict[str, Any] = {"first_seq": first_seq, "last_seq": last_seq}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delivery:
+    """One attempt to tell an endpoint of something."""
+
+    at: str
+    webhook_id: str
+    type: str
+    event: int | None  # None: a test
+    attempt: int  # 1: the first
+    status: int | None
+    problem: str | None  # None: it was taken
+    duration_ms: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Due:
+    """What an endpoint is to be told of next."""
+
+    event: Mapping[str, Any] | None  # None: nothing up to `last_seq`
+    first_seq: int  # oldest event that is kept
+    last_seq: int
+
+
+def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
+    """Have endpoints that are new told of what happens from now on."""
+    with transaction(connection):
+        (last,) = connection.execute("SELECT last_event FROM store").fetchone()
+        first = json.dumps(asdict(Progress(after=last)))
+        connection.executemany(
+            "INSERT OR IGNORE INTO webhooks (name, progress) VALUES (?, ?)", [(name, first) for name in names]
+        )
+
+
+def progress_of(connection: sqlite3.Connection, name: str) -> Progress:
+    """Return how far an endpoint is, one that `begin` knows."""
+    (document,) = connection.execute("SELECT progress FROM webhooks WHERE name = ?", (name,)).fetchone()
+    return PROGRESS.validate_json(document)
+
+
+def next_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]) -> Due:
+    """Return the first event of these types after a number."""
+    first_seq, last_seq = event_ends(connection)
+    row = connection.execute(
+        "SELECT seq, at, type, subject, data FROM events WHERE seq > ?"  # noqa: S608 - question marks
+        f" AND type IN ({_marks(types)}) ORDER BY seq LIMIT 1",
+        (after, *types),
+    ).fetchone()
+    if row is None:
+        return Due(event=None, first_seq=first_seq, last_seq=last_seq)
+    number, at, kind, subject, data = row
+    event = {"seq": number, "at": at, "type": kind, "subject": subject, "data": json.loads(data)}
+    return Due(event=event, first_seq=first_seq, last_seq=last_seq)
+
+
+def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]) -> int:
+    """Return how many events of these types there are after a number."""
+    (number,) = connection.execute(
+        f"SELECT count(*) FROM events WHERE seq > ? AND type IN ({_marks(types)})",  # noqa: S608 - question marks
+        (after, *types),
+    ).fetchone()
+    return int(number)
+
+
+def note(
+    connection: sqlite3.Connection, name: str, delivery: Delivery, before: Progress, after: Progress
+) -> Progress:
+    """Note an attempt and what follows from it; return how far the endpoint is.
+
+    What somebody has asked for since `before` holds: then only the attempt is noted.
+    """
+    with transaction(connection):
+        _add(connection, name, delivery)
+        now = progress_of(connection, name)
+        if now != before:
+            return now
+        _keep(connection, name, after)
+        return after
+
+
+def note_trial(connection: sqlite3.Connection, name: str, delivery: Delivery) -> None:
+    """Note an attempt that tells of nothing."""
+    with transaction(connection):
+        _add(connection, name, delivery)
+
+
+def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[Delivery]:
+    """Return the newest attempts of an endpoint, newest first."""
+    rows = connection.execute(
+        "SELECT document FROM webhook_deliveries WHERE name = ? ORDER BY delivery DESC LIMIT ?", (name, limit)
+    )
+    return [Delivery(**json.loads(document)) for (document,) in rows]
+
+
+def enable(connection: sqlite3.Connection, name: str, who: str) -> Progress:
+    """Have an endpoint tried again at once, whether it was disabled or waits."""
+    with transaction(connection):
+        before = progress_of(connection, name)
+        return _change(connection, name, who, "webhook enabled", before, enabled(before))
+
+
+def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> Progress:
+    """Have an endpoint told of all events after a number, again; raise `EventCursorError` if they are not there."""
+    with transaction(connection):
+        first_seq, last_seq = event_ends(connection)
+        if not first_seq - 1 <= after <= last_seq:
+            raise EventCursorError(after, first_seq, last_seq)
+        before = progress_of(connection, name)
+        return _change(connection, name, who, "webhook replayed", before, replayed(before, after))
+
+
+def _add(connection: sqlite3.Connection, name: str, delivery: Delivery) -> None:
+    connection.execute(
+        "INSERT INTO webhook_deliveries (name, document) VALUES (?, ?)", (name, json.dumps(asdict(delivery)))
+    )
+    connection.execute(
+        "DELETE FROM webhook_deliveries WHERE name = ?1 AND delivery <= (SELECT delivery FROM webhook_deliveries"
+        " WHERE name = ?1 ORDER BY delivery DESC LIMIT 1 OFFSET ?2)",
+        (name, MAX_DELIVERIES),
+    )
+
+
+def _change(
+    connection: sqlite3.Connection, name: str, who: str, action: str, before: Progress, after: Progress
+) -> Progress:
+    _keep(connection, name, after)
+    audit.note(connection, who, action, name, before=asdict(before), after=asdict(after))
+    return after
+
+
+def _keep(connection: sqlite3.Connection, name: str, progress: Progress) -> None:
+    connection.execute(
+        "UPDATE webhooks SET progress = ? WHERE name = ?", (json.dumps(asdict(progress)), name)
+    )
+
+
+def _marks(values: Sequence[object]) -> str:
+    return ", ".join("?" * len(values))

@@ -1,0 +1,237 @@
+"""Tell endpoints of events, in their order and each at least once: a task an endpoint, the events are the outbox."""
+
+import asyncio
+import logging
+import random
+import ssl
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from pipeline.frames import rfc3339
+from service.delivery import table
+from service.delivery.message import Message, message_of, trial_message
+from service.delivery.posting import post
+from service.delivery.progress import Answer, Progress, next_progress
+from service.delivery.settings import WebhookEndpoint, WebhooksSettings
+from service.delivery.signatures import signatures
+from service.delivery.table import Delivery
+from service.errors import ServiceError, StoreError
+from service.store import Store
+
+log = logging.getLogger(__name__)
+
+STORE_RETRY_S = 5.0
+"""Pause after the store could not be read."""
+
+
+class BeingTestedError(ServiceError):
+    """The endpoint is being tested already."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndpointStatus:
+    """An endpoint, and how far it is."""
+
+    endpoint: WebhookEndpoint
+    progress: Progress
+    n_due: int  # events that it is to be told of yet
+
+
+@dataclass(slots=True)
+class _Told:
+    """What is known of an endpoint in memory."""
+
+    progress: Progress | None = None  # None: before the first look
+    looked_from: int = -1  # after this event
+    looked_to: int = -1  # ... and up to this one there is none for it
+    tls: ssl.SSLContext | None = None
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    is_testing: bool = False
+
+
+async def _wait(event: asyncio.Event, timeout_s: float) -> None:
+    with suppress(TimeoutError):
+        async with asyncio.timeout(timeout_s):
+            await event.wait()
+
+
+async def open_webhooks(store: Store, settings: WebhooksSettings) -> "Webhooks":
+    """Return the endpoints, as an earlier run of the daemon has left them; new ones are told of what comes."""
+    if settings.endpoints:
+        await store.write(table.begin, [endpoint.name for endpoint in settings.endpoints])
+    return Webhooks(store, settings)
+
+
+class Webhooks:
+    """Endpoints of webhooks, made by `open_webhooks`: `run` is their task. Call it on the event loop."""
+
+    def __init__(
+        self,
+        store: Store,
+        settings: WebhooksSettings,
+        *,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+        chance: Callable[[], float] = random.random,
+        wait: Callable[[asyncio.Event, float], Awaitable[None]] = _wait,
+    ) -> None:
+        self._store = store
+        self._settings = settings
+        self._now = now
+        self._chance = chance
+        self._wait = wait
+        self._endpoints = {endpoint.name: endpoint for endpoint in settings.endpoints}
+        self._told = {name: _Told() for name in self._endpoints}
+
+    @property
+    def troubles(self) -> list[str]:
+        """Which endpoints are disabled, and why."""
+        return [
+            f"{name}: disabled since {told.progress.disabled_at}: {told.progress.last_problem}"
+            for name, told in self._told.items()
+            if told.progress is not None and told.progress.disabled_at is not None
+        ]
+
+    async def run(self) -> None:
+        """Tell all endpoints of what happens, until waiting in the store is ended."""
+        if not self._endpoints:
+            return
+        async with asyncio.TaskGroup() as tasks:
+            for endpoint in self._endpoints.values():
+                tasks.create_task(self._tell(endpoint))
+            while not self._store.is_released:
+                await self._store.wait_beyond_event(self._store.last_event)
+                for told in self._told.values():
+                    told.wake.set()
+
+    def find(self, name: str) -> WebhookEndpoint | None:
+        """Return an endpoint, None if there is none of this name."""
+        return self._endpoints.get(name)
+
+    async def status(self, name: str) -> EndpointStatus:
+        """Return how far an endpoint is."""
+        endpoint = self._endpoints[name]
+        progress = await self._store.read(table.progress_of, name)
+        n_due = await self._store.read(table.n_due, progress.after, endpoint.events)
+        return EndpointStatus(endpoint=endpoint, progress=progress, n_due=n_due)
+
+    async def statuses(self) -> list[EndpointStatus]:
+        """Return how far all endpoints are."""
+        return [await self.status(name) for name in self._endpoints]
+
+    async def enable(self, name: str, who: str) -> None:
+        """Try an endpoint again at once, whether it was disabled or waits."""
+        await self._store.write(table.enable, name, who)
+        self._told[name].wake.set()
+
+    async def replay(self, name: str, after: int, who: str) -> None:
+        """Tell an endpoint of all events after a number, again; one that is disabled when it is enabled.
+
+        Raises
+        ------
+        EventCursorError
+            They are not there yet, or no longer.
+        """
+        await self._store.write(table.replay, name, after, who)
+        self._told[name].wake.set()
+
+    async def test(self, name: str) -> Delivery:
+        """Send a message that tells of nothing, once and whether the endpoint is disabled or not.
+
+        Raises
+        ------
+        BeingTestedError
+            One is being sent.
+        """
+        told = self._told[name]
+        if told.is_testing:
+            raise BeingTestedError(f"webhook {name} is being tested")
+        told.is_testing = True
+        try:
+            message = trial_message(self._store.instance_id, rfc3339(self._now()))
+            _, delivery = await self._send(self._endpoints[name], message, attempt=1)
+            await self._store.write(table.note_trial, name, delivery)
+        finally:
+            told.is_testing = False
+        return delivery
+
+    # --- the task of an endpoint ---
+
+    async def _tell(self, endpoint: WebhookEndpoint) -> None:
+        while not self._store.is_released:
+            try:
+                await self._step(endpoint, self._told[endpoint.name])
+            except StoreError as err:  # health says so, too
+                log.error("webhook %s: %s", endpoint.name, err)
+                await asyncio.sleep(STORE_RETRY_S)
+
+    async def _step(self, endpoint: WebhookEndpoint, told: _Told) -> None:
+        """Tell an endpoint of the next event, or wait until there is a reason to look again."""
+        told.wake.clear()
+        before = await self._store.read(table.progress_of, endpoint.name)
+        if told.looked_from != before.after:
+            told.looked_from = told.looked_to = before.after
+        told.progress = before
+        if before.disabled_at is not None:
+            await told.wake.wait()
+            return
+        if (pause_s := before.pause_s(self._now())) > 0:
+            await self._wait(told.wake, pause_s)
+            return
+        due = await self._store.read(table.next_due, told.looked_to, endpoint.events)
+        if told.looked_to + 1 < due.first_seq and before.attempts == 0:
+            log.error("webhook %s: events before %d are no longer kept", endpoint.name, due.first_seq)
+        if due.event is None:
+            told.looked_to = due.last_seq
+            await told.wake.wait()
+            return
+        message = message_of(due.event, self._store.instance_id)
+        answer, delivery = await self._send(endpoint, message, attempt=before.attempts + 1)
+        after = next_progress(before, due.event["seq"], answer, self._now(), self._chance())
+        if after.disabled_at is not None:
+            log.error("webhook %s is disabled: %s", endpoint.name, answer.problem)
+        elif after.attempts == 1:
+            log.warning("webhook %s: %s", endpoint.name, answer.problem)
+        elif before.attempts > 0 and answer.problem is None:
+            log.info("webhook %s is told again, attempts=%d", endpoint.name, before.attempts + 1)
+        told.progress = await self._store.write(table.note, endpoint.name, delivery, before, after)
+
+    async def _send(
+        self, endpoint: WebhookEndpoint, message: Message, attempt: int
+    ) -> tuple[Answer, Delivery]:
+        now = self._now()
+        try:
+            headers = await asyncio.to_thread(_signed, endpoint, message, int(now.timestamp()))
+            tls = await self._tls_of(endpoint)
+        except ValueError as err:  # of a secret or a certificate
+            answer = Answer(problem=str(err))
+        else:
+            answer = await post(endpoint, self._settings, message.body, headers, tls)
+        delivery = Delivery(
+            at=rfc3339(now),
+            webhook_id=message.id,
+            type=message.type,
+            event=message.event,
+            attempt=attempt,
+            status=answer.status,
+            problem=answer.problem,
+            duration_ms=answer.duration_ms,
+        )
+        return answer, delivery
+
+    async def _tls_of(self, endpoint: WebhookEndpoint) -> ssl.SSLContext | None:
+        """Return what TLS trusts, read once."""
+        told = self._told[endpoint.name]
+        if told.tls is None and endpoint.target.scheme == "https":
+            told.tls = await asyncio.to_thread(endpoint.tls)
+        return told.tls
+
+
+def _signed(endpoint: WebhookEndpoint, message: Message, timestamp_s: int) -> dict[str, str]:
+    """Return the headers that sign a message; reads files."""
+    return {
+        "webhook-id": message.id,
+        "webhook-timestamp": str(timestamp_s),
+        "webhook-signature": signatures(endpoint.keys(), message.id, timestamp_s, message.body),
+    }
