@@ -41,6 +41,7 @@ from service.api.routes import (
     results,
     streams,
     verifications,
+    webhooks,
     windows,
 )
 from service.api.settings import ApiSettings, Scope
@@ -95,6 +96,7 @@ def build_routes() -> FastAPI:
         configuration,
         alarms,
         streams,
+        webhooks,
     ):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])

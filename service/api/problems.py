@@ -63,6 +63,7 @@ TITLES = {
     "unknown-particle": "No such particle",
     "unknown-recording": "No such recording",
     "unknown-verification": "No such verification",
+    "unknown-webhook": "No such webhook",
     "unsupported-media-type": "Not JSON",
 }
 """`title` by the last part of `type`; problems that are not here are named by the phrase of their status."""

@@ -35,9 +35,12 @@ def command(
         raise typer.Exit(1)
 
 
-def _sections(document: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+def _sections(document: Mapping[str, Mapping[str, Any] | None]) -> Iterator[str]:
     """Yield each section as TOML that can be read again; settings without a value are comments below its header."""
     for name, values in document.items():
+        if values is None:
+            yield f"# [{name}] is not set\n"
+            continue
         header, *lines = tomli_w.dumps({name: _without_none(values)}).splitlines()
         unset = [f"# {key} is not set" for key, value in values.items() if value is None]
         yield "\n".join([header, *unset, *lines, ""])

@@ -27,6 +27,7 @@ from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
 from service.configured_paths import ConfiguredPath
+from service.delivery.settings import FileDropSettings, WebhooksSettings, delivery_shortcomings
 from service.errors import SettingsError, VolumeModelError
 from service.health.optical_watch import OpticalParameters
 from service.lots.shifts import LotsSettings
@@ -105,6 +106,8 @@ class Settings(BaseModel):
     recordings: RecordingsSettings = RecordingsSettings()
     lots: LotsSettings = LotsSettings()
     api: ApiSettings = ApiSettings()
+    webhooks: WebhooksSettings = WebhooksSettings()
+    file_drop: FileDropSettings | None = None
 
     @property
     def pipeline(self) -> PipelineParameters:
@@ -192,6 +195,7 @@ def shortcomings(settings: Settings) -> Iterator[str]:
     _, trouble = _stored_keys(settings.store.dir)
     if trouble is not None:
         yield f"api.keys: {trouble}: no key of this file is accepted; mend it, or remove it and create them anew"
+    yield from delivery_shortcomings(settings.webhooks, settings.file_drop)
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -28,6 +28,8 @@ from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import Daemon, Watches
+from service.delivery.file_drop import open_file_drop
+from service.delivery.webhooks import open_webhooks
 from service.health.optical_watch import OpticalWatch
 from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
@@ -159,6 +161,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
             is_clock_sure=lambda: watches.loop.clock_step_s() is None,
         ),
         alarming=Alarming(await open_alarms(store, events), events),
+        webhooks=await open_webhooks(store, settings.webhooks),
+        file_drop=await open_file_drop(store, settings.file_drop),
         acquisition=acquisition,
         processing=processing,
         delays=delays,

@@ -14,6 +14,7 @@ from socket import socket
 from service.addresses import is_loopback
 from service.api.app import create_app
 from service.api.reader_process import ReaderProcess, Reading
+from service.api.report_requests import files_maker
 from service.api.server import RestServer, listen, server_config
 from service.configuration.settings import Settings
 from service.daemon.build import build
@@ -75,6 +76,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 _archiving(daemon, tasks, requests),
                 _backing_up(daemon, tasks),
                 _retaining(daemon, tasks),
+                _delivering(daemon, reading, tasks),
                 _processing(daemon, tasks, requests),
                 _calibrating(daemon, tasks),
                 _acquiring(daemon, tasks, manager, requests),
@@ -192,6 +194,16 @@ async def _retaining(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[
     retaining = tasks.create_task(daemon.retaining.run())
     yield
     retaining.cancel()
+
+
+@asynccontextmanager
+async def _delivering(daemon: Daemon, reading: Reading, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    """Send webhooks and write files of lots; what is not delivered at the end is at the next start."""
+    telling = tasks.create_task(daemon.webhooks.run())
+    dropping = tasks.create_task(daemon.file_drop.run(files_maker(daemon.store, daemon, reading)))
+    yield
+    telling.cancel()
+    dropping.cancel()
 
 
 @asynccontextmanager

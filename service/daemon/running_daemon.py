@@ -22,6 +22,8 @@ from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.retaining import Retaining
+from service.delivery.file_drop import FileDrop
+from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts, assess
 from service.health.device_words import camera_ne107
 from service.health.optical_watch import OpticalWatch
@@ -71,6 +73,8 @@ class Daemon:
     backing_up: BackingUp
     retaining: Retaining
     alarming: Alarming
+    webhooks: Webhooks
+    file_drop: FileDrop
     acquisition: Acquisition
     processing: Processing
     delays: Histogram
@@ -151,6 +155,8 @@ class Daemon:
             recording_trouble=self.recordings.trouble,
             left_out=self.archive.left_out,
             archive_trouble=self.archive.trouble,
+            webhook_troubles=self.webhooks.troubles,
+            file_drop_trouble=self.file_drop.trouble,
             suspicions=self.watches.rig.suspicions(),
             optical_findings=self.watches.optics.findings(),
         )

@@ -74,6 +74,8 @@ class Facts:
     recording_trouble: str | None = None  # why a recording ended early
     left_out: int = 0  # results whose frames were not archived
     archive_trouble: str | None = None  # why frames were not archived lately
+    webhook_troubles: Sequence[str] = ()  # endpoints that are told nothing any more
+    file_drop_trouble: str | None = None  # why files of closed lots cannot be written
 
 
 def assess(facts: Facts) -> Health:
@@ -319,6 +321,20 @@ def _archive(facts: Facts) -> HealthCheck:
     )
 
 
+def _webhooks(facts: Facts) -> HealthCheck:
+    return HealthCheck(
+        status=_status(warn=bool(facts.webhook_troubles)),
+        observed_value=len(facts.webhook_troubles),
+        observed_unit="disabled",
+        detail="; ".join(facts.webhook_troubles) or None,
+    )
+
+
+def _file_drop(facts: Facts) -> HealthCheck:
+    trouble = facts.file_drop_trouble
+    return HealthCheck(status=_status(warn=trouble is not None), detail=trouble)
+
+
 def _rig(facts: Facts) -> HealthCheck:
     """Check whether cameras still are where their calibration says, by the outlines of the stones."""
     scores_px = [camera.tangency_px for camera in facts.cameras if camera.tangency_px is not None]
@@ -376,6 +392,8 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "keys": _keys,
     "recording": _recording,
     "archive": _archive,
+    "webhooks": _webhooks,
+    "file_drop": _file_drop,
     "rig": _rig,
     "optics": _optics,
 }

@@ -24,6 +24,7 @@ from service.api.metrics import result_delays
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
+from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
@@ -74,6 +75,7 @@ class FakeControl:
     delays: Histogram = field(default_factory=result_delays)
     settings: dict[str, Any] = field(default_factory=dict)
     alarms: Alarms | None = None
+    webhooks: Webhooks | None = None
 
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))

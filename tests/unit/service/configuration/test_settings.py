@@ -392,6 +392,8 @@ def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, t
     settings = settings_of(tmp_path, text)
     told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
     examples = ("density_g_cm3", "volume_model", "[[api.keys]]", "name", "sha256", "scopes")
+    examples += ("url", "secret_files", "events", "ca_file")  # of [[webhooks.endpoints]]
+    examples += ('dir = "/mnt', "formats", "language", "must_be_mounted")  # of [file_drop]
     spelled_out = "\n".join(line for line in told if not line.startswith(examples))
     assert settings_of(tmp_path, spelled_out) == settings
 

@@ -73,6 +73,8 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "keys",
         "recording",
         "archive",
+        "webhooks",
+        "file_drop",
         "rig",
         "optics",
     }
@@ -214,6 +216,16 @@ def test_whatever_is_wrong_is_named(change, state: Ne107, is_ready: bool, reason
     health = assess(replace(HEALTHY, **change))
     assert (health.ne107, health.ready) == (state, is_ready)
     assert reason in health.reasons
+
+
+def test_what_is_not_delivered_asks_for_maintenance_and_no_more():
+    troubles = ("mes: disabled since 2026-03-02T00:00:00.000Z: HTTP 500",)
+    health = assess(
+        replace(HEALTHY, webhook_troubles=troubles, file_drop_trouble="/mnt/mes: there is no such folder")
+    )
+    assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
+    assert health.checks["webhooks"].detail == troubles[0]
+    assert health.checks["file_drop"].detail == "/mnt/mes: there is no such folder"
 
 
 def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():

@@ -1,0 +1,143 @@
+"""Webhooks: endpoints that are told of events, what became of that, and what an operator can do about it."""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Query
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.api.auth import Who, require
+from service.api.context import Context
+from service.api.feeds import MAX_SEQ
+from service.api.problems import Problem, existing, problem_responses
+from service.api.settings import Scope
+from service.delivery.table import EventCursorError, deliveries
+from service.delivery.webhooks import BeingTestedError, EndpointStatus
+from service.results.fields import TIME
+from service.store.events import EventType
+
+router = APIRouter(prefix="/webhooks", tags=["webhooks"], dependencies=[Depends(require(Scope.CONFIGURE))])
+
+
+class WebhookDocument(BaseModel):
+    """An endpoint that is told of events, and how far it is; without its secrets."""
+
+    name: str
+    url: str = Field(description="Without its query, which may be secret")
+    events: list[EventType] = Field(description="What it is told of")
+    after: int = Field(description="`seq` of the last event that it has taken")
+    waiting: int = Field(description="Events that it is to be told of yet")
+    attempts: int = Field(description="Failed ones of the next event")
+    failing_since: str | None = Field(json_schema_extra=TIME)
+    next_attempt_at: str | None = Field(json_schema_extra=TIME)
+    last_problem: str | None = Field(description="Of the latest attempt; null if it did not fail")
+    last_taken_at: str | None = Field(json_schema_extra=TIME)
+    disabled_at: str | None = Field(
+        json_schema_extra=TIME, description="Not null: it is told nothing until somebody enables it"
+    )
+
+
+class WebhooksDocument(BaseModel):
+    """All endpoints that are configured."""
+
+    items: list[WebhookDocument]
+
+
+class DeliveryDocument(BaseModel):
+    """One attempt to tell an endpoint of something."""
+
+    at: str = Field(json_schema_extra=TIME)
+    webhook_id: str = Field(description="The same on every attempt to tell of an event")
+    type: str = Field(description="Of the event, or `webhook.test`")
+    event: int | None = Field(description="`seq` of the event; null for a test")
+    attempt: int = Field(description="1: the first")
+    status: int | None = Field(description="Of the answer; null if there was none")
+    problem: str | None = Field(description="Why the message was not taken; null if it was")
+    duration_ms: int
+
+
+class DeliveriesDocument(BaseModel):
+    """The newest attempts of an endpoint, newest first; 500 are kept."""
+
+    items: list[DeliveryDocument]
+
+
+class ReplayRequest(BaseModel):
+    """From where an endpoint is told again."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    after: int = Field(
+        ge=0, le=MAX_SEQ, strict=True, description="`seq` of the last event that is not told again"
+    )
+
+
+async def name_of(
+    context: Context,
+    webhook: Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="`name` of the endpoint")],
+) -> str:
+    """Return the name of an endpoint that is configured."""
+    return existing(context.control.webhooks.find(webhook), "webhook", webhook).name
+
+
+Name = Annotated[str, Depends(name_of)]
+
+
+@router.get("", response_model=WebhooksDocument, responses=problem_responses())
+async def webhooks(context: Context) -> dict[str, Any]:
+    """Return all endpoints, and how far they are."""
+    return {"items": [_document(status) for status in await context.control.webhooks.statuses()]}
+
+
+@router.get("/{webhook}/deliveries", response_model=DeliveriesDocument, responses=problem_responses(404))
+async def webhook_deliveries(
+    context: Context, name: Name, limit: Annotated[int, Query(ge=1, le=500)] = 100
+) -> dict[str, Any]:
+    """Return what came of the newest attempts to tell an endpoint, newest first."""
+    return {"items": [asdict(each) for each in await context.store.read(deliveries, name, limit)]}
+
+
+@router.post("/{webhook}/enable", response_model=WebhookDocument, responses=problem_responses(404))
+async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str, Any]:
+    """Try an endpoint again at once, whether it was disabled or waits for its next attempt."""
+    context.store.require_writable()
+    await context.control.webhooks.enable(name, asking)
+    return _document(await context.control.webhooks.status(name))
+
+
+@router.post("/{webhook}/replay", response_model=WebhookDocument, responses=problem_responses(404, 409, 410))
+async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, asking: Who) -> dict[str, Any]:
+    """Tell an endpoint of all events after a number, again, under the ids that they had; forward, it skips events.
+
+    One that is disabled is told when it is enabled. 409 `cursor-ahead` and 410 `cursor-expired` as at `/events`.
+    """
+    context.store.require_writable()
+    try:
+        await context.control.webhooks.replay(name, wanted.after, asking)
+    except EventCursorError as err:
+        status, slug = (409, "cursor-ahead") if err.is_ahead else (410, "cursor-expired")
+        raise Problem(status, slug, str(err), **err.ends) from err
+    return _document(await context.control.webhooks.status(name))
+
+
+@router.post("/{webhook}/test", response_model=DeliveryDocument, responses=problem_responses(404))
+async def test_webhook(context: Context, name: Name) -> dict[str, Any]:
+    """Send an endpoint a `webhook.test` now, once, disabled or not; return what came of it.
+
+    It takes as long as the endpoint, `[webhooks] timeout_s` at most. 503 `busy` while another test is under way.
+    """
+    context.store.require_writable()
+    try:
+        return asdict(await context.control.webhooks.test(name))
+    except BeingTestedError as err:
+        raise Problem(503, "busy", str(err), headers={"Retry-After": "2"}) from err
+
+
+def _document(status: EndpointStatus) -> dict[str, Any]:
+    endpoint = status.endpoint
+    return asdict(status.progress) | {
+        "name": endpoint.name,
+        "url": endpoint.target._replace(query="").geturl(),
+        "events": endpoint.events,
+        "waiting": status.n_due,
+    }
