@@ -38,6 +38,7 @@ TAGS = {
     "cameras": "State and latest frame of each camera.",
     "alarms": "What needs somebody now, and what to do (ISA-18.2).",
     "events": "What happened beside results: lots, alarms, calibrations, states; a feed of its own.",
+    "webhooks": "Endpoints of the plant that are told of events, and what came of it (Standard Webhooks).",
     "streams": "Both feeds as server-sent events.",
     "accounting": "The balance: triggers = measured + rejected + lost + in progress.",
     "audit": "Who changed what.",

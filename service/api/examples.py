@@ -45,6 +45,7 @@ EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
         "opened_at": "2026-03-01T06:00:00.000Z",
         "closed_at": None,
         "void_reason": None,
+        "revision": 0,
         "n_stones": 312,
     },
     SievingRequest: {"retained_g": {"16": 12.5, "12.5": 410.0, "8": 530.5}, "pan_g": 21.0, "by": "B. Smith"},

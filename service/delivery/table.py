@@ -108,10 +108,11 @@ def note(
         return after
 
 
-def note_trial(connection: sqlite3.Connection, name: str, delivery: Delivery) -> None:
-    """Note an attempt that tells of nothing."""
+def note_trial(connection: sqlite3.Connection, name: str, delivery: Delivery, who: str) -> None:
+    """Note an attempt that tells of nothing, and who asked for it."""
     with transaction(connection):
         _add(connection, name, delivery)
+        audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
 
 
 def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[Delivery]:

@@ -136,7 +136,7 @@ class Webhooks:
         await self._store.write(table.replay, name, after, who)
         self._told[name].wake.set()
 
-    async def test(self, name: str) -> Delivery:
+    async def test(self, name: str, who: str) -> Delivery:
         """Send a message that tells of nothing, once and whether the endpoint is disabled or not.
 
         Raises
@@ -151,7 +151,7 @@ class Webhooks:
         try:
             message = trial_message(self._store.instance_id, rfc3339(self._now()))
             _, delivery = await self._send(self._endpoints[name], message, attempt=1)
-            await self._store.write(table.note_trial, name, delivery)
+            await self._store.write(table.note_trial, name, delivery, who)
         finally:
             told.is_testing = False
         return delivery

@@ -4,15 +4,20 @@ from pathlib import Path
 
 import httpx
 import pytest
+from pydantic import SecretStr
 from support.calibration_desk import open_desk
 from support.recordings import SOURCE
 from support.rest import FakeControl, app_of, client_of
+from support.webhook_receiver import SECRET, Receiver
 
 from service.alarms.alarms import Alarms, open_alarms
 from service.api.settings import ApiSettings
+from service.delivery.settings import WebhookEndpoint, WebhooksSettings
+from service.delivery.webhooks import Webhooks, open_webhooks
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
 from service.store.event_log import EventLog
+from service.store.events import EventType
 
 
 @pytest.fixture
@@ -28,6 +33,26 @@ def control(tmp_path: Path) -> FakeControl:
 async def alarms(store: Store, control: FakeControl) -> Alarms:
     control.alarms = await open_alarms(store, EventLog(store))
     return control.alarms
+
+
+@pytest.fixture
+async def receiver() -> AsyncIterator[Receiver]:
+    """Return the endpoint of the webhook `mes`."""
+    async with Receiver() as receiver:
+        yield receiver
+
+
+@pytest.fixture
+async def webhooks(store: Store, control: FakeControl, receiver: Receiver) -> Webhooks:
+    endpoint = WebhookEndpoint(
+        name="mes",
+        url=f"http://127.0.0.1:{receiver.port}/hook?token=hidden",
+        secrets=(SecretStr(SECRET),),
+        events=(EventType.LOT_CLOSED,),
+    )
+    settings = WebhooksSettings(allowed_hosts=("127.0.0.1",), endpoints=(endpoint,), timeout_s=60)
+    control.webhooks = await open_webhooks(store, settings)
+    return control.webhooks
 
 
 @pytest.fixture

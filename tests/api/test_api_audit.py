@@ -141,6 +141,16 @@ async def write_alarms(write: Writing, alarms: Alarms) -> None:
     assert (back["before"]["state"], back["after"]["state"]) == ("shelved", "unacknowledged")
 
 
+async def write_webhooks(write: Writing) -> None:
+    path, mes = "/webhooks/{webhook}/", {"webhook": "mes"}
+    tested = await write("POST", f"{path}test", None, "webhook tested", "mes", **mes)
+    assert (tested["before"], tested["after"]["status"]) == (None, 204)
+    await write("POST", f"{path}enable", None, "webhook enabled", "mes", **mes)
+    again = await write("POST", f"{path}replay", {"after": 1}, "webhook replayed", "mes", **mes)
+    assert (again["before"]["after"], again["after"]["after"]) == (0, 1)
+
+
+@pytest.mark.usefixtures("webhooks")
 async def test_every_route_that_writes_leaves_an_entry(
     store: Store, session: int, control: FakeControl, alarms: Alarms
 ) -> None:
@@ -148,6 +158,7 @@ async def test_every_route_that_writes_leaves_an_entry(
         client.headers["Authorization"] = "Bearer token"
         write = Writing(client)
         await write_everything(write, control, store, session)
+        await write_webhooks(write)
         await write_alarms(write, alarms)
         n_entries = len(await write.entries())
         assert (await client.put("/consumers/mes/cursor", json={"after": 1})).status_code == 200

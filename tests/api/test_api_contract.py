@@ -37,6 +37,7 @@ NAMES = """
 "path.lot" = "L2"
 "path.calibration" = "0001"
 "path.alarm" = 1
+"path.webhook" = "mes"
 """
 """What there is, so that requests find it: the configuration of schemathesis."""
 
@@ -90,6 +91,7 @@ async def fill(store: Store, session: int, folder: Path) -> None:
     await store.write(open_lot, LotDefinition(lot="L2"), "basalt-8-16", None, "test")
 
 
+@pytest.mark.usefixtures("webhooks")
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "phases", ["examples,fuzzing", pytest.param("examples,coverage,fuzzing", marks=pytest.mark.full)]

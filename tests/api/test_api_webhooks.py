@@ -1,39 +1,18 @@
 """Webhooks over REST: what became of them, and what an operator does about it; secrets are never shown."""
 
-from collections.abc import AsyncIterator
 from typing import Any
 
 import httpx
 import pytest
-from pydantic import SecretStr
 from support.rest import FakeControl, app_of, assert_problem, client_of
-from support.webhook_receiver import SECRET, Receiver, answer
+from support.webhook_receiver import Receiver, answer
 
 from service.api.settings import ApiKey, ApiSettings, Scope
-from service.delivery.settings import WebhookEndpoint, WebhooksSettings
-from service.delivery.webhooks import open_webhooks
 from service.store import Store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
 
-
-@pytest.fixture
-async def receiver() -> AsyncIterator[Receiver]:
-    async with Receiver() as receiver:
-        yield receiver
-
-
-@pytest.fixture(autouse=True)
-async def endpoint(store: Store, control: FakeControl, receiver: Receiver) -> WebhookEndpoint:
-    endpoint = WebhookEndpoint(
-        name="mes",
-        url=f"http://127.0.0.1:{receiver.port}/hook?token=hidden",
-        secrets=(SecretStr(SECRET),),
-        events=(EventType.LOT_CLOSED,),
-    )
-    settings = WebhooksSettings(allowed_hosts=("127.0.0.1",), endpoints=(endpoint,), timeout_s=60)
-    control.webhooks = await open_webhooks(store, settings)
-    return endpoint
+pytestmark = pytest.mark.usefixtures("webhooks")
 
 
 async def document(answer: httpx.Response) -> dict[str, Any]:

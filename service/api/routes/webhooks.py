@@ -22,16 +22,22 @@ router = APIRouter(prefix="/webhooks", tags=["webhooks"], dependencies=[Depends(
 class WebhookDocument(BaseModel):
     """An endpoint that is told of events, and how far it is; without its secrets."""
 
-    name: str
+    name: str = Field(description="As it is configured")
     url: str = Field(description="Without its query, which may be secret")
     events: list[EventType] = Field(description="What it is told of")
     after: int = Field(description="`seq` of the last event that it has taken")
     waiting: int = Field(description="Events that it is to be told of yet")
     attempts: int = Field(description="Failed ones of the next event")
-    failing_since: str | None = Field(json_schema_extra=TIME)
-    next_attempt_at: str | None = Field(json_schema_extra=TIME)
+    failing_since: str | None = Field(
+        json_schema_extra=TIME, description="First of these, RFC 3339 UTC; null without any"
+    )
+    next_attempt_at: str | None = Field(
+        json_schema_extra=TIME, description="When it is tried again; null: at once, or it is disabled"
+    )
     last_problem: str | None = Field(description="Of the latest attempt; null if it did not fail")
-    last_taken_at: str | None = Field(json_schema_extra=TIME)
+    last_taken_at: str | None = Field(
+        json_schema_extra=TIME, description="When it took a message last; null before the first"
+    )
     disabled_at: str | None = Field(
         json_schema_extra=TIME, description="Not null: it is told nothing until somebody enables it"
     )
@@ -40,26 +46,26 @@ class WebhookDocument(BaseModel):
 class WebhooksDocument(BaseModel):
     """All endpoints that are configured."""
 
-    items: list[WebhookDocument]
+    items: list[WebhookDocument] = Field(description="In the order of the configuration")
 
 
 class DeliveryDocument(BaseModel):
     """One attempt to tell an endpoint of something."""
 
-    at: str = Field(json_schema_extra=TIME)
+    at: str = Field(json_schema_extra=TIME, description="When it was begun, RFC 3339 UTC")
     webhook_id: str = Field(description="The same on every attempt to tell of an event")
     type: str = Field(description="Of the event, or `webhook.test`")
     event: int | None = Field(description="`seq` of the event; null for a test")
     attempt: int = Field(description="1: the first")
     status: int | None = Field(description="Of the answer; null if there was none")
     problem: str | None = Field(description="Why the message was not taken; null if it was")
-    duration_ms: int
+    duration_ms: int = Field(description="From its begin to the answer, ms")
 
 
 class DeliveriesDocument(BaseModel):
-    """The newest attempts of an endpoint, newest first; 500 are kept."""
+    """The newest attempts of an endpoint; 500 are kept."""
 
-    items: list[DeliveryDocument]
+    items: list[DeliveryDocument] = Field(description="Newest first")
 
 
 class ReplayRequest(BaseModel):
@@ -91,7 +97,9 @@ async def webhooks(context: Context) -> dict[str, Any]:
 
 @router.get("/{webhook}/deliveries", response_model=DeliveriesDocument, responses=problem_responses(404))
 async def webhook_deliveries(
-    context: Context, name: Name, limit: Annotated[int, Query(ge=1, le=500)] = 100
+    context: Context,
+    name: Name,
+    limit: Annotated[int, Query(ge=1, le=500, description="Attempts, at most")] = 100,
 ) -> dict[str, Any]:
     """Return what came of the newest attempts to tell an endpoint, newest first."""
     return {"items": [asdict(each) for each in await context.store.read(deliveries, name, limit)]}
@@ -121,16 +129,16 @@ async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, as
 
 
 @router.post("/{webhook}/test", response_model=DeliveryDocument, responses=problem_responses(404))
-async def test_webhook(context: Context, name: Name) -> dict[str, Any]:
+async def test_webhook(context: Context, name: Name, asking: Who) -> dict[str, Any]:
     """Send an endpoint a `webhook.test` now, once, disabled or not; return what came of it.
 
     It takes as long as the endpoint, `[webhooks] timeout_s` at most. 503 `busy` while another test is under way.
     """
     context.store.require_writable()
     try:
-        return asdict(await context.control.webhooks.test(name))
+        return asdict(await context.control.webhooks.test(name, asking))
     except BeingTestedError as err:
-        raise Problem(503, "busy", str(err), headers={"Retry-After": "2"}) from err
+        raise Problem(503, "busy", str(err), retry_after_s=2) from err
 
 
 def _document(status: EndpointStatus) -> dict[str, Any]:

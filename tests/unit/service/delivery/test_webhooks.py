@@ -151,7 +151,7 @@ async def test_after_a_day_of_failures_it_is_disabled_until_somebody_enables_it(
         again = await webhooks_of(store, endpoint(receiver), clock=clock)
         async with telling(again):  # after a restart
             await until_disabled(again)
-            assert (await again.test("mes")).status == 204
+            assert (await again.test("mes", "somebody")).status == 204
             await again.enable("mes", "somebody")
             await until_told(again, 3)
             assert again.troubles == []
@@ -209,12 +209,12 @@ async def test_secrets_are_rotated_without_a_restart(store: Store, tmp_path: Pat
         files = {"secrets": (), "secret_files": (old, new)}
         webhooks = await webhooks_of(store, endpoint(receiver, **files))
         async with telling(webhooks):
-            problem = (await webhooks.test("mes")).problem
+            problem = (await webhooks.test("mes", "somebody")).problem
             assert problem == f"secret_files: {new}: No such file or directory"
             new.write_text(OTHER_SECRET)
-            await webhooks.test("mes")
+            await webhooks.test("mes", "somebody")
             old.write_text(OTHER_SECRET)
-            await webhooks.test("mes")
+            await webhooks.test("mes", "somebody")
     first, second = receiver.requests
     assert [is_signed(first.headers, first.body, key) for key in (KEY, OTHER_KEY)] == [True, True]
     assert [is_signed(second.headers, second.body, key) for key in (KEY, OTHER_KEY)] == [False, True]
@@ -256,13 +256,13 @@ async def test_what_somebody_asks_for_while_a_message_is_sent_holds(store: Store
 async def test_one_test_at_a_time(store: Store) -> None:
     async with Receiver([NEVER]) as receiver:
         webhooks = await webhooks_of(store, endpoint(receiver))
-        testing = asyncio.create_task(webhooks.test("mes"))
+        testing = asyncio.create_task(webhooks.test("mes", "somebody"))
         await receiver.received(1)
         with pytest.raises(BeingTestedError):
-            await webhooks.test("mes")
+            await webhooks.test("mes", "somebody")
         receiver.release()
         assert (await testing).problem is None
-        assert (await webhooks.test("mes")).problem is None
+        assert (await webhooks.test("mes", "somebody")).problem is None
 
 
 async def test_the_history_of_an_endpoint_is_bounded(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,7 +271,7 @@ async def test_the_history_of_an_endpoint_is_bounded(store: Store, monkeypatch: 
         both = endpoint(receiver), endpoint(receiver, "other")
         webhooks = await webhooks_of(store, *both)
         for name in ("other", *["mes"] * 8):
-            await webhooks.test(name)
+            await webhooks.test(name, "somebody")
     assert [len(await store.read(deliveries, name, 100)) for name in ("mes", "other")] == [5, 1]
 
 
