@@ -9,13 +9,14 @@ import numpy as np
 from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError, RejectedError, RejectReason
 from pipeline.estimate import BodyEstimate, estimate_body
-from pipeline.frames import CameraId, FrameBundle
+from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
 from pipeline.measuring.shape import NO_POINTS
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
+from pipeline.refinement import Refinement, refine_body
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
@@ -37,12 +38,12 @@ from pipeline.views.quality import (
 MIN_ANGULARITY_POINTS = 64
 """Fewest points of an outline whose angularity counts."""
 
-BodyKind = Literal["estimate", "hull"]
+BodyKind = Literal["photo", "estimate", "hull"]
 
 
 @dataclass(frozen=True, slots=True)
 class BodyParameters:
-    """Which body the mesh and the figures of the shape describe; with `hull` no estimate is made."""
+    """Which body the mesh and the figures of the shape describe; each but the hull is made from the next one."""
 
     kind: BodyKind = "estimate"
 
@@ -91,7 +92,11 @@ class ParticleMeasurement:
     """One measured particle."""
 
     body: BodyKind
-    """The body that `shape` describes; the hull also where no better one could be estimated."""
+    """The body that `shape` describes: the one asked for, or the next one where it could not be made."""
+    supported_share: float | None
+    """Share of the surface that pixels inside the outlines say something about; None unless that was looked at."""
+    refinement_fallback: str | None
+    """Why the estimate was not refined although that was asked for."""
     shape: ShapeMeasurement
     hull: HullMeasurement
     volume_mm3: float
@@ -196,11 +201,12 @@ def measure_bundle(
         if by_number is Quality.GOOD and shows_several(silhouettes):
             by_number = Quality.REDUCED
         try:
-            hull_mesh, estimate = _body(views, parameters, on_stage)
+            hull_mesh, estimate, refinement = _body(bundle.frames, views, parameters, on_stage)
             angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
             measurement = _measure(
                 hull_mesh,
                 estimate,
+                refinement,
                 views,
                 optics,
                 consistency,
@@ -229,16 +235,19 @@ def measure_bundle(
         consistency=consistency,
         quality=quality.quality,
         quality_causes=quality.causes,
-        mesh=hull_mesh if estimate is None else estimate.mesh,
+        mesh=_measured_mesh(hull_mesh, estimate, refinement),
         hull=hull_mesh,
         measurement=measurement,
     )
 
 
 def _body(
-    views: PreparedViews, parameters: PipelineParameters, on_stage: Callable[[str], None]
-) -> tuple[ParticleMesh, BodyEstimate | None]:
-    """Return the visual hull of the views and the body estimated within it, if one is asked for.
+    frames: Mapping[CameraId, Frame],
+    views: PreparedViews,
+    parameters: PipelineParameters,
+    on_stage: Callable[[str], None],
+) -> tuple[ParticleMesh, BodyEstimate | None, Refinement | None]:
+    """Return the visual hull of the views, the body estimated within it and that refined, as far as they are asked for.
 
     Raises
     ------
@@ -257,12 +266,25 @@ def _body(
         raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
     estimate = None if parameters.body.kind == "hull" else estimate_body(mesh, views)
     on_stage("estimate")
-    return mesh, estimate
+    if parameters.body.kind != "photo" or estimate is None or estimate.fallback is not None:
+        return mesh, estimate, None
+    refinement = refine_body(estimate.mesh, mesh, estimate.corners_mm, frames, views)
+    on_stage("refine")
+    return mesh, estimate, refinement
+
+
+def _measured_mesh(
+    hull: ParticleMesh, estimate: BodyEstimate | None, refinement: Refinement | None
+) -> ParticleMesh:
+    if refinement is not None:
+        return refinement.mesh
+    return hull if estimate is None else estimate.mesh
 
 
 def _measure(
     hull_mesh: ParticleMesh,
     estimate: BodyEstimate | None,
+    refinement: Refinement | None,
     views: PreparedViews,
     optics: Mapping[CameraId, ViewOptics],
     consistency: Consistency,
@@ -277,7 +299,8 @@ def _measure(
     MeshError, ValueError
         The mesh bounds no volume; or there are so few views that even a sphere's hull is open.
     """
-    mesh = hull_mesh if estimate is None else estimate.mesh
+    mesh = _measured_mesh(hull_mesh, estimate, refinement)
+    supported_share = 0.0 if refinement is None else refinement.supported_share
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
     shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm)
     if estimate is None or estimate.fallback is not None:  # corrected by the least excess that any hull has
@@ -289,6 +312,10 @@ def _measure(
         body, volume_model = "estimate", parameters.volume_model.id
         hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
         volume_mm3 = parameters.volume_model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
+        if refinement is not None and refinement.fallback is None:
+            body = "photo"  # what pixels show is corrected by nothing that other bodies have on average
+            hidden = volume_mm3 / estimate.volume_mm3
+            volume_mm3 = shape.volume_mm3 * (supported_share + (1 - supported_share) * hidden)
     evidence = evidence_of(
         views.with_outline(),
         optics,
@@ -296,12 +323,15 @@ def _measure(
         volume_mm3=volume_mm3,
         area_mm2=shape.surface_area_mm2,
         hull_mm3=hull.volume_mm3,
-        is_estimated=body == "estimate",
+        is_estimated=body != "hull",
+        supported_share=supported_share,
         length_sd_percent=length_sd_percent,
     )
     density = parameters.density_g_cm3
     return ParticleMeasurement(
         body=body,
+        supported_share=None if refinement is None else supported_share,
+        refinement_fallback=None if refinement is None else refinement.fallback,
         shape=shape,
         hull=hull,
         volume_mm3=volume_mm3,

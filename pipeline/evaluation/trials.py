@@ -16,7 +16,7 @@ from pipeline.evaluation.surface_distances import Surface, SurfaceDistances, sur
 from pipeline.frames import FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.meshing import ParticleMesh, mesh_hull
-from pipeline.particle import PipelineParameters, measure_bundle
+from pipeline.particle import BodyParameters, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import SilhouetteSet, segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
@@ -27,8 +27,8 @@ from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from pipeline.views.prepared import prepare_views
 
-Method = Literal["paper's field", "hull", "estimate", "exact hull"]
-METHODS: tuple[Method, ...] = ("paper's field", "hull", "estimate")
+Method = Literal["paper's field", "hull", "estimate", "photo", "exact hull"]
+METHODS: tuple[Method, ...] = ("paper's field", "hull", "estimate", "photo")
 """What is measured: the paper's carving, ours, and the body that the whole chain returns by default.
 
 The exact hull is not measured but computed from the body: the lower bound of the other hulls' errors.
@@ -131,10 +131,14 @@ def _measure(
     bundle: FrameBundle, silhouettes: SilhouetteSet, rig: RigCalibration, method: Method
 ) -> Measured | str:
     """Measure the body with one method; return why there is none if that fails."""
-    if method == "estimate":
+    if method in ("estimate", "photo"):
         # the whole chain but for the segmentation, which is done
         result = measure_bundle(
-            bundle, rig, {}, lambda frame, _: silhouettes[frame.camera], PipelineParameters()
+            bundle,
+            rig,
+            {},
+            lambda frame, _: silhouettes[frame.camera],
+            PipelineParameters(body=BodyParameters(method)),
         )
         if result.mesh is None or result.measurement is None:
             return str(result.rejection)

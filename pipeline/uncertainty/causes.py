@@ -25,4 +25,4 @@ class Cause(StrEnum):
     CALIBRATION = "calibration"
     """Residuals of the calibration, and the scale of its lengths."""
     HIDDEN = "hidden"
-    """Dents and pores that no silhouette shows."""
+    """Dents and pores that no silhouette shows, and how well pixels show them."""

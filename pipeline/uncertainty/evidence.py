@@ -53,6 +53,7 @@ class Evidence:
     hull_mm3: float
     is_estimated: bool  # False: the body is the hull
     length_sd_percent: float
+    supported_share: float = 0.0  # of the surface, where the pixels inside the outlines show how deep it lies
 
 
 def evidence_of(
@@ -65,6 +66,7 @@ def evidence_of(
     hull_mm3: float,
     is_estimated: bool,
     length_sd_percent: float | None = None,
+    supported_share: float = 0.0,
 ) -> Evidence:
     """Collect what is known of the views that carved a stone, and of the volumes that they leave."""
     motion_px = _motion_sigma_px(views.silhouettes)
@@ -95,6 +97,7 @@ def evidence_of(
         hull_mm3=hull_mm3,
         is_estimated=is_estimated,
         length_sd_percent=LENGTH_SD_PERCENT if length_sd_percent is None else length_sd_percent,
+        supported_share=supported_share,
     )
 
 

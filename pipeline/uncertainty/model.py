@@ -40,6 +40,8 @@ TEXTURE_SHARE = 0.15
 HIDDEN_PERCENT = 2.5
 """Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
 our bodies, up to 6 % of scanned stones."""
+REFINED_MM = 0.015
+"""Standard deviation of the surface where pixels inside the outlines show how deep it lies: a third of a pixel."""
 COMMON_SHARE = 0.5
 """Share of a surface's error that has the same sign all around, and so changes the volume."""
 ALL_COMMON = (Cause.UNSEEN, Cause.CONTRAST, Cause.CALIBRATION, Cause.HIDDEN)
@@ -76,6 +78,7 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
     volume_mm3, area_mm2 = evidence.volume_mm3, evidence.area_mm2
     radius_mm = 3 * volume_mm3 / area_mm2  # of a sphere with this ratio
     scale_mm = evidence.length_sd_percent / 100 * radius_mm
+    hidden_share = 1 - evidence.supported_share
     surface_mm = {
         Cause.PIXELS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * SHARP_SIGMA_PX),
         Cause.FOCUS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * _defocus_px(view)),
@@ -89,10 +92,13 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         * float(np.mean([_share_like_wall(view.step_grey) for view in evidence.views])),
         Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
         * max(evidence.hull_mm3 - volume_mm3, 0.0)
-        / area_mm2,
+        / area_mm2
+        * hidden_share,
         Cause.DISAGREEMENT: _disagreement_mm(evidence),
         Cause.CALIBRATION: hypot(scale_mm, _rms_mm(evidence, lambda view: view.calibration_px)),
-        Cause.HIDDEN: HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2,
+        Cause.HIDDEN: hypot(
+            hidden_share * HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2, evidence.supported_share * REFINED_MM
+        ),
     }
     percent_per_mm = 100 * area_mm2 / volume_mm3
     volume_percent = {

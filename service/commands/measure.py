@@ -75,6 +75,7 @@ class SegmenterName(StrEnum):
 class BodyName(StrEnum):
     """Body that mesh and shape describe."""
 
+    PHOTO = "photo"
     ESTIMATE = "estimate"
     HULL = "hull"
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,9 @@ from drivers.files.mesh_file import write_mesh
 from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import write_silhouettes
-from pipeline import carving, estimate, measuring, meshing
+from pipeline import carving, estimate, measuring, meshing, refinement
 from pipeline.frames import CameraId
-from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
@@ -44,6 +44,8 @@ from service.results.record import optics_record, result_record
 
 MESH, COMPACT_MESH, SILHOUETTES = RESULT_FILES = ("mesh.ply", "mesh.sfmesh", "silhouettes.tiff")
 """Files of a result; a worker that crashed may have left others."""
+RUSH = "other stones were waiting"
+"""Why a stone was not refined under a rush."""
 GC_THRESHOLD = 20_000
 """New objects between two garbage collections: with Python's default, they take 9 % of the compiler's time."""
 
@@ -79,6 +81,7 @@ class MeasureJob:
     save_silhouettes: bool = False
     checked: bool = True  # whether pixels are compared with their checksums
     threads: int = 1  # views that are processed at a time
+    is_rushed: bool = False  # others wait: the body is not refined
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +163,8 @@ def prepare(context: WorkerContext) -> list[WarmUp]:
         partial(carving.warm_up, context.parameters.carving),
         meshing.warm_up,
     ]
+    if context.parameters.body.kind == "photo":
+        steps.append(refinement.warm_up)
     return [partial(compiles, step) for step in steps]
 
 
@@ -215,14 +220,16 @@ def measure(job: MeasureJob) -> MeasuredBundle:
         timings_ms[stage] = round(1000 * (now - stage_start), 2)
         stage_start = now
 
+    parameters = worker.context.parameters
+    skips_refinement = job.is_rushed and parameters.body.kind == "photo"
+    if skips_refinement:
+        parameters = replace(parameters, body=BodyParameters("estimate"))
     with worker_boundary():
         background = worker.background_at(job.background_path)
         rig = worker.rig_in(job.rig_file)
         on_stage("load")
         with view_mapper(job.threads) as mapper:
-            result = measure_bundle(
-                bundle, rig, background, worker.segmenter, worker.context.parameters, on_stage, mapper
-            )
+            result = measure_bundle(bundle, rig, background, worker.segmenter, parameters, on_stage, mapper)
         _write_files(job, result, compact_mesh=worker.context.compact_meshes)
         on_stage("write")
     timings_ms["total"] = round(sum(timings_ms.values()), 2)
@@ -236,6 +243,8 @@ def measure(job: MeasureJob) -> MeasuredBundle:
         timings_ms=timings_ms,
     )
     record["mesh"] = None if result.mesh is None else MESH
+    if skips_refinement and result.measurement is not None:
+        record["refinement_fallback"] = RUSH
     return MeasuredBundle(record, _network_use(result))
 
 

@@ -41,6 +41,8 @@ log = logging.getLogger(__name__)
 SHUTDOWN = Loss(reason=LossReason.SHUTDOWN, detail="the daemon was stopped before this bundle was measured")
 
 
+RUSH_SHARE = 2
+"""Bundles in the workers' hands and before them, for each worker, beyond which bodies are not refined."""
 MAX_TURNS = 1000
 """Most bundles that wait for their commit, more than slots; behind them, losses wait in the spool."""
 
@@ -357,6 +359,7 @@ class Processing:
             save_silhouettes=self._context.save_silhouettes,
             checked=self._context.checked,
             threads=self._pool.threads_per_job,
+            is_rushed=len(self._jobs) > RUSH_SHARE * self._pool.size,
         )
         measured = await self._pool.run(measure, job)
         collector = inputs.collector

@@ -167,8 +167,15 @@ class Result(BaseModel):
         default={},
         description="Cameras whose view another segmenter than the first decided, each with the reason",
     )
-    body: Annotated[Literal["estimate", "hull"] | None, ONLY_IF_MEASURED] = _measured(
-        "Body that mesh and shape describe: the estimate, or the visual hull"
+    body: Annotated[Literal["photo", "estimate", "hull"] | None, ONLY_IF_MEASURED] = _measured(
+        "Body that mesh and shape describe: the estimate refined by the pixels inside the outlines, the estimate, or"
+        " the visual hull"
+    )
+    supported_share: Number = _measured(
+        "Share of the surface, 0 to 1, that those pixels say something about; null when nobody looked"
+    )
+    refinement_fallback: Text = _measured(
+        "Why the estimate was not refined although `[body] kind` is `photo`; null when it was, or need not be"
     )
     volume_mm3: Number = _measured(
         "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"

@@ -36,6 +36,8 @@ def box() -> ShapeMeasurement:
 def measured(shape: ShapeMeasurement | None = None, volume_mm3: float = 6000.0) -> ParticleResult:
     measurement = ParticleMeasurement(
         body="estimate",
+        supported_share=None,
+        refinement_fallback=None,
         shape=shape or box(),
         hull=HullMeasurement(volume_mm3=6300.0, surface_area_mm2=2250.0),
         volume_mm3=volume_mm3,

@@ -1,0 +1,46 @@
+"""Points sorted into cubic cells, so that those near a place are found without looking at all."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.arrays import Indices, PointsMM, Vector
+from pipeline.compiled import compiled, compiled_within
+
+
+class Cells(NamedTuple):
+    """Points by cell: those of cell c are `order[starts[c] : starts[c + 1]]`."""
+
+    low_mm: Vector
+    edge_mm: float
+    counts: Indices  # (3,) cells along each axis
+    starts: Indices
+    order: Indices
+
+
+def sort_into_cells(points_mm: PointsMM, edge_mm: float) -> Cells:
+    """Sort points (N, 3) into cells with this edge."""
+    low_mm = points_mm.min(axis=0)
+    counts = np.floor((points_mm.max(axis=0) - low_mm) / edge_mm).astype(np.int64) + 1
+    owners = np.empty(len(points_mm), np.int64)
+    _owners(points_mm, low_mm, edge_mm, counts, owners)
+    order = np.argsort(owners, kind="stable")
+    starts = np.searchsorted(owners[order], np.arange(counts.prod() + 1))
+    return Cells(low_mm, edge_mm, counts, starts, order)
+
+
+@compiled
+def _owners(points_mm: PointsMM, low_mm: Vector, edge_mm: float, counts: Indices, owners: Indices) -> None:
+    for i in range(len(points_mm)):
+        cell = 0
+        for axis in range(3):
+            cell = cell * counts[axis] + int((points_mm[i, axis] - low_mm[axis]) / edge_mm)
+        owners[i] = cell
+
+
+@compiled_within
+def cell_range(cells: Cells, x_mm: float, axis: int, reach_mm: float) -> tuple[int, int]:
+    """Return the first and the last cell along an axis that a reach around a coordinate meets."""
+    first = int(np.floor((x_mm - reach_mm - cells.low_mm[axis]) / cells.edge_mm))
+    last = int(np.floor((x_mm + reach_mm - cells.low_mm[axis]) / cells.edge_mm))
+    return max(first, 0), min(last, cells.counts[axis] - 1)

@@ -1,0 +1,189 @@
+"""Self-intersections of a shifted mesh: triangles that cross, and shifts that are smoothed until none do."""
+
+import numpy as np
+
+from pipeline.arrays import Faces, Flags, Indices, PointsMM, Vector
+from pipeline.compiled import compiled, compiled_within
+
+N_REPAIRS = 8
+CELL_MM = 0.25
+"""Edge of the cells in which triangles are compared: about that of a triangle."""
+MOST_CELLS = 128
+"""Cells along an axis; those of larger bodies are larger."""
+
+
+def without_crossings(vertices_mm: PointsMM, faces: Faces) -> PointsMM | None:
+    """Return the vertices (V, 3), smoothed where the surface crosses itself; None if it still would."""
+    for repair in range(N_REPAIRS + 1):
+        crossing = crossing_vertices(vertices_mm, faces)
+        if not crossing.any():
+            return vertices_mm
+        for _ in range(1 + repair // 2):
+            crossing = _widened(crossing, faces)
+        for _ in range(2 + repair // 2):
+            vertices_mm = np.where(crossing[:, None], _neighbour_means(vertices_mm, faces), vertices_mm)
+    return None
+
+
+def crossing_vertices(vertices_mm: PointsMM, faces: Faces) -> Flags:
+    """Return which vertices (V,) are of triangles that cross another, which shares no vertex with them."""
+    low_mm = vertices_mm.min(axis=0)
+    extents_mm = vertices_mm.max(axis=0) - low_mm
+    edge_mm = max(CELL_MM, float(extents_mm.max()) / MOST_CELLS)
+    counts = np.floor(extents_mm / edge_mm).astype(np.int64) + 1
+    starts = np.zeros(int(counts.prod()) + 1, np.int64)
+    _count(vertices_mm, faces, low_mm, edge_mm, counts, starts)
+    members = np.empty(int(starts[-1]), np.int64)
+    crossing = np.zeros(len(vertices_mm), np.bool_)
+    _fill(vertices_mm, faces, low_mm, edge_mm, counts, starts, members)
+    _compare(vertices_mm, faces, starts, members, crossing)
+    return crossing
+
+
+@compiled_within
+def _cells_of(
+    vertices_mm: PointsMM, faces: Faces, face: int, axis: int, low_mm: Vector, edge_mm: float
+) -> tuple[int, int]:
+    a = vertices_mm[faces[face, 0], axis]
+    b = vertices_mm[faces[face, 1], axis]
+    c = vertices_mm[faces[face, 2], axis]
+    return int((min(a, b, c) - low_mm[axis]) / edge_mm), int((max(a, b, c) - low_mm[axis]) / edge_mm)
+
+
+@compiled
+def _count(
+    vertices_mm: PointsMM, faces: Faces, low_mm: Vector, edge_mm: float, counts: Indices, starts: Indices
+) -> None:
+    """Fill in where the triangles of each cell end."""
+    for face in range(len(faces)):
+        x0, x1 = _cells_of(vertices_mm, faces, face, 0, low_mm, edge_mm)
+        y0, y1 = _cells_of(vertices_mm, faces, face, 1, low_mm, edge_mm)
+        z0, z1 = _cells_of(vertices_mm, faces, face, 2, low_mm, edge_mm)
+        for x in range(x0, x1 + 1):
+            for y in range(y0, y1 + 1):
+                for z in range(z0, z1 + 1):
+                    starts[(x * counts[1] + y) * counts[2] + z + 1] += 1
+    for cell in range(len(starts) - 1):
+        starts[cell + 1] += starts[cell]
+
+
+@compiled
+def _fill(
+    vertices_mm: PointsMM,
+    faces: Faces,
+    low_mm: Vector,
+    edge_mm: float,
+    counts: Indices,
+    starts: Indices,
+    members: Indices,
+) -> None:
+    """Fill in the triangles of each cell, from its end to its start."""
+    free = starts[1:].copy()
+    for face in range(len(faces)):
+        x0, x1 = _cells_of(vertices_mm, faces, face, 0, low_mm, edge_mm)
+        y0, y1 = _cells_of(vertices_mm, faces, face, 1, low_mm, edge_mm)
+        z0, z1 = _cells_of(vertices_mm, faces, face, 2, low_mm, edge_mm)
+        for x in range(x0, x1 + 1):
+            for y in range(y0, y1 + 1):
+                for z in range(z0, z1 + 1):
+                    cell = (x * counts[1] + y) * counts[2] + z
+                    free[cell] -= 1
+                    members[free[cell]] = face
+
+
+@compiled
+def _compare(vertices_mm: PointsMM, faces: Faces, starts: Indices, members: Indices, crossing: Flags) -> None:
+    for cell in range(len(starts) - 1):
+        for one in range(starts[cell], starts[cell + 1]):
+            i = members[one]
+            a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
+            for other in range(starts[cell], one):
+                j = members[other]
+                p, q, r = faces[j, 0], faces[j, 1], faces[j, 2]
+                if a in (p, q, r) or b in (p, q, r) or c in (p, q, r):
+                    continue
+                if not _boxes_meet(vertices_mm, a, b, c, p, q, r):
+                    continue
+                if (
+                    _passes_through(vertices_mm, a, b, p, q, r)
+                    or _passes_through(vertices_mm, b, c, p, q, r)
+                    or _passes_through(vertices_mm, c, a, p, q, r)
+                    or _passes_through(vertices_mm, p, q, a, b, c)
+                    or _passes_through(vertices_mm, q, r, a, b, c)
+                    or _passes_through(vertices_mm, r, p, a, b, c)
+                ):
+                    crossing[a] = crossing[b] = crossing[c] = True
+                    crossing[p] = crossing[q] = crossing[r] = True
+
+
+@compiled
+def _widened(flags: Flags, faces: Faces) -> Flags:
+    """Return the flags (V,) of all vertices that share a face with a flagged one."""
+    wide = flags.copy()
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        if flags[a] or flags[b] or flags[c]:
+            wide[a] = wide[b] = wide[c] = True
+    return wide
+
+
+@compiled
+def _neighbour_means(values: PointsMM, faces: Faces) -> PointsMM:
+    """Return the means (V, 3) of the values of each vertex and of its neighbours."""
+    sums, counts = values.copy(), np.ones(len(values))
+    for face in range(len(faces)):
+        for k in range(3):
+            a, b = (
+                faces[face, k],
+                faces[face, (k + 1) % 3],
+            )  # each edge belongs to two faces, once in each direction
+            counts[a] += 1
+            for axis in range(3):
+                sums[a, axis] += values[b, axis]
+    for i in range(len(values)):
+        for axis in range(3):
+            sums[i, axis] /= counts[i]
+    return sums
+
+
+@compiled_within
+def _boxes_meet(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r: int) -> bool:
+    for axis in range(3):
+        ua, ub, uc = vertices_mm[a, axis], vertices_mm[b, axis], vertices_mm[c, axis]
+        vp, vq, vr = vertices_mm[p, axis], vertices_mm[q, axis], vertices_mm[r, axis]
+        if max(ua, ub, uc) < min(vp, vq, vr) or max(vp, vq, vr) < min(ua, ub, uc):
+            return False
+    return True
+
+
+@compiled_within
+def _passes_through(vertices_mm: PointsMM, a: int, b: int, p: int, q: int, r: int) -> bool:
+    """Return whether the segment from a to b passes through the triangle p, q, r."""
+    one, other = _volume6(vertices_mm, a, p, q, r), _volume6(vertices_mm, b, p, q, r)
+    if one * other >= 0:
+        return False
+    first = _volume6(vertices_mm, a, b, p, q)
+    second = _volume6(vertices_mm, a, b, q, r)
+    third = _volume6(vertices_mm, a, b, r, p)
+    return (first > 0 and second > 0 and third > 0) or (first < 0 and second < 0 and third < 0)
+
+
+@compiled_within
+def _volume6(vertices_mm: PointsMM, a: int, b: int, c: int, d: int) -> float:
+    """Return six times the signed volume of a tetrahedron."""
+    ux, uy, uz = (
+        vertices_mm[b, 0] - vertices_mm[a, 0],
+        vertices_mm[b, 1] - vertices_mm[a, 1],
+        vertices_mm[b, 2] - vertices_mm[a, 2],
+    )
+    vx, vy, vz = (
+        vertices_mm[c, 0] - vertices_mm[a, 0],
+        vertices_mm[c, 1] - vertices_mm[a, 1],
+        vertices_mm[c, 2] - vertices_mm[a, 2],
+    )
+    wx, wy, wz = (
+        vertices_mm[d, 0] - vertices_mm[a, 0],
+        vertices_mm[d, 1] - vertices_mm[a, 1],
+        vertices_mm[d, 2] - vertices_mm[a, 2],
+    )
+    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)

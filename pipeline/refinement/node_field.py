@@ -1,0 +1,95 @@
+"""Depth and confidence of every node, from the scores of one pass."""
+
+from typing import Annotated
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pipeline.arrays import Directions, Floats, PointsMM, Singles, Values
+from pipeline.refinement.nodes import Nodes, smoothed
+from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
+
+CURVATURE_ROUNDS = 2
+MAX_SLOPE = 1.5
+
+
+def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
+    """Return two unit vectors across each normal (K, 3), and to each other."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normals, helper)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normals, first)], axis=1)
+
+
+def facing(points_mm: PointsMM, nodes: Nodes) -> Directions:
+    """Return the normals (K, 3) of the shifted surface: of planes through each node by its neighbours."""
+    axes, has = tangent_axes(nodes.normals), nodes.neighbours >= 0
+    offsets_mm = (points_mm[nodes.neighbours] - points_mm[:, None]) * has[:, :, None]
+    s, t = (np.einsum("nkc,nc->nk", offsets_mm, axes[:, axis]) for axis in range(2))
+    heights_mm = np.einsum("nkc,nc->nk", offsets_mm, nodes.normals)
+    ridge = 0.05 * nodes.spacing_mm**2  # of the regression: a node with few neighbours keeps its normal
+    ss, st, tt = (s * s).sum(axis=1) + ridge, (s * t).sum(axis=1), (t * t).sum(axis=1) + ridge
+    sh, th = (s * heights_mm).sum(axis=1), (t * heights_mm).sum(axis=1)
+    slopes = np.stack([tt * sh - st * th, ss * th - st * sh], axis=1) / (ss * tt - st * st)[:, None]
+    slopes = np.clip(slopes, -MAX_SLOPE, MAX_SLOPE)
+    normals = nodes.normals - np.einsum("na,nac->nc", slopes, axes)
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+
+def flat_gate(nodes: Nodes) -> Values:
+    """Return 1 for nodes (K,) where the estimate is smooth, 0 at its sharp convex edges, from their own normals."""
+    has = nodes.neighbours >= 0
+    around = nodes.normals + (nodes.normals[nodes.neighbours] * has[:, :, None]).sum(axis=1)
+    sharpness = 1 - np.linalg.norm(around, axis=1) / (1 + has.sum(axis=1))
+    offsets_mm = (nodes.points_mm[nodes.neighbours] - nodes.points_mm[:, None]) * has[:, :, None]
+    is_convex = np.einsum("nkc,nc->n", offsets_mm, nodes.normals) < 0
+    gate = np.clip((RIDGE[1] - sharpness) / (RIDGE[1] - RIDGE[0]), 0, 1)
+    gate = np.where(is_convex, gate, 1.0)
+    return np.minimum(
+        gate, np.where(has, gate[nodes.neighbours], 1.0).min(axis=1)
+    )  # their patches reach over it
+
+
+def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:
+    """Return 1 for points (K,) where a tangent ray touches, less beside it, 0 far from all."""
+    if not len(touches_mm):
+        return np.zeros(len(points_mm))
+    distances_mm = cKDTree(touches_mm).query(points_mm, distance_upper_bound=3 * TOUCH_MM)[0]
+    return np.asarray(np.exp(-((distances_mm / TOUCH_MM) ** 2)))
+
+
+def depths_of(
+    beliefs: Singles, scores: Singles, depths_mm: Values, nodes: Nodes, gate: Values
+) -> tuple[Values, Values]:
+    """Return the most believed depth of each node (K,), between the steps by a parabola, and its weight.
+
+    The weight is 0 where the neighbourhood has no evidence.
+    """
+    rows = np.arange(len(beliefs))
+    best = beliefs.argmin(axis=1)
+    inner = np.clip(best, 1, len(depths_mm) - 2)
+    before, at, after = (beliefs[rows, inner + step].astype(float) for step in (-1, 0, 1))
+    curvature = np.maximum(before - 2 * at + after, 1e-6)
+    part = np.where(best == inner, np.clip(0.5 * (before - after) / curvature, -0.5, 0.5), 0.0)
+    sure = np.clip((scores[rows, best] - ALIKE[0]) / (ALIKE[1] - ALIKE[0]), 0, 1)
+    sure = gate * sure * np.clip(curvature / PEAKED, 0.05, 1)
+    region = np.clip(smoothed(nodes, sure, 2) / EVIDENCE - 1, 0, 1)
+    return depths_mm[best] + part * (depths_mm[1] - depths_mm[0]), np.maximum(sure, DOUBTFUL) * region
+
+
+def patch_sagittas(
+    points_mm: PointsMM, normals: Directions, nodes: Nodes, half_mm: float, gains: Values, steps: Values
+) -> Values:
+    """Return how far (K,) the surface's mean over a patch lies from its middle; negative, below it, where convex.
+
+    A flat patch is found at the mean of what it covers. `gains` weight its samples, at `steps` of the half edge.
+    """
+    has = nodes.neighbours >= 0
+    offsets_mm = (points_mm[nodes.neighbours] - points_mm[:, None]) * has[:, :, None]
+    heights_mm = np.einsum("nkc,nc->nk", offsets_mm, normals)
+    across2 = np.einsum("nkc,nkc->nk", offsets_mm, offsets_mm) - heights_mm**2
+    heights, areas = (
+        smoothed(nodes, values.sum(axis=1), CURVATURE_ROUNDS) for values in (heights_mm, across2)
+    )
+    patch2 = 2 * (gains * steps**2).sum() / gains.sum() * half_mm**2
+    return np.asarray(heights / np.maximum(areas, 1e-9) * patch2)

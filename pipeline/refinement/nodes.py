@@ -1,0 +1,241 @@
+"""Nodes: points of the surface, evenly spread, each with a normal, a tangent frame and its neighbours."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from pipeline.arrays import Directions, Faces, Flags, Floats, Indices, Indices32, PointsMM, Values
+from pipeline.compiled import compiled
+from pipeline.refinement.cells import Cells, cell_range, sort_into_cells
+
+MAX_NEIGHBOURS = 8
+SAME_SIDE = 0.2
+"""Least cosine between the normals of two points of one side: less is the other side of a thin place."""
+REACH_SDS = 2.8
+"""Reach of an interpolation, in standard deviations of its Gaussian."""
+NEIGHBOURS_WITHIN = 2.0
+"""Reach for neighbours, in spacings."""
+
+
+class Nodes(NamedTuple):
+    """K nodes on the surface of the mesh."""
+
+    chosen: Indices  # (K,) of the points that they were chosen from
+    points_mm: PointsMM
+    normals: Directions  # outward
+    neighbours: Indices32  # (K, MAX_NEIGHBOURS) nearest first, -1 beyond the last
+    spacing_mm: float
+
+
+def vertex_normals(vertices_mm: PointsMM, faces: Faces) -> Directions:
+    """Return outward unit normals (V, 3), faces weighted by their area."""
+    normals = np.zeros_like(vertices_mm)
+    _add_normals(vertices_mm, faces, normals)
+    return normals
+
+
+@compiled
+def _add_normals(points_mm: PointsMM, faces: Faces, normals: Directions) -> None:
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        ux, uy, uz = (
+            points_mm[b, 0] - points_mm[a, 0],
+            points_mm[b, 1] - points_mm[a, 1],
+            points_mm[b, 2] - points_mm[a, 2],
+        )
+        wx, wy, wz = (
+            points_mm[c, 0] - points_mm[a, 0],
+            points_mm[c, 1] - points_mm[a, 1],
+            points_mm[c, 2] - points_mm[a, 2],
+        )
+        x, y, z = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        for corner in (a, b, c):
+            normals[corner, 0] += x
+            normals[corner, 1] += y
+            normals[corner, 2] += z
+    for i in range(len(normals)):
+        length = np.sqrt(normals[i, 0] ** 2 + normals[i, 1] ** 2 + normals[i, 2] ** 2)
+        for k in range(3):
+            normals[i, k] /= max(length, 1e-12)
+
+
+@compiled
+def enclosed_volume_mm3(vertices_mm: PointsMM, faces: Faces) -> float:
+    """Return the volume within a closed mesh."""
+    total = 0.0
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        total += vertices_mm[a, 0] * (
+            vertices_mm[b, 1] * vertices_mm[c, 2] - vertices_mm[b, 2] * vertices_mm[c, 1]
+        )
+        total += vertices_mm[a, 1] * (
+            vertices_mm[b, 2] * vertices_mm[c, 0] - vertices_mm[b, 0] * vertices_mm[c, 2]
+        )
+        total += vertices_mm[a, 2] * (
+            vertices_mm[b, 0] * vertices_mm[c, 1] - vertices_mm[b, 1] * vertices_mm[c, 0]
+        )
+    return total / 6
+
+
+def spread_nodes(
+    points_mm: PointsMM, normals: Directions, spacing_mm: float, order: Indices | None = None
+) -> Nodes:
+    """Choose points (N, 3) no two of which are nearer than the spacing, as many as there is room for.
+
+    They are taken in `order` (N,), or as they come; of two on opposite sides of a thin place both may be nodes.
+    """
+    cells = sort_into_cells(points_mm, spacing_mm)
+    is_free = np.ones(len(points_mm), np.bool_)
+    chosen = np.empty(len(points_mm), np.int64)
+    order = np.arange(len(points_mm)) if order is None else order
+    chosen = np.sort(chosen[: _choose(points_mm, normals, order, cells, spacing_mm, is_free, chosen)])
+    nodes_mm = np.ascontiguousarray(points_mm[chosen])
+    node_normals = np.ascontiguousarray(normals[chosen])
+    neighbours = np.full((len(chosen), MAX_NEIGHBOURS), -1, np.int32)
+    _link(nodes_mm, node_normals, sort_into_cells(nodes_mm, spacing_mm), spacing_mm, neighbours)
+    return Nodes(chosen, nodes_mm, node_normals, neighbours, spacing_mm)
+
+
+def smoothed(nodes: Nodes, values: Floats, n_rounds: int) -> Floats:
+    """Return values (K, ...) as means of each node's own and its neighbours', as many times."""
+    links, has = nodes.neighbours, nodes.neighbours >= 0
+    weights = has / (1.0 + has.sum(axis=1, keepdims=True))
+    own = 1.0 / (1.0 + has.sum(axis=1))
+    for _ in range(n_rounds):
+        values = own.reshape(-1, *[1] * (values.ndim - 1)) * values + np.einsum(
+            "nk,nk...->n...", weights, values[links]
+        )
+    return values
+
+
+@compiled
+def _choose(
+    points_mm: PointsMM,
+    normals: Directions,
+    order: Indices,
+    cells: Cells,
+    spacing_mm: float,
+    is_free: Flags,
+    chosen: Indices,
+) -> int:
+    n_chosen = 0
+    for i in order:
+        if not is_free[i]:
+            continue
+        chosen[n_chosen] = i
+        n_chosen += 1
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        x0, x1 = cell_range(cells, x, 0, spacing_mm)
+        y0, y1 = cell_range(cells, y, 1, spacing_mm)
+        z0, z1 = cell_range(cells, z, 2, spacing_mm)
+        for cx in range(x0, x1 + 1):
+            for cy in range(y0, y1 + 1):
+                row = (cx * cells.counts[1] + cy) * cells.counts[2]
+                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
+                    j = cells.order[at]
+                    d2 = (points_mm[j, 0] - x) ** 2 + (points_mm[j, 1] - y) ** 2 + (points_mm[j, 2] - z) ** 2
+                    cosine = (
+                        normals[i, 0] * normals[j, 0]
+                        + normals[i, 1] * normals[j, 1]
+                        + normals[i, 2] * normals[j, 2]
+                    )
+                    if d2 < spacing_mm * spacing_mm and cosine > SAME_SIDE:
+                        is_free[j] = False
+        is_free[i] = False
+    return n_chosen
+
+
+@compiled
+def _link(
+    points_mm: PointsMM, normals: Directions, cells: Cells, spacing_mm: float, neighbours: Indices32
+) -> None:
+    """Fill in the nearest nodes of each."""
+    reach_mm = NEIGHBOURS_WITHIN * spacing_mm
+    distances = np.empty(MAX_NEIGHBOURS)
+    for i in range(len(points_mm)):
+        n = 0
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        x0, x1 = cell_range(cells, x, 0, reach_mm)
+        y0, y1 = cell_range(cells, y, 1, reach_mm)
+        z0, z1 = cell_range(cells, z, 2, reach_mm)
+        for cx in range(x0, x1 + 1):
+            for cy in range(y0, y1 + 1):
+                row = (cx * cells.counts[1] + cy) * cells.counts[2]
+                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
+                    j = cells.order[at]
+                    d2 = (points_mm[j, 0] - x) ** 2 + (points_mm[j, 1] - y) ** 2 + (points_mm[j, 2] - z) ** 2
+                    cosine = (
+                        normals[i, 0] * normals[j, 0]
+                        + normals[i, 1] * normals[j, 1]
+                        + normals[i, 2] * normals[j, 2]
+                    )
+                    if j == i or d2 >= reach_mm * reach_mm or cosine <= SAME_SIDE:
+                        continue
+                    if n == MAX_NEIGHBOURS and d2 >= distances[n - 1]:
+                        continue
+                    place = min(n, MAX_NEIGHBOURS - 1)
+                    while place > 0 and distances[place - 1] > d2:
+                        distances[place] = distances[place - 1]
+                        neighbours[i, place] = neighbours[i, place - 1]
+                        place -= 1
+                    distances[place] = d2
+                    neighbours[i, place] = j
+                    n = min(n + 1, MAX_NEIGHBOURS)
+
+
+def interpolated(
+    points_mm: PointsMM,
+    normals: Directions,
+    nodes: Nodes,
+    values: Annotated[Floats, "(K, C)"],
+    weights: Annotated[Floats, "(K,)"],
+    sd_mm: float,
+) -> Annotated[Floats, "(N, C)"]:
+    """Return values at points of the surface (N, 3): means of those of the nodes around, by weight and a Gaussian."""
+    cells = sort_into_cells(nodes.points_mm, REACH_SDS * sd_mm)
+    found = np.zeros((len(points_mm), values.shape[1]))
+    _interpolate(points_mm, normals, nodes.points_mm, nodes.normals, values, weights, cells, sd_mm, found)
+    return found
+
+
+@compiled
+def _interpolate(
+    points_mm: PointsMM,
+    normals: Directions,
+    nodes_mm: PointsMM,
+    node_normals: Directions,
+    values: Floats,
+    weights: Values,
+    cells: Cells,
+    sd_mm: float,
+    found: Floats,
+) -> None:
+    reach_mm = REACH_SDS * sd_mm
+    for i in range(len(points_mm)):
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        total = 0.0
+        x0, x1 = cell_range(cells, x, 0, reach_mm)
+        y0, y1 = cell_range(cells, y, 1, reach_mm)
+        z0, z1 = cell_range(cells, z, 2, reach_mm)
+        for cx in range(x0, x1 + 1):
+            for cy in range(y0, y1 + 1):
+                row = (cx * cells.counts[1] + cy) * cells.counts[2]
+                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
+                    j = cells.order[at]
+                    d2 = (nodes_mm[j, 0] - x) ** 2 + (nodes_mm[j, 1] - y) ** 2 + (nodes_mm[j, 2] - z) ** 2
+                    if d2 >= reach_mm * reach_mm:
+                        continue
+                    cosine = (
+                        normals[i, 0] * node_normals[j, 0]
+                        + normals[i, 1] * node_normals[j, 1]
+                        + normals[i, 2] * node_normals[j, 2]
+                    )
+                    # falls to zero at the reach, as (1 - d2 / reach2)^3: a Gaussian without its cost
+                    near = 1 - d2 / (reach_mm * reach_mm)
+                    weight = weights[j] * max(cosine, 0.0) * near * near * near
+                    total += weight
+                    for column in range(values.shape[1]):
+                        found[i, column] += weight * values[j, column]
+        if total > 0:
+            for column in range(values.shape[1]):
+                found[i, column] /= total

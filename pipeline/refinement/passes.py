@@ -1,0 +1,86 @@
+"""The passes over the surface, from coarse to fine, and what counts as evidence."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pass:
+    """One pass; lengths are those of a stone of `FULL_SIZE_MM` or more."""
+
+    spacing_mm: float  # of nodes
+    half_mm: float  # of the edge of a patch
+    scale: float  # of the images, 0.5 or 1
+    outward_mm: float  # limits of the depths that are tried, relative to the pass before
+    inward_mm: float
+    deepest_share: float  # limit of these as a share of the stone's size
+    n_depths: int  # a multiple of 8: they are computed side by side
+    stiffness: float  # cost of a millimetre between neighbours a millimetre apart
+    staying: float  # cost of a millimetre away from the estimate
+    n_samples: int  # along an edge of a patch
+    max_views: int
+
+
+PASSES = (
+    Pass(
+        spacing_mm=0.8,
+        half_mm=0.55,
+        scale=0.5,
+        outward_mm=0.17,
+        inward_mm=2.6,
+        deepest_share=0.17,  # dents are at most about 0.15 of the cube root of the volume
+        n_depths=16,
+        stiffness=0.0525,
+        staying=0.06,
+        n_samples=5,
+        max_views=5,
+    ),
+    Pass(
+        spacing_mm=0.6,
+        half_mm=0.45,
+        scale=0.5,
+        outward_mm=0.36,
+        inward_mm=0.36,
+        deepest_share=0.065,
+        n_depths=16,
+        stiffness=0.028,
+        staying=0.0,
+        n_samples=5,
+        max_views=5,
+    ),
+    Pass(
+        spacing_mm=0.45,
+        half_mm=0.35,
+        scale=1.0,
+        outward_mm=0.11,
+        inward_mm=0.11,
+        deepest_share=0.065,
+        n_depths=8,
+        stiffness=0.028,
+        staying=0.0,
+        n_samples=6,
+        max_views=4,
+    ),
+)
+FULL_SIZE_MM = 9.0
+"""Cube root of the volume from which lengths are those of the passes; those of smaller stones shrink with it."""
+LEAST_SCALE = 0.6
+NORMAL_ROUNDS = 2
+"""Smoothing of the normals along which the surface is shifted: of half a millimetre around."""
+NOISE_GREY = 1.3
+"""Standard deviation of grey levels below which a patch shows no texture."""
+ALIKE = (0.4, 0.7)
+"""Scores of no confidence and of full confidence."""
+PEAKED = 0.02
+"""Curvature of the score, per step of depth, from which a depth is told from its neighbours."""
+EVIDENCE = 0.25
+"""Mean confidence of a neighbourhood from which it is shifted at all; from twice that, fully."""
+DOUBTFUL = 0.1
+"""Weight of a node without confidence of its own amid others: it follows the propagation."""
+TOUCH_MM = 0.3
+"""Reach of a point where a tangent ray touches: there the silhouettes say where the surface is."""
+PIN = 0.5
+"""Cost of a millimetre away from such a point."""
+RIDGE = (0.05, 0.12)
+"""Sharpness of the estimate's convex edges from which flat patches begin to mislead, and from which they all do."""
+TRUNCATED_MM = 1.2
+"""Difference of neighbours, times the stiffness, beyond which more costs no more."""

@@ -1,0 +1,181 @@
+"""Photo-consistency: how alike the views show a patch of the surface, if it lies so deep below a node.
+
+Patches are flat and slanted as the surface is. Their grey levels in two views are compared by the zero-mean normalized
+cross-correlation (ZNCC); noise in its denominator keeps patches without texture near zero.
+"""
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.compiled import compiled
+from pipeline.refinement.sightings import PhotoViews, project_into
+
+
+def patch_samples(n_samples: int) -> tuple[Values, Values]:
+    """Return weight and place (n,) of the samples along an edge of a patch, in half edges from its middle."""
+    steps = np.linspace(-1, 1, n_samples)
+    return np.exp(-(steps**2)), steps
+
+
+def patch_scores(
+    views: PhotoViews,
+    scale: float,
+    points_mm: PointsMM,
+    inward: Directions,
+    axes: Annotated[Floats, "(K, 2, 3)"],
+    seen_by: tuple[Indices32, Singles],
+    depths_mm: Values,
+    half_mm: float,
+    n_samples: int,
+    noise_grey: float,
+) -> Annotated[Singles, "(K, L)"]:
+    """Return the score of each node at each depth along `inward`: mean ZNCC over pairs of views, 0 to 1.
+
+    `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
+    """
+    gains, steps = patch_samples(n_samples)
+    offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    weights = np.outer(gains, gains).ravel()
+    scores = np.zeros((len(points_mm), len(depths_mm)), np.float32)
+    _score(
+        views.regions if scale == 1 else views.halves,
+        views.lenses,
+        views.R,
+        views.t_mm,
+        scale,
+        points_mm,
+        inward,
+        axes,
+        *seen_by,
+        depths_mm,
+        (half_mm * offsets).astype(np.float32),
+        (weights / weights.sum()).astype(np.float32),
+        np.float32(noise_grey**2),
+        scores,
+    )
+    return scores
+
+
+@compiled
+def _score(
+    images: NDArray[np.uint8],
+    lenses: Floats,
+    R: Floats,
+    t_mm: PointsMM,
+    scale: float,
+    points_mm: PointsMM,
+    inward: Directions,
+    axes: Floats,
+    seen_by: Indices32,
+    weights: Singles,
+    depths_mm: Values,
+    offsets_mm: Singles,
+    gains: Singles,
+    noise2: np.float32,
+    scores: Singles,
+) -> None:
+    most, n_samples, n_depths = seen_by.shape[1], len(offsets_mm), len(depths_mm)
+    height, width = images.shape[1], images.shape[2]
+    flat = images.reshape(len(images), height * width)
+    greys = np.empty((most, n_samples, n_depths), np.float32)
+    inverse_sd = np.empty((most, n_depths), np.float32)
+    at_u, at_v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
+    sums, totals = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
+    is_used = np.empty(most, np.bool_)
+    shift = (1 - scale) / 2  # centres of pixels are on integers in both sizes
+    low_mm, high_mm = depths_mm[0], depths_mm[-1]
+    middle_mm = (low_mm + high_mm) / 2
+    span = max((high_mm - low_mm) / 2, 1e-9)
+    corner = offsets_mm[n_samples - 1, 0]
+    for i in range(len(points_mm)):
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        dx, dy, dz = inward[i, 0], inward[i, 1], inward[i, 2]
+        mx, my, mz = x + middle_mm * dx, y + middle_mm * dy, z + middle_mm * dz
+        n_used = 0
+        for k in range(most):
+            is_used[k] = False
+        for k in range(most):
+            view = seen_by[i, k]
+            if view < 0:
+                break
+            lens, turn, move = lenses[view], R[view], t_mm[view]
+            u1, v1, _ = project_into(lens, turn, move, mx, my, mz)
+            u0, v0, _ = project_into(lens, turn, move, x + low_mm * dx, y + low_mm * dy, z + low_mm * dz)
+            u2, v2, _ = project_into(lens, turn, move, x + high_mm * dx, y + high_mm * dy, z + high_mm * dz)
+            pa, qa, _ = project_into(
+                lens, turn, move, mx + axes[i, 0, 0], my + axes[i, 0, 1], mz + axes[i, 0, 2]
+            )
+            pb, qb, _ = project_into(
+                lens, turn, move, mx + axes[i, 1, 0], my + axes[i, 1, 1], mz + axes[i, 1, 2]
+            )
+            ua, va = np.float32(scale * (pa - u1)), np.float32(scale * (qa - v1))
+            ub, vb = np.float32(scale * (pb - u1)), np.float32(scale * (qb - v1))
+            reach_u = np.float32(1.5) + (abs(ua) + abs(ub)) * corner
+            reach_v = np.float32(1.5) + (abs(va) + abs(vb)) * corner
+            low_u = low_v = np.float32(1e9)
+            high_u = high_v = np.float32(-1e9)
+            for depth in range(n_depths):
+                s = (depths_mm[depth] - middle_mm) / span
+                at_u[depth] = scale * (u1 + s * (u2 - u0) / 2 + s * s * (u0 + u2 - 2 * u1) / 2) - shift
+                at_v[depth] = scale * (v1 + s * (v2 - v0) / 2 + s * s * (v0 + v2 - 2 * v1) / 2) - shift
+                low_u, high_u = min(low_u, at_u[depth]), max(high_u, at_u[depth])
+                low_v, high_v = min(low_v, at_v[depth]), max(high_v, at_v[depth])
+            if (
+                low_u < reach_u
+                or low_v < reach_v
+                or high_u > width - 1 - reach_u
+                or high_v > height - 1 - reach_v
+            ):
+                continue
+            is_used[k] = True
+            n_used += 1
+            image, own = flat[view], greys[k]
+            sums[:] = 0
+            for q in range(n_samples):
+                du = ua * offsets_mm[q, 0] + ub * offsets_mm[q, 1]
+                dv = va * offsets_mm[q, 0] + vb * offsets_mm[q, 1]
+                gain = gains[q]
+                for depth in range(n_depths):
+                    u, v = at_u[depth] + du, at_v[depth] + dv
+                    column, row = np.uint32(np.int32(u)), np.uint32(np.int32(v))
+                    fu, fv = u - np.float32(column), v - np.float32(row)
+                    at = row * np.uint32(width) + column
+                    left, right = np.float32(image[at]), np.float32(image[at + np.uint32(1)])
+                    above = left + (right - left) * fu
+                    under = at + np.uint32(width)
+                    left, right = np.float32(image[under]), np.float32(image[under + np.uint32(1)])
+                    below = left + (right - left) * fu
+                    own[q, depth] = above + (below - above) * fv
+                for depth in range(n_depths):
+                    sums[depth] += gain * own[q, depth]
+            totals[:] = noise2
+            for q in range(n_samples):
+                gain = gains[q]
+                for depth in range(n_depths):
+                    own[q, depth] -= sums[depth]
+                    totals[depth] += gain * own[q, depth] * own[q, depth]
+            for depth in range(n_depths):
+                inverse_sd[k, depth] = np.float32(1) / np.sqrt(totals[depth])
+        if n_used < 2:
+            continue
+        total_weight = np.float32(0)
+        for k in range(most):
+            for m in range(k):
+                if not (is_used[k] and is_used[m]):
+                    continue
+                weight = weights[i, k] * weights[i, m]
+                total_weight += weight
+                sums[:] = 0
+                one, other = greys[k], greys[m]
+                for q in range(n_samples):
+                    gain = gains[q]
+                    for depth in range(n_depths):
+                        sums[depth] += gain * one[q, depth] * other[q, depth]
+                for depth in range(n_depths):
+                    alike = sums[depth] * inverse_sd[k, depth] * inverse_sd[m, depth]
+                    scores[i, depth] += weight * max(alike, np.float32(0))
+        for depth in range(n_depths):
+            scores[i, depth] /= total_weight

@@ -1,0 +1,217 @@
+"""Refine the estimate: shift its surface to where the views show the same grey values.
+
+The shift is a height field over the estimate's surface, along its smoothed normals. It is found at nodes, in passes
+from coarse to fine: where the patch around a node looks most alike in the views that see it, as far as its neighbours
+agree (belief propagation), and only where the neighbourhood has evidence. Elsewhere, at sharp convex edges and where a
+tangent ray touches, the estimate stays: there the silhouettes say more.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import Directions, Floats, PointsMM, Values
+from pipeline.frames import CameraId, Frame
+from pipeline.geometry.icosphere import icosphere
+from pipeline.meshing import ParticleMesh
+from pipeline.refinement.crossings import without_crossings
+from pipeline.refinement.node_field import (
+    depths_of,
+    facing,
+    flat_gate,
+    patch_sagittas,
+    tangent_axes,
+    touch_weights,
+)
+from pipeline.refinement.nodes import (
+    Nodes,
+    enclosed_volume_mm3,
+    interpolated,
+    smoothed,
+    spread_nodes,
+    vertex_normals,
+)
+from pipeline.refinement.passes import (
+    FULL_SIZE_MM,
+    LEAST_SCALE,
+    NOISE_GREY,
+    NORMAL_ROUNDS,
+    PASSES,
+    PIN,
+    TRUNCATED_MM,
+    Pass,
+)
+from pipeline.refinement.patch_scores import patch_samples, patch_scores
+from pipeline.refinement.propagation import propagate
+from pipeline.refinement.sightings import PhotoViews, depth_maps, photo_views, sightings
+from pipeline.rig.design import nominal_rig
+from pipeline.segmentation.ball_silhouettes import RADIUS_MM, ball_silhouettes
+from pipeline.views.prepared import PreparedViews, prepare_views
+
+SPREAD = 0.6
+"""Standard deviation of the interpolation between nodes, in their spacing."""
+LEAST_WEIGHT = 1e-3
+MIN_SUPPORTED = 0.05
+"""Share of the surface below which the estimate stays as it is: so few patches are alike by chance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refinement:
+    """The refined body, and how much of its surface the pixels say something about."""
+
+    mesh: ParticleMesh  # the estimate's own where nothing was refined
+    supported_share: float  # of the surface, 0 to 1
+    fallback: str | None = None  # why the estimate stays as it is
+
+
+def warm_up() -> Refinement:
+    """Refine a made-up ball, which compiles all that the first stone would wait for."""
+    rig = nominal_rig()
+    directions, faces = icosphere(subdivisions=5)
+    ball = ParticleMesh(RADIUS_MM * directions, faces)
+    noise = np.random.default_rng(0).integers(40, 80, rig.cameras[0].image_size_px[::-1], dtype=np.uint8)
+    frames = {
+        camera.id: Frame(camera=camera.id, image=noise, frame_id=0, device_ns=0, received_ns=0)
+        for camera in rig.cameras
+    }
+    views = prepare_views(ball_silhouettes(rig), rig)
+    without_crossings(ball.vertices_mm, faces)
+    return refine_body(ball, ball, ball.vertices_mm[:1], frames, views)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Field:
+    """Shifts of nodes, inward."""
+
+    nodes: Nodes
+    shifts_mm: Values  # (K,)
+    weights: Values  # (K,) 0 without evidence
+
+
+def refine_body(
+    estimate: ParticleMesh,
+    hull: ParticleMesh,
+    touches_mm: PointsMM,
+    frames: Mapping[CameraId, Frame],
+    prepared: PreparedViews,
+) -> Refinement:
+    """Shift the estimate's surface, within the hull, to where the pixels inside the outlines say that it lies.
+
+    `hull` has the same faces, and `touches_mm` (T, 3) are points where tangent rays touch.
+    """
+    vertices_mm, normals = estimate.vertices_mm, vertex_normals(estimate.vertices_mm, estimate.faces)
+    size_mm = float(np.cbrt(enclosed_volume_mm3(vertices_mm, estimate.faces)))
+    scale = float(np.clip(size_mm / FULL_SIZE_MM, LEAST_SCALE, 1.0))
+    views = photo_views(frames, prepared, vertices_mm)
+    field = None
+    for each, nodes, gate in _levels(vertices_mm, normals, scale):
+        field = _passed(each, nodes, gate, field, views, touches_mm, scale, size_mm)
+    supported_share = 0.0 if field is None else float((field.weights > 0).mean())
+    if field is None or supported_share < MIN_SUPPORTED:
+        return Refinement(mesh=estimate, supported_share=0.0, fallback="no texture that the views share")
+    shifts_mm = _vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
+    moved_mm = without_crossings(vertices_mm + shifts_mm, estimate.faces)
+    if moved_mm is None:
+        return Refinement(mesh=estimate, supported_share=0.0, fallback="the surface would cross itself")
+    mesh = ParticleMesh(moved_mm, estimate.faces)
+    return Refinement(mesh=mesh, supported_share=supported_share)
+
+
+def _levels(vertices_mm: PointsMM, normals: Floats, scale: float) -> list[tuple[Pass, Nodes, Values]]:
+    """Return nodes and gates for each pass: those of a coarse one are some of the next finer one's."""
+    order = np.random.default_rng(0).permutation(len(vertices_mm))  # always the same: no pattern, no chance
+    nodes = spread_nodes(vertices_mm, normals, scale * PASSES[-1].spacing_mm, order)
+    gate = flat_gate(nodes)
+    smooth = smoothed(nodes, nodes.normals, NORMAL_ROUNDS)
+    nodes = nodes._replace(normals=smooth / np.linalg.norm(smooth, axis=1)[:, None])
+    levels = [(PASSES[-1], nodes, gate)]
+    for each in reversed(PASSES[:-1]):
+        nodes = spread_nodes(nodes.points_mm, nodes.normals, scale * each.spacing_mm)
+        gate = gate[nodes.chosen]
+        levels.append((each, nodes, gate))
+    return levels[::-1]
+
+
+def _passed(
+    each: Pass,
+    nodes: Nodes,
+    gate: Values,
+    before: _Field | None,
+    views: PhotoViews,
+    touches_mm: PointsMM,
+    scale: float,
+    size_mm: float,
+) -> _Field:
+    """Return the shifts after one pass."""
+    half_mm = scale * each.half_mm
+    base_mm = np.zeros(len(nodes.points_mm)) if before is None else _carried_over(before, nodes)
+    points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
+    normals = nodes.normals if before is None else facing(points_mm, nodes)
+    seen_by, weights = sightings(
+        views, depth_maps(views, points_mm), points_mm, normals, half_mm, each.max_views
+    )
+    least_mm = -min(each.outward_mm, each.deepest_share * size_mm)
+    depths_mm = np.linspace(least_mm, min(each.inward_mm, each.deepest_share * size_mm), each.n_depths)
+    scores = patch_scores(
+        views,
+        each.scale,
+        points_mm,
+        -nodes.normals,
+        tangent_axes(normals),
+        (seen_by, weights),
+        depths_mm,
+        half_mm,
+        each.n_samples,
+        NOISE_GREY,
+    )
+    pins = PIN * np.maximum(touch_weights(nodes.points_mm, touches_mm), 1 - gate)
+    costs = gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
+    costs += pins[:, None] * np.abs(base_mm[:, None] + depths_mm)
+    stiffness = each.stiffness / nodes.spacing_mm
+    beliefs = propagate(
+        costs.astype(np.float32),
+        nodes.neighbours,
+        stiffness * float(depths_mm[1] - depths_mm[0]),
+        stiffness * TRUNCATED_MM,
+    )
+    found_mm, sure = depths_of(beliefs, scores, depths_mm, nodes, gate)
+    if each is PASSES[-1]:
+        found_mm = found_mm + patch_sagittas(
+            points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
+        )
+    return _Field(nodes=nodes, shifts_mm=base_mm + np.where(sure > 0, found_mm, 0.0), weights=sure)
+
+
+def _carried_over(field: _Field, nodes: Nodes) -> Values:
+    """Return the shifts of the pass before at other nodes (K,)."""
+    values = interpolated(
+        nodes.points_mm,
+        nodes.normals,
+        field.nodes,
+        field.shifts_mm[:, None],
+        np.maximum(field.weights, LEAST_WEIGHT),
+        SPREAD * field.nodes.spacing_mm,
+    )
+    return np.asarray(values[:, 0])
+
+
+def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, room_mm: PointsMM) -> PointsMM:
+    """Return the shifts (V, 3) of vertices: inward along the nodes' normals, or outward as far as to the hull's vertex.
+
+    `room_mm` (V, 3) leads from each vertex to the hull's.
+    """
+    nodes = field.nodes
+    found = interpolated(
+        vertices_mm,
+        normals,
+        nodes,
+        np.column_stack([field.shifts_mm, nodes.normals]),
+        np.maximum(field.weights, LEAST_WEIGHT),
+        SPREAD * nodes.spacing_mm,
+    )
+    inward_mm, outward = found[:, 0], found[:, 1:]
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+    lengths_mm = np.linalg.norm(room_mm, axis=1)
+    share = np.clip(-inward_mm / np.maximum(lengths_mm, 1e-12), 0, 1)
+    return np.asarray(share[:, None] * room_mm - np.maximum(inward_mm, 0.0)[:, None] * outward)

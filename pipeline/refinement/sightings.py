@@ -1,0 +1,190 @@
+"""The views as the refinement reads them, and which of them see a node."""
+
+from collections.abc import Mapping
+from typing import Annotated, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.compiled import compiled, compiled_within
+from pipeline.frames import CameraId, Frame
+from pipeline.rig.lens import region_lenses, region_pixel
+from pipeline.views.prepared import PreparedViews
+
+MARGIN_PX = 12
+BLUR_PX = 0.55
+"""Of images at half their size, against noise."""
+COARSE = 4
+"""Pixels of the image along an edge of one of the depth map."""
+SPLAT = 2
+"""Pixels of the depth map that a node covers to each side."""
+MIN_COSINE = 0.42
+"""Of the angle between normal and line of sight: 65 degrees."""
+SLACK_MM = 0.25
+"""Depth behind the depth map that still counts as seen, beside what the covered pixels tilt."""
+
+
+class PhotoViews(NamedTuple):
+    """Regions of V images around the stone."""
+
+    regions: Annotated[NDArray[np.uint8], "(V, H, W)"]  # grey levels
+    halves: Annotated[NDArray[np.uint8], "(V, H / 2, W / 2)"]  # at half their size, blurred a little
+    lenses: Annotated[Floats, "(V, 10)"]  # of these regions
+    R: Annotated[Floats, "(V, 3, 3)"]
+    t_mm: PointsMM
+    centers_mm: PointsMM
+
+
+def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices_mm: PointsMM) -> PhotoViews:
+    """Cut the regions that show the vertices from the images of the views."""
+    low, high = [], []
+    corners_mm = _box_corners(vertices_mm)
+    for camera in views.calibrations:
+        pixels_uv, _ = camera.project(corners_mm)
+        size = np.array(camera.image_size_px)
+        low.append(np.clip(np.floor(pixels_uv.min(axis=0)).astype(int) - MARGIN_PX, 0, size - 1))
+        high.append(np.clip(np.ceil(pixels_uv.max(axis=0)).astype(int) + MARGIN_PX + 1, 1, size))
+    width, height = np.max(np.array(high) - np.array(low), axis=0)
+    width, height = int(width + width % 2), int(height + height % 2)
+    regions = np.empty((len(views), height, width), np.uint8)
+    for i, camera in enumerate(views.calibrations):
+        (left, top), image = low[i], frames[camera.id].image
+        part = image[top : top + height, left : left + width]
+        below, right = height - part.shape[0], width - part.shape[1]
+        regions[i] = cv2.copyMakeBorder(part, 0, below, 0, right, cv2.BORDER_REPLICATE)
+    cameras = views.cameras
+    return PhotoViews(
+        regions,
+        _halved(regions),
+        region_lenses(cameras.K, cameras.distortion, [tuple(each) for each in low]),
+        cameras.R,
+        cameras.t_mm,
+        cameras.centers_mm,
+    )
+
+
+def _halved(regions: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    halves = (cv2.resize(each, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for each in regions)
+    return np.stack([np.asarray(cv2.GaussianBlur(each, (3, 3), BLUR_PX), np.uint8) for each in halves])
+
+
+def _box_corners(vertices_mm: PointsMM) -> PointsMM:
+    ends = np.stack([vertices_mm.min(axis=0), vertices_mm.max(axis=0)])
+    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+@compiled_within
+def project_into(
+    lens: Values, R: Floats, t_mm: Values, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return pixel (u, v) of the region and depth of a point."""
+    depth = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t_mm[2]
+    u, v = region_pixel(
+        (lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9]),
+        (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t_mm[0]) / depth,
+        (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t_mm[1]) / depth,
+    )
+    return u, v, depth
+
+
+def depth_maps(views: PhotoViews, points_mm: PointsMM) -> Annotated[Singles, "(V, H/4, W/4)"]:
+    """Return the depth of the nearest points (N, 3) for each pixel of coarse images; infinite where there is none."""
+    n_views, height, width = views.regions.shape
+    maps = np.full((n_views, height // COARSE + 1, width // COARSE + 1), np.inf, np.float32)
+    _splat(views.lenses, views.R, views.t_mm, points_mm, maps)
+    return maps
+
+
+@compiled
+def _splat(lenses: Floats, R: Floats, t_mm: PointsMM, points_mm: PointsMM, maps: Singles) -> None:
+    for view in range(len(maps)):
+        for i in range(len(points_mm)):
+            u, v, depth = project_into(
+                lenses[view], R[view], t_mm[view], points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+            )
+            column, row = int(u / COARSE), int(v / COARSE)
+            for y in range(max(row - SPLAT, 0), min(row + SPLAT + 1, maps.shape[1])):
+                for x in range(max(column - SPLAT, 0), min(column + SPLAT + 1, maps.shape[2])):
+                    maps[view, y, x] = min(maps[view, y, x], np.float32(depth))
+
+
+def sightings(
+    views: PhotoViews,
+    maps: Singles,
+    points_mm: PointsMM,
+    normals: Directions,
+    reach_mm: float,
+    max_views: int,
+) -> tuple[Indices32, Singles]:
+    """Return the views (K, max_views) that see each node's patch best, -1 beyond the last, and their weights."""
+    chosen = np.full((len(points_mm), max_views), -1, np.int32)
+    weights = np.zeros((len(points_mm), max_views), np.float32)
+    _sight(
+        views.lenses,
+        views.R,
+        views.t_mm,
+        views.centers_mm,
+        maps,
+        points_mm,
+        normals,
+        reach_mm,
+        chosen,
+        weights,
+    )
+    return chosen, weights
+
+
+@compiled
+def _sight(
+    lenses: Floats,
+    R: Floats,
+    t_mm: PointsMM,
+    centers_mm: PointsMM,
+    maps: Singles,
+    points_mm: PointsMM,
+    normals: Directions,
+    reach_mm: float,
+    chosen: Indices32,
+    weights: Singles,
+) -> None:
+    most = chosen.shape[1]
+    for i in range(len(points_mm)):
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        n = 0
+        for view in range(len(maps)):
+            dx, dy, dz = centers_mm[view, 0] - x, centers_mm[view, 1] - y, centers_mm[view, 2] - z
+            distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+            cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) / distance
+            if cosine <= MIN_COSINE:
+                continue
+            if n == most and cosine - MIN_COSINE + 0.1 <= weights[i, n - 1]:
+                continue
+            u, v, depth = project_into(lenses[view], R[view], t_mm[view], x, y, z)
+            patch_px = reach_mm * lenses[view, 0] / depth
+            slack_mm = (
+                SLACK_MM
+                + (SPLAT + 0.5) * COARSE * depth / lenses[view, 0] * np.sqrt(1 - cosine * cosine) / cosine
+            )
+            is_seen = True
+            for corner in range(5):
+                du = 0.0 if corner == 4 else (patch_px if corner & 1 else -patch_px)
+                dv = 0.0 if corner == 4 else (patch_px if corner & 2 else -patch_px)
+                column, row = int((u + du) / COARSE), int((v + dv) / COARSE)
+                if column < 1 or row < 1 or column >= maps.shape[2] - 1 or row >= maps.shape[1] - 1:
+                    is_seen = False
+                    break
+                nearest = maps[view, row, column]
+                if not (nearest < np.inf) or (corner == 4 and depth > nearest + slack_mm):
+                    is_seen = False
+                    break
+            if not is_seen:
+                continue
+            weight = np.float32(cosine - MIN_COSINE + 0.1)
+            place = min(n, most - 1)
+            while place > 0 and weights[i, place - 1] < weight:
+                weights[i, place], chosen[i, place] = weights[i, place - 1], chosen[i, place - 1]
+                place -= 1
+            weights[i, place], chosen[i, place] = weight, view
+            n = min(n + 1, most)
