@@ -7,15 +7,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.arrays import Directions, Floats, Indices, Indices32, Mask, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
 from pipeline.frames import CameraId, Frame
 from pipeline.rig.lens import region_lenses, region_pixel
+from pipeline.segmentation.silhouette import OUTSIDE, Silhouette
 from pipeline.views.prepared import PreparedViews
 
 MARGIN_PX = 12
 BLUR_PX = 0.55
 """Of images at half their size, against noise."""
+BORDER_SIGMAS = 2.5
+"""Distance to the outline, in sigmas of its blur, within which the wall shines into the stone's picture."""
+SHARP_SIGMA_PX = 1.0
+"""Blur of an outline of which it was not measured."""
 COARSE = 4
 """Pixels of the image along an edge of one of the depth map."""
 SPLAT = 2
@@ -31,6 +36,7 @@ class PhotoViews(NamedTuple):
 
     regions: Annotated[NDArray[np.uint8], "(V, H, W)"]  # grey levels
     halves: Annotated[NDArray[np.uint8], "(V, H / 2, W / 2)"]  # at half their size, blurred a little
+    is_inner: Annotated[NDArray[np.bool_], "(V, H / COARSE + 1, W / COARSE + 1)"]  # well within the outline
     lenses: Annotated[Floats, "(V, 10)"]  # of these regions
     R: Annotated[Floats, "(V, 3, 3)"]
     t_mm: PointsMM
@@ -58,11 +64,24 @@ def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices
     return PhotoViews(
         regions,
         _halved(regions),
+        np.stack([_inner(*each, (height, width)) for each in zip(views.silhouettes, low, strict=True)]),
         region_lenses(cameras.K, cameras.distortion, [tuple(each) for each in low]),
         cameras.R,
         cameras.t_mm,
         cameras.centers_mm,
     )
+
+
+def _inner(silhouette: Silhouette, corner_uv: Indices, size: tuple[int, int]) -> Mask:
+    """Return which pixels of the coarse image of a region are so far within the outline that no wall shines in."""
+    canvas = np.zeros((size[0] // COARSE + 1, size[1] // COARSE + 1), np.uint8)
+    u = np.arange(canvas.shape[1]) * COARSE + COARSE // 2 + corner_uv[0] - silhouette.offset_uv[0]
+    v = np.arange(canvas.shape[0]) * COARSE + COARSE // 2 + corner_uv[1] - silhouette.offset_uv[1]
+    has_u = (u >= 0) & (u < silhouette.labels.shape[1])
+    has_v = (v >= 0) & (v < silhouette.labels.shape[0])
+    canvas[np.ix_(has_v, has_u)] = silhouette.labels[np.ix_(v[has_v], u[has_u])] != OUTSIDE
+    sigma_px = SHARP_SIGMA_PX if silhouette.edge_sigma_px is None else silhouette.edge_sigma_px
+    return np.asarray(cv2.distanceTransform(canvas, cv2.DIST_L2, 3) * COARSE > BORDER_SIGMAS * sigma_px)
 
 
 def _halved(regions: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -90,10 +109,11 @@ def project_into(
 
 
 def depth_maps(views: PhotoViews, points_mm: PointsMM) -> Annotated[Singles, "(V, H/4, W/4)"]:
-    """Return the depth of the nearest points (N, 3) for each pixel of coarse images; infinite where there is none."""
+    """Return the depth of the nearest points (N, 3) for each pixel of coarse images; infinite without any, or outside."""
     n_views, height, width = views.regions.shape
     maps = np.full((n_views, height // COARSE + 1, width // COARSE + 1), np.inf, np.float32)
     _splat(views.lenses, views.R, views.t_mm, points_mm, maps)
+    maps[~views.is_inner] = np.inf
     return maps
 
 
