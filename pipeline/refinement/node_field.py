@@ -11,6 +11,8 @@ from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE,
 
 CURVATURE_ROUNDS = 2
 MAX_SLOPE = 1.5
+CHANCE_MM = 0.03
+"""Shift that a patch without texture may have by chance."""
 
 
 def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
@@ -75,6 +77,17 @@ def depths_of(
     sure = gate * sure * np.clip(curvature / PEAKED, 0.05, 1)
     region = np.clip(smoothed(nodes, sure, 2) / EVIDENCE - 1, 0, 1)
     return depths_mm[best] + part * (depths_mm[1] - depths_mm[0]), np.maximum(sure, DOUBTFUL) * region
+
+
+def anchored(shifts_mm: Values, sure: Values, anchors: Values) -> tuple[Values, Values]:
+    """Return shifts (K,) and their weights with what the silhouettes say: `anchors` (K,) hold the estimate, 0 to 1.
+
+    Small shifts of which little is sure are chance, and vanish.
+    """
+    chance2 = ((1 - np.minimum(sure, 1)) * CHANCE_MM) ** 2
+    shifts_mm = shifts_mm * shifts_mm**2 / (shifts_mm**2 + chance2 + 1e-12)
+    weights = sure + anchors
+    return shifts_mm * sure / np.maximum(weights, 1e-9), weights
 
 
 def patch_sagittas(

@@ -17,6 +17,7 @@ from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
 from pipeline.refinement.crossings import without_crossings
 from pipeline.refinement.node_field import (
+    anchored,
     depths_of,
     facing,
     flat_gate,
@@ -86,7 +87,8 @@ class _Field:
 
     nodes: Nodes
     shifts_mm: Values  # (K,)
-    weights: Values  # (K,) 0 without evidence
+    weights: Values  # (K,) of the pixels and of the silhouettes
+    supported_share: float  # of the nodes
 
 
 def refine_body(
@@ -107,7 +109,7 @@ def refine_body(
     field = None
     for each, nodes, gate in _levels(vertices_mm, normals, scale):
         field = _passed(each, nodes, gate, field, views, touches_mm, scale, size_mm)
-    supported_share = 0.0 if field is None else float((field.weights > 0).mean())
+    supported_share = 0.0 if field is None else field.supported_share
     if field is None or supported_share < MIN_SUPPORTED:
         return Refinement(mesh=estimate, supported_share=0.0, fallback="no texture that the views share")
     shifts_mm = _vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
@@ -165,7 +167,8 @@ def _passed(
         each.n_samples,
         NOISE_GREY,
     )
-    pins = PIN * np.maximum(touch_weights(nodes.points_mm, touches_mm), 1 - gate)
+    touches = touch_weights(nodes.points_mm, touches_mm)
+    pins = PIN * np.maximum(touches, 1 - gate)
     costs = gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
     costs += pins[:, None] * np.abs(base_mm[:, None] + depths_mm)
     stiffness = each.stiffness / nodes.spacing_mm
@@ -180,7 +183,10 @@ def _passed(
         found_mm = found_mm + patch_sagittas(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
-    return _Field(nodes=nodes, shifts_mm=base_mm + np.where(sure > 0, found_mm, 0.0), weights=sure)
+    shifts_mm, weights = base_mm + np.where(sure > 0, found_mm, 0.0), sure
+    if each is PASSES[-1]:
+        shifts_mm, weights = anchored(shifts_mm, sure, np.maximum(touches**4, 1 - gate))
+    return _Field(nodes=nodes, shifts_mm=shifts_mm, weights=weights, supported_share=float((sure > 0).mean()))
 
 
 def _carried_over(field: _Field, nodes: Nodes) -> Values:

@@ -109,7 +109,7 @@ def project_into(
 
 
 def depth_maps(views: PhotoViews, points_mm: PointsMM) -> Annotated[Singles, "(V, H/4, W/4)"]:
-    """Return the depth of the nearest points (N, 3) for each pixel of coarse images; infinite without any, or outside."""
+    """Return the depth of the nearest points (N, 3) for each pixel of coarse images; infinite where none is."""
     n_views, height, width = views.regions.shape
     maps = np.full((n_views, height // COARSE + 1, width // COARSE + 1), np.inf, np.float32)
     _splat(views.lenses, views.R, views.t_mm, points_mm, maps)
