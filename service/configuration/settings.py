@@ -163,7 +163,7 @@ def problems(settings: Settings) -> Iterator[str]:
     except VolumeModelError as err:
         yield f"measuring.volume_model: {err}"
     if settings.measuring.volume_model is not None and settings.body.kind == "hull":
-        yield 'measuring.volume_model: needs the estimated body: set body.kind = "estimate", or leave it out'
+        yield 'measuring.volume_model: needs an estimated body: leave body.kind = "hull" out, or the model'
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _write_problem(folder):
             yield f"{name}: {problem}"

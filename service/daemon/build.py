@@ -126,6 +126,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
             checked=False,  # this process has just written the pixels
+            can_rush=True,
         ),
         spool=spool,
         pool=pool,

@@ -111,6 +111,7 @@ class ProcessingContext:
     save_silhouettes: bool
     folder: Path  # exists; for the workers' files until the store has them
     checked: bool = True  # whether pixels are compared with their checksums, a pass over all of them
+    can_rush: bool = False  # whether bodies are not refined while other bundles wait
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,7 +360,7 @@ class Processing:
             save_silhouettes=self._context.save_silhouettes,
             checked=self._context.checked,
             threads=self._pool.threads_per_job,
-            is_rushed=len(self._jobs) > RUSH_SHARE * self._pool.size,
+            is_rushed=self._context.can_rush and len(self._jobs) > RUSH_SHARE * self._pool.size,
         )
         measured = await self._pool.run(measure, job)
         collector = inputs.collector

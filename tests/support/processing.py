@@ -131,6 +131,7 @@ class Bench:
             is_simulated=True,
             save_silhouettes=False,
             folder=folder,
+            can_rush=True,
         )
         self.processing = Processing(
             context,

@@ -51,7 +51,7 @@ def test_a_mesh_file_through_all_methods(wedge: Path, tmp_path: Path) -> None:
 
     names = {path.name for path in pictures.iterdir()}
     assert names == {
-        f"wedge-true-{method}.png" for method in ("exact-hull", "papers-field", "hull", "estimate")
+        f"wedge-true-{method}.png" for method in ("exact-hull", "papers-field", "hull", "estimate", "photo")
     }
     picture = cv2.imread(str(pictures / "wedge-true-hull.png"))
     assert picture is not None

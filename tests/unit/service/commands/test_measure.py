@@ -104,6 +104,17 @@ def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> No
         assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.05)
 
 
+def test_the_body_can_be_refined_by_its_pixels_or_it_is_said_why_not(recording: Path, tmp_path: Path) -> None:
+    run(recording, "--out", tmp_path, "--workers", 1, "--body", "photo")
+    for record in records(tmp_path):
+        assert record["outcome"] == "measured"
+        assert "refine" in record["timings_ms"]
+        assert (record["body"] == "photo") == (record["refinement_fallback"] is None)
+        assert 0 <= record["supported_share"] <= 1
+        assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.1)
+        assert trimesh.load(tmp_path / record["mesh"], process=False).is_watertight
+
+
 def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_path: Path) -> None:
     config = tmp_path / "stonefall.toml"
     config.write_text(

@@ -271,7 +271,7 @@ def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
     (useless,) = problems(settings_of(tmp_path, text + '\n[body]\nkind = "hull"'))
     assert (
         useless
-        == 'measuring.volume_model: needs the estimated body: set body.kind = "estimate", or leave it out'
+        == 'measuring.volume_model: needs an estimated body: leave body.kind = "hull" out, or the model'
     )
 
 

@@ -15,7 +15,7 @@ from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.processing.background_versions import N_AWAITED, N_BESIDE
 from service.processing.left_bundles import LeftBundle
-from service.processing.measure_job import LearnJob, RigFile
+from service.processing.measure_job import LearnJob, MeasureJob, RigFile
 from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
 
@@ -51,6 +51,24 @@ async def test_each_outcome_tells_its_delay_but_not_that_of_an_earlier_daemon(tm
     after_s = time.monotonic()
     assert len(bench.delays_s) == 2
     assert all(before_s <= delay_s <= after_s for delay_s in bench.delays_s)  # since 0 of the clock
+
+
+async def test_bodies_are_not_refined_while_others_wait(tmp_path: Path):
+    pool = ScriptedPool(is_gated=True)
+    bench = Bench(tmp_path, [turn(name) for name in "abcde"], pool)
+    run = asyncio.create_task(bench.processing.run())
+    while len(pool.jobs) < 5:
+        await pool.has_job.wait()
+        pool.has_job.clear()
+    assert [job.bundle_path.stem for job in pool.jobs if isinstance(job, MeasureJob) and job.is_rushed] == [
+        "c",
+        "d",
+        "e",
+    ]
+    for gate in pool.gates.values():
+        gate.set()
+    await run
+    assert len(bench.outcomes) == 5
 
 
 async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tmp_path: Path):
