@@ -150,9 +150,8 @@ def _passed(
     base_mm = np.zeros(len(nodes.points_mm)) if before is None else _carried_over(before, nodes)
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
-    seen_by, weights = sightings(
-        views, depth_maps(views, points_mm), points_mm, normals, half_mm, each.max_views
-    )
+    maps = depth_maps(views, points_mm)
+    seen_by = sightings(views, maps, points_mm, normals, half_mm, each.max_views)
     least_mm = -min(each.outward_mm, each.deepest_share * size_mm)
     depths_mm = np.linspace(least_mm, min(each.inward_mm, each.deepest_share * size_mm), each.n_depths)
     scores = patch_scores(
@@ -161,7 +160,7 @@ def _passed(
         points_mm,
         -nodes.normals,
         tangent_axes(normals),
-        (seen_by, weights),
+        seen_by,
         depths_mm,
         half_mm,
         each.n_samples,
@@ -185,7 +184,8 @@ def _passed(
         )
     shifts_mm, weights = base_mm + np.where(sure > 0, found_mm, 0.0), sure
     if each is PASSES[-1]:
-        shifts_mm, weights = anchored(shifts_mm, sure, np.maximum(touches**4, 1 - gate))
+        anchors = np.maximum(touches**4, 1 - gate)  # at the very points
+        shifts_mm, weights = anchored(shifts_mm, sure, anchors)
     return _Field(nodes=nodes, shifts_mm=shifts_mm, weights=weights, supported_share=float((sure > 0).mean()))
 
 
