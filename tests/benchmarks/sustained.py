@@ -1,7 +1,7 @@
 """Run the daemon on a recording at several rates and report losses and delays of results.
 
 Run: .venv/bin/python tests/benchmarks/sustained.py [--rates 4,10,20] [--seconds 60] [--burst 20] [--burst-seconds 10]
-     [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--slots 2] [--queue 100] [--recording DIR] [--json]
+     [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--body estimate] [--slots 2] [--queue 100] [--recording DIR] [--json]
 
 Stones are rendered first; with `--recording` they are kept there for the next run. `--record` also records that many
 bundles live. Stones fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before
@@ -18,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
@@ -77,6 +78,7 @@ class Run:
     cores: dict[str, float]  # of daemon and workers
     memory_mb: dict[str, list[float]]
     recorded: str
+    bodies: dict[str, int]  # results by the body that was measured
     kept: int  # results whose frames are archived, or were until newer ones came
     lock_ms: float  # longest wait for the interpreter's lock in the daemon, without the wait for a core
 
@@ -109,6 +111,7 @@ def main() -> int:
     parser.add_argument("--stones", type=int, default=20, help="number of different stones")
     parser.add_argument("--keep-raw", type=int, default=200, help="number of stones whose frames are kept")
     parser.add_argument("--record", type=int, default=0, help="number of bundles to record live")
+    parser.add_argument("--body", default="estimate", help="hull, estimate or photo")
     parser.add_argument("--slots", type=int, default=2)
     parser.add_argument("--queue", type=int, default=100, help="bundles that may wait")
     parser.add_argument("--recording", type=Path)
@@ -167,6 +170,7 @@ def played(recording: Recording, name: str, rate_hz: float, seconds: float, argu
             folder / "recording",
             rig=RIG.format(window_ms=0.4 * apart_ms, dead_time_ms=0.9 * apart_ms),
             voxels=256,
+            body=arguments.body,
             spool=spool,
             store=f"keep_raw = {arguments.keep_raw}",
             slots=arguments.slots,
@@ -254,6 +258,7 @@ def run_of(
             "workers": last["rss_mb"]["workers"],
             "workers, their own": last["own_mb"]["workers"],
         },
+        bodies=dict(Counter(json.loads(record).get("body") or "none" for _, _, record in rows)),
         kept=len(rows) - daemon.get("/health")["checks"]["archive"]["observed_value"],
         lock_ms=max(waits_ms(daemon.folder / LOCK_WAITS, since_s=first["at_s"]), default=0.0),
         recorded=", ".join(f"{each['state']} {each['bundles']}" for each in recording) or "-",
@@ -288,6 +293,7 @@ def table_of(runs: Sequence[Run], read_ms: float, arguments: Any) -> Table:
         "triggers without a result, at most": [str(run.waiting) for run in runs],
         "longest hold-up of the loop, ms": [f"{run.loop_ms:.0f}" for run in runs],
         "longest wait for the interpreter's lock, ms": [f"{run.lock_ms:.0f}" for run in runs],
+        "bodies": [", ".join(f"{n} {body}" for body, n in run.bodies.items()) for run in runs],
         "results with their frames": [f"{run.kept} of {len(run.latency_ms)}" for run in runs],
         "cores used by daemon, workers": [
             f"{run.cores['daemon']:.2f}, {run.cores['workers']:.2f}" for run in runs

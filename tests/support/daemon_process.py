@@ -39,6 +39,8 @@ retention.min_free_gb = 0.0
 reserve_gb = 0.1
 [carving]
 n = {voxels}
+[body]
+kind = "{body}"
 [workers]
 slots = {slots}
 [api]
@@ -59,6 +61,7 @@ class DaemonProcess:
         segmentation: str = "",
         spool: str = "spool",
         voxels: int = 64,
+        body: str = "estimate",
         slots: int = 2,
         port: int = 0,
         max_bundles: int = 100,
@@ -78,6 +81,7 @@ class DaemonProcess:
                 segmentation=segmentation,
                 spool=spool,
                 voxels=voxels,
+                body=body,
                 slots=slots,
                 port=port,
                 max_bundles=max_bundles,
