@@ -1,7 +1,8 @@
 """Run the daemon on a recording at several rates and report losses and delays of results.
 
 Run: .venv/bin/python tests/benchmarks/sustained.py [--rates 4,10,20] [--seconds 60] [--burst 20] [--burst-seconds 10]
-     [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--body estimate] [--slots 2] [--queue 100] [--recording DIR] [--json]
+     [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--body estimate] [--slots 2] [--queue 100]
+     [--recording DIR] [--json]
 
 Stones are rendered first; with `--recording` they are kept there for the next run. `--record` also records that many
 bundles live. Stones fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before
