@@ -72,7 +72,7 @@ ALIKE = (0.4, 0.7)
 """Scores of no confidence and of full confidence."""
 PEAKED = 0.02
 """Curvature of the score, per step of depth, from which a depth is told from its neighbours."""
-EVIDENCE = 0.25
+EVIDENCE = 0.3
 """Mean confidence of a neighbourhood from which it is shifted at all; from twice that, fully."""
 DOUBTFUL = 0.1
 """Weight of a node without confidence of its own amid others: it follows the propagation."""
