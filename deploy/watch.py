@@ -1,6 +1,6 @@
-"""Print each stone as it is measured: a small client of the REST feed, and a start for a client of your own.
+"""Print each stone as it is measured: a reader of the REST feed, built on the client beside it.
 
-It keeps its cursor, asks with a long poll, and needs only the standard library.
+It needs only the standard library. `client.py` is the start for a client of your own.
 """
 
 import argparse
@@ -8,11 +8,10 @@ import json
 import re
 import sys
 import time
-import urllib.request
-from contextlib import suppress
-from http.client import HTTPException
 from pathlib import Path
 from typing import Any
+
+from client import Client, ClientError, NoAnswerError, Position, Reporter, follow
 
 ROW = "{:>4}  {:<17} {:<10} {:<9} {:<8} {:>10} {:>8} {:>8} {:>9} {:>8}  {}"
 HEAD = ROW.format(
@@ -22,22 +21,23 @@ HEAD = ROW.format(
 """Column headings; the errors are those of volume and sieve size against the truth of a synthetic recording."""
 PATIENCE_S = 60.0
 """Longest wait for a held rig with `--once`."""
+WAIT_S = 2.0
+"""Longest wait for the next stone, after which the daemon's process is looked at."""
 
 
-def get(base: str, path: str, timeout_s: float = 40) -> dict[str, Any]:
-    with urllib.request.urlopen(f"{base}/api/v1{path}", timeout=timeout_s) as answer:  # noqa: S310 - the user's own URL
-        return dict(json.load(answer))
-
-
-def ask(base: str, path: str, process: int | None, timeout_s: float = 40) -> dict[str, Any] | None:
+def ask(client: Client, path: str, process: int | None, timeout_s: float = 40) -> dict[str, Any] | None:
     """Return the response, None while there is none; end the program when the process has ended.
 
     The daemon keeps its port until it ends: while it runs, no other process responds there.
     """
     end_without(process)
     answer = None
-    with suppress(OSError, HTTPException, json.JSONDecodeError):
-        answer = get(base, path, timeout_s)
+    try:
+        answer = client.get(path, timeout_s)
+    except NoAnswerError:
+        pass
+    except ClientError as err:
+        print(err, file=sys.stderr, flush=True)
     end_without(process)
     return answer
 
@@ -47,9 +47,9 @@ def end_without(process: int | None) -> None:
         sys.exit("the daemon ended")
 
 
-def wait_until_ready(base: str, process: int | None, patience_s: float = 120) -> None:
+def wait_until_ready(client: Client, base: str, process: int | None, patience_s: float = 120) -> None:
     deadline = time.monotonic() + patience_s
-    while ask(base, "/health/live", process, timeout_s=2) is None:
+    while ask(client, "/health/live", process, timeout_s=2) is None:
         if time.monotonic() > deadline:
             sys.exit(f"no answer from {base} within {patience_s:.0f} s")
         time.sleep(0.2)
@@ -99,6 +99,7 @@ def main() -> int:
     parser.add_argument(
         "--stones", type=int, help="number of stones that will fall; without it the daemon knows the end"
     )
+    parser.add_argument("--key-file", type=Path, help="file with the token of a key, if the daemon needs one")
     parser.add_argument("--while-process", type=int, help="stop waiting when this process is gone")
     arguments = parser.parse_args()
     truth = {}
@@ -106,22 +107,22 @@ def main() -> int:
         records = [json.loads(line) for line in arguments.truth.read_text().splitlines()]
         truth = {number_of(record["bundle"]): record for record in records}
     base, process = arguments.base, arguments.while_process
-    wait_until_ready(base, process)
+    client = Client(base, arguments.key_file)
+    wait_until_ready(client, base, process)
     print(f"results   {base}/api/v1/results")
     print(f"health    {base}/api/v1/health")
     print(f"API       {base}/api/v1/docs\n")
     print(HEAD, flush=True)
-    cursor, is_through, held_since = 0, False, time.monotonic()
-    while True:
-        page = ask(base, f"/results?after={cursor}&wait_s={0 if is_through else 2}", process)
-        if page is None:
-            time.sleep(0.5)  # keep the cursor over an outage
-            continue
-        for item in page["items"]:
+    is_through, held_since = False, time.monotonic()
+    reporter = Reporter(Position(), lambda text: print(text, file=sys.stderr, flush=True))
+    for step in follow(client, Position(), fields=None, wait_s=WAIT_S):
+        end_without(process)
+        if process is None or not isinstance(step.trouble, NoAnswerError):  # the process tells of its own end
+            reporter.note(step)
+        for item in step.items:
             print(row(item, truth.get(number_of(item["bundle"]))), flush=True)
-        cursor = page["next_after"]
-        if arguments.once and not page["items"]:
-            counts, acquisition = ask(base, "/accounting", process), ask(base, "/acquisition", process)
+        if arguments.once and not step.items and step.trouble is None:
+            counts, acquisition = ask(client, "/accounting", process), ask(client, "/acquisition", process)
             if counts is None or acquisition is None:
                 continue
             if is_through:
@@ -137,6 +138,7 @@ def main() -> int:
                 else counts["triggers"] >= arguments.stones
             )
             is_through = counts["triggers"] > 0 and counts["in_progress"] == 0 and has_ended
+    raise AssertionError("it is followed without end")
 
 
 def summary(counts: dict[str, Any]) -> int:
