@@ -34,6 +34,7 @@ COMMANDS = {
     "shape": "service.commands.shape",
     "fit-volume": "service.commands.fit_volume",
     "simulate": "service.commands.simulate",
+    "rehearse": "service.commands.rehearse",
     "cameras": "service.commands.cameras",
     "benchmark": "service.commands.benchmark",
 }

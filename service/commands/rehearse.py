@@ -1,0 +1,105 @@
+"""`stonefall rehearse`: a scripted day on a simulated rig, for the writer of a client to follow."""
+
+import json
+import signal
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.errors import UsageError
+from service.rehearsal.day import Day, merged
+from service.rehearsal.expected import as_text
+from service.rehearsal.recordings import rehearsed_recording
+from service.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
+from service.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
+from service.rehearsal.script import Script, script_of, scripts
+
+SETTINGS = {
+    "spool": {"dir": "spool", "max_bundles": 100},
+    "store": {"dir": "state", "retention": {"min_free_gb": 0.0}},
+    "recordings": {"reserve_gb": 0.1},
+    "carving": {"n": 64},  # enough for images so small
+    "measuring": {"density_g_cm3": 2.7},
+}
+
+
+def command(
+    script: Annotated[str, typer.Option(help="What happens; --list tells all.")] = "day",
+    is_list: Annotated[bool, typer.Option("--list", help="List the scripts, and end.")] = False,
+    speed: Annotated[float, typer.Option(min=0.1, max=10, help="Factor on four stones a second.")] = 1.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the daemon; 0: a free one.")] = 8080,
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Folder to keep store and log in, empty or new; default: a temporary one."),
+    ] = None,
+    linger_s: Annotated[
+        float, typer.Option(min=0, help="Time for clients to read the last results, before the daemon ends.")
+    ] = 15.0,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print what a client should have seen as JSON; the rest goes to stderr."),
+    ] = False,
+) -> None:
+    """Rehearse a day: a simulated rig, a daemon of its own, sample lots, and what goes wrong at a plant.
+
+    Let your client follow the address that is printed. At the end stands what it should have seen.
+    """
+    if is_list:
+        _print_scripts()
+        return
+    chosen = script_of(script)
+    port = port or free_port()
+    if not is_free(port):
+        raise UsageError(f"--port {port}: something else listens there")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    with ExitStack() as running:
+        where = _folder(folder, running)
+
+        def say(text: str) -> None:
+            typer.echo(f"{time.strftime('%H:%M:%S')}  {text}", err=as_json)
+            (sys.stderr if as_json else sys.stdout).flush()
+
+        say(f"{chosen.name}: {chosen.title}")
+        rig = running.enter_context(_rig(chosen, speed, where))
+        settings = merged(merged(SETTINGS, rig.settings()), chosen.settings)
+        daemon = RehearsedDaemon(where, settings, port, has_own_clock=chosen.has_own_clock)
+        running.callback(daemon.stop)
+        daemon.start()
+        rig.rest(daemon)
+        say(f"follow http://{HOST}:{port}/api/v1/results with your client")
+        expected = Day(chosen, daemon, rig, say).play()
+        say("the day is over; a correct client has seen:")
+        typer.echo(json.dumps(expected.document()) if as_json else as_text(expected))
+        sys.stdout.flush()
+        say(f"the daemon ends in {linger_s:g} s")
+        time.sleep(linger_s)
+
+
+def _folder(wanted: Path | None, running: ExitStack) -> Path:
+    if wanted is None:
+        return Path(running.enter_context(tempfile.TemporaryDirectory(prefix="stonefall-rehearse-")))
+    wanted.mkdir(parents=True, exist_ok=True)
+    if any(wanted.iterdir()):
+        raise UsageError(f"--folder {wanted}: must be empty")
+    return wanted.absolute()
+
+
+def _rig(script: Script, speed: float, folder: Path) -> Rig:
+    recording = rehearsed_recording(script.recording)
+    if script.is_gige:
+        return SimulatedGigeRig(recording, speed, folder)
+    return ReplayedRig(recording, speed, is_looping=script.recording != "bumped")
+
+
+def _print_scripts() -> None:
+    table = Table("script", "what happens", "needs", box=None)
+    for each in scripts().values():
+        table.add_row(each.name, each.title, "Aravis" if each.is_gige else "")
+    Console().print(table)

@@ -1,0 +1,1 @@
+"""Rehearse days of a plant for the writer of a client: a small simulated rig, a daemon of its own, faults."""
