@@ -16,7 +16,7 @@ from rich.table import Table
 from service.errors import UsageError
 from service.rehearsal.day import Day, merged
 from service.rehearsal.expected import as_text
-from service.rehearsal.recordings import rehearsed_recording
+from service.rehearsal.recordings import RehearsedRecording, rehearsed_recording
 from service.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
 from service.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
 from service.rehearsal.script import Script, script_of, scripts
@@ -95,7 +95,7 @@ def _rig(script: Script, speed: float, folder: Path) -> Rig:
     recording = rehearsed_recording(script.recording)
     if script.is_gige:
         return SimulatedGigeRig(recording, speed, folder)
-    return ReplayedRig(recording, speed, is_looping=script.recording != "bumped")
+    return ReplayedRig(recording, speed, is_looping=script.recording is not RehearsedRecording.BUMPED)
 
 
 def _print_scripts() -> None:

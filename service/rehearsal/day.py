@@ -14,6 +14,8 @@ DEEDS = (
     "product", "open", "close", "fall", "flow", "count", "rest", "kill", "restart", "cut", "expire", "reconnect",
     "backup", "restore", "verify", "clock", "fault", "until", "without_files", "wait",
 )  # fmt: skip
+OF_LOTS = ("triggers", "measured", "rejected", "lost", "verdict")
+OF_ALARMS = ("id", "check", "priority", "state", "detail", "action")
 
 
 class Day:
@@ -38,9 +40,10 @@ class Day:
             getattr(self, step.do)(**step.arguments)
             self._look()
         lots = [self._lot(lot["lot"]) for lot in reversed(self._daemon.ask("GET", "/lots")["items"])]
-        alarms = (self._daemon.find("/alarms/history") or {"items": []})["items"]
+        raised = (self._daemon.find("/alarms/history") or {"items": []})["items"]
+        alarms = [{name: alarm[name] for name in OF_ALARMS} for alarm in reversed(raised)]
         self._look()
-        return self._observer.expected(self._script.name, lots, reversed(alarms), self._health)
+        return self._observer.expected(self._script.name, lots, alarms, self._health)
 
     # --- what a MES does ---
 
@@ -166,8 +169,7 @@ class Day:
     def _lot(self, lot: str) -> dict[str, Any]:
         figures = self._daemon.ask("GET", f"/lots/{lot}/gradation")
         known = self._daemon.ask("GET", f"/lots/{lot}")
-        names = ("triggers", "measured", "rejected", "lost", "verdict")
-        return {"lot": lot, "state": known["state"], **{name: figures[name] for name in names}}
+        return {"lot": lot, "state": known["state"], **{name: figures[name] for name in OF_LOTS}}
 
 
 def merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:

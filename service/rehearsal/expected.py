@@ -1,7 +1,6 @@
 """What a correct client has at the end of a rehearsal: read from the store itself, beside the daemon."""
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
@@ -145,7 +144,10 @@ def as_text(expected: Expected) -> str:
         f" rejected + {lot['lost']} lost; {str(lot['verdict']).replace('_', ' ')}"
         for lot in expected.lots
     ]
-    lines += [f"alarm       {json.dumps(alarm)}" for alarm in expected.alarms]
+    lines += [
+        f"alarm       {alarm['check']} ({alarm['priority']}, {alarm['state']}): {alarm['action']}"
+        for alarm in expected.alarms
+    ]
     lines.append(f"health      {' -> '.join(expected.health)}")
     return "\n".join(lines)
 

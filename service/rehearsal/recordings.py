@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from drivers.files.recording import RecordingWriter
-from pipeline.frames import CameraId, FrameBundle
+from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, sphere
+from pipeline.synthesis.bodies import Body, ball
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from service.results.version import ALGORITHM_VERSION
 
-VERSION = 1
+VERSION = 2
 """To be raised when what is rendered changes."""
 SEED = 22
 SHRINK = 4
@@ -36,7 +36,7 @@ BUMPED, TURN_RAD = CameraId("c05"), 0.009
 
 
 class RehearsedRecording(StrEnum):
-    """What falls: stones, with two at once and nothing among them; balls of 15 mm; stones, before and after a bump."""
+    """What falls: stones, with two at once and nothing among them; stones and balls; stones, before and after a bump."""
 
     STONES = "stones"
     BALLS = "balls"
@@ -77,14 +77,14 @@ def _write(path: Path, kind: RehearsedRecording) -> None:
 
 
 def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: SimulatedRig) -> Iterator[FrameBundle]:
-    if kind is RehearsedRecording.BALLS:
-        for number in range(N_BALLS):
-            rng = stream(SEED, 3, number)
-            yield _bundle([drop_across(sphere(), rig, rng)], simulated, number, "sphere")
-        return
     for number in range(N_STONES):
         body = _stone(number)
         yield _bundle([tumble(body, rig, stream(SEED, 4, number))], simulated, number, body.name)
+    if kind is RehearsedRecording.BALLS:
+        for number in range(N_STONES, N_STONES + N_BALLS):
+            placed = drop_across(ball(), rig, stream(SEED, 3, number))
+            yield _bundle([placed], simulated, number, "ball", BundleKind.BALL)
+        return
     if kind is RehearsedRecording.BUMPED:
         shaken = simulate_rig(_bumped(rig), stream(SEED, 0))
         for number in range(N_STONES, N_STONES + N_BUMPED):
@@ -99,9 +99,15 @@ def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: Simulated
     yield _bundle([], simulated, N_STONES + 1, "nothing")
 
 
-def _bundle(bodies: list[PlacedBody], simulated: SimulatedRig, number: int, label: str) -> FrameBundle:
+def _bundle(
+    bodies: list[PlacedBody],
+    simulated: SimulatedRig,
+    number: int,
+    label: str,
+    kind: BundleKind = BundleKind.PARTICLE,
+) -> FrameBundle:
     rng = stream(SEED, 5, number)
-    return render_bundle(bodies, simulated, rng, sequence=N_EMPTY + 1 + number, label=label)
+    return render_bundle(bodies, simulated, rng, sequence=N_EMPTY + 1 + number, label=label, kind=kind)
 
 
 def _stone(number: int) -> Body:

@@ -79,6 +79,7 @@ class SimulatedGigeRig:
             only_stones=True,
         )
         self._rig = SimulatedRig(design, open_recording(recording))
+        self._requests = RigRequests(cameras=self._rig.cameras, gate=self._rig.gate, belt=self._rig.belt)
 
     def __enter__(self) -> Self:
         self._rig.open()
@@ -112,4 +113,4 @@ class SimulatedGigeRig:
         time.sleep(QUIET_S)
 
     def fault(self, request: Mapping[str, Any]) -> None:
-        RigRequests(cameras=self._rig.cameras, gate=self._rig.gate, belt=self._rig.belt).answer(request)
+        self._requests.answer(request)

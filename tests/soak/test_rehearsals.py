@@ -134,6 +134,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], said: str, tmp_path: Path
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.full
 def test_it_ends_by_itself_and_leaves_nothing(tmp_path: Path) -> None:
     port = free_port()
     command = [
