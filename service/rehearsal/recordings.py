@@ -36,7 +36,7 @@ BUMPED, TURN_RAD = CameraId("c05"), 0.009
 
 
 class RehearsedRecording(StrEnum):
-    """What falls: stones, with two at once and nothing among them; stones and balls; stones, before and after a bump."""
+    """What falls: stones, with two at once and nothing among them; with balls; before and after a bump."""
 
     STONES = "stones"
     BALLS = "balls"
