@@ -7,7 +7,7 @@ from soak.client_kills import killed_again_and_again
 from support.quick_and_full import first_quick
 
 
-@pytest.mark.parametrize("n_kills", first_quick([4, 20]))
+@pytest.mark.parametrize("n_kills", first_quick([3, 20]))
 @pytest.mark.timeout(900)
 def test_the_client_has_each_result_once_whoever_is_killed(n_kills: int, tmp_path: Path) -> None:
     tally = killed_again_and_again(tmp_path, n_kills)

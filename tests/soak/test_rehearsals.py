@@ -21,7 +21,7 @@ from support.reference_client import start_client
 from service.rehearsal.rehearsed_daemon import is_free
 from service.rehearsal.script import scripts
 
-NAMES = ["cursor-expires", "store-restored", *sorted(scripts().keys() - {"cursor-expires", "store-restored"})]
+NAMES = ["store-restored", *sorted(scripts().keys() - {"store-restored"})]
 
 
 @pytest.mark.parametrize("name", first_quick(NAMES))
