@@ -31,5 +31,6 @@ def follow_file(path: Path) -> None:
 
     time.time = time_s
     for name, module in list(sys.modules.items()):
-        if name.startswith(("service.", "drivers.")) and getattr(module, "datetime", None) is datetime:
+        is_ours = name.startswith(("service.", "drivers.")) and name != __name__
+        if is_ours and getattr(module, "datetime", None) is datetime:
             module.datetime = Datetime  # type: ignore[attr-defined]
