@@ -6,8 +6,9 @@ Run: .venv/bin/python tests/benchmarks/readers.py [--seconds 30] [--rate 4] [--s
 The crowds: 200 long polls that ask again at once; 4 clients in a closed loop, each with a page of 1000 results and five
 previews in turn; as `cheap`, 16 clients in a closed loop with single results and a kept preview; and, as `lots`, one
 client that opens a lot, assigns all stones of before to it, closes it and has it reported, then opens and closes
-others and has the first reported again. They run on this machine, with the lowest priority, because a plant's clients
-are other machines. The store holds `--before` stones before.
+others and has the first reported again. As `rude` 20 clients read the stream of results, 50 ask for a big page and do
+not read it, and one sends bodies of 100 MB. They run on this machine, with the lowest priority, because a plant's
+clients are other machines. The store holds `--before` stones before.
 Times are from the exposure to the durable result. Exits with 1 if a stone is lost, or if the 99th percentile beside a
 crowd is more than 1.5 times that of the calm phase before.
 """
@@ -57,8 +58,12 @@ N_WITH_MESH = 1000
 WARM_UP_S = 10.0
 SETTLE_S = 3.0
 """Between two phases, once no stone waits any more; stones of that time are in none."""
-CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1}
+CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71}
 """Number of clients of each crowd."""
+N_STREAMS, N_STALLED = 20, 50
+"""Clients among the rude ones that read a stream, and that do not read."""
+BODY_BYTES = 100_000_000
+PIECE = b" " * 65_536
 Questions = Generator[str, bytes, None]
 """What a client asks for, one after the other, sent the answer of each: a path, or method, path and body."""
 
@@ -255,6 +260,36 @@ async def be(crowd: str, url: str, seconds: float) -> None:
     n_bytes = 0
     longest_s = 0.0
 
+    async def rude(number: int) -> None:
+        nonlocal n_bytes
+        address = urlsplit(url)
+        path, kind = (f"{address.path}/results/stream", "streams") if number < N_STREAMS else ("", "bodies")
+        while True:
+            reader, writer = await asyncio.open_connection(address.hostname, address.port)
+            try:
+                if N_STREAMS <= number < N_STREAMS + N_STALLED:
+                    path, kind = f"{address.path}/results?after=0&limit=1000", "stalled"
+                    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+                    RUDE[f"{kind} begun"] += 1
+                    await asyncio.sleep(seconds)
+                elif number < N_STREAMS:
+                    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+                    while piece := await reader.read(65_536):
+                        RUDE["events"] += piece.count(b"\nid: ") + piece.startswith(b"id: ")
+                        n_bytes += len(piece)
+                else:
+                    head = f"POST {address.path}/lots HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
+                    writer.write(f"{head}\r\nContent-Length: {BODY_BYTES}\r\n\r\n".encode())
+                    for _ in range(BODY_BYTES // len(PIECE)):
+                        writer.write(PIECE)
+                        await writer.drain()
+            except OSError:  # closed, as it must be
+                pass
+            finally:
+                RUDE[f"{kind} ended"] += 1
+                writer.close()
+            await asyncio.sleep(0.1)
+
     async def client(number: int) -> None:
         nonlocal n_bytes, longest_s
         reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
@@ -274,10 +309,15 @@ async def be(crowd: str, url: str, seconds: float) -> None:
     try:
         async with asyncio.timeout(seconds), asyncio.TaskGroup() as clients:
             for number in range(CLIENTS[crowd]):
-                clients.create_task(client(number))
+                clients.create_task(rude(number) if crowd == "rude" else client(number))
     except TimeoutError:
         pass
-    counts = ", ".join(f"{n} x {status}" for status, n in sorted(statuses.items()))
+    counts = ", ".join(
+        [
+            *(f"{n} x {status}" for status, n in sorted(statuses.items())),
+            *(f"{n} {what}" for what, n in RUDE.items()),
+        ]
+    )
     told = "".join(
         f"; {what}: first {took_s[0]:.2f}, median {np.median(took_s):.2f}, longest {max(took_s):.2f} s"
         for what, took_s in TIMES_S.items()
@@ -339,6 +379,8 @@ QUESTIONS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers, "l
 """What a client of each crowd asks for, one after the other."""
 TIMES_S: dict[str, list[float]] = defaultdict(list)
 """What a client noted."""
+RUDE: dict[str, int] = defaultdict(int)
+"""What became of the connections of rude clients."""
 
 
 if __name__ == "__main__":
