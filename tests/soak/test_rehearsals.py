@@ -15,16 +15,16 @@ import pytest
 from soak.client_kills import free_port
 from support.daemon_process import PATIENCE_S, STONEFALL
 from support.eventually import eventually
-from support.quick_and_full import first_quick
 from support.reference_client import start_client
 
 from service.rehearsal.rehearsed_daemon import is_free
 from service.rehearsal.script import scripts
 
-NAMES = ["store-restored", *sorted(scripts().keys() - {"store-restored"})]
+NAMES = sorted(scripts())
 
 
-@pytest.mark.parametrize("name", first_quick(NAMES))
+@pytest.mark.full  # each takes half a minute and more
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.timeout(600)
 def test_the_reference_client_has_what_a_correct_client_has(name: str, tmp_path: Path) -> None:
     port, database = free_port(), tmp_path / "stones.sqlite"
