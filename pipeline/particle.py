@@ -268,7 +268,7 @@ def _body(
     on_stage("estimate")
     if parameters.body.kind != "photo" or estimate is None or estimate.fallback is not None:
         return mesh, estimate, None
-    refinement = refine_body(estimate.mesh, mesh, estimate.corners_mm, frames, views)
+    refinement = refine_body(estimate, mesh, frames, views)
     on_stage("refine")
     return mesh, estimate, refinement
 

@@ -9,7 +9,7 @@ SIGMAS = 3.0
 MOVING_RANGE_FACTOR = 1.128
 """Mean difference of two normal values, in standard deviations (d2)."""
 RUN = 9
-"""So many values in a row on one side of the centre are a shift, even within the limits."""
+"""Values in a row on one side of the centre that are a shift, even within the limits."""
 MIN_BASELINE = 8
 """Values from which limits are computed at the least; before, there are none."""
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.arrays import Indices, PointsMM, Vector
+from pipeline.arrays import Indices, PointsMM, Values, Vector
 from pipeline.compiled import compiled, compiled_within
 
 
@@ -39,7 +39,32 @@ def _owners(points_mm: PointsMM, low_mm: Vector, edge_mm: float, counts: Indices
 
 
 @compiled_within
-def cell_range(cells: Cells, x_mm: float, axis: int, reach_mm: float) -> tuple[int, int]:
+def find_near(
+    cells: Cells, points_mm: PointsMM, center_mm: Vector, reach_mm: float, found: Indices, distances2: Values
+) -> int:
+    """Fill in the points within a reach of a place and their squared distances (mm2); return how many these are.
+
+    `cells` are those of the points (N, 3); `found` and `distances2` (N,) are room for them all.
+    """
+    n = 0
+    x, y, z = center_mm[0], center_mm[1], center_mm[2]
+    x0, x1 = _cell_range(cells, x, 0, reach_mm)
+    y0, y1 = _cell_range(cells, y, 1, reach_mm)
+    z0, z1 = _cell_range(cells, z, 2, reach_mm)
+    for cx in range(x0, x1 + 1):
+        for cy in range(y0, y1 + 1):
+            row = (cx * cells.counts[1] + cy) * cells.counts[2]
+            for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
+                j = cells.order[at]
+                d2 = (points_mm[j, 0] - x) ** 2 + (points_mm[j, 1] - y) ** 2 + (points_mm[j, 2] - z) ** 2
+                if d2 < reach_mm * reach_mm:
+                    found[n], distances2[n] = j, d2
+                    n += 1
+    return n
+
+
+@compiled_within
+def _cell_range(cells: Cells, x_mm: float, axis: int, reach_mm: float) -> tuple[int, int]:
     """Return the first and the last cell along an axis that a reach around a coordinate meets."""
     first = int(np.floor((x_mm - reach_mm - cells.low_mm[axis]) / cells.edge_mm))
     last = int(np.floor((x_mm + reach_mm - cells.low_mm[axis]) / cells.edge_mm))

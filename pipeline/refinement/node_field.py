@@ -12,7 +12,7 @@ from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE,
 CURVATURE_ROUNDS = 2
 MAX_SLOPE = 1.5
 CHANCE_MM = 0.03
-"""Shift that a patch without texture may have by chance."""
+"""Shift (mm) that a patch without texture may have by chance."""
 
 
 def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:

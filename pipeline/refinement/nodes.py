@@ -4,9 +4,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from pipeline.arrays import Directions, Faces, Flags, Floats, Indices, Indices32, PointsMM, Values
-from pipeline.compiled import compiled
-from pipeline.refinement.cells import Cells, cell_range, sort_into_cells
+from pipeline.arrays import Directions, Faces, Flags, Floats, Indices, Indices32, PointsMM, Values, Vector
+from pipeline.compiled import compiled, compiled_within
+from pipeline.refinement.cells import Cells, find_near, sort_into_cells
 
 MAX_NEIGHBOURS = 8
 SAME_SIDE = 0.2
@@ -59,24 +59,6 @@ def _add_normals(points_mm: PointsMM, faces: Faces, normals: Directions) -> None
             normals[i, k] /= max(length, 1e-12)
 
 
-@compiled
-def enclosed_volume_mm3(vertices_mm: PointsMM, faces: Faces) -> float:
-    """Return the volume within a closed mesh."""
-    total = 0.0
-    for face in range(len(faces)):
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        total += vertices_mm[a, 0] * (
-            vertices_mm[b, 1] * vertices_mm[c, 2] - vertices_mm[b, 2] * vertices_mm[c, 1]
-        )
-        total += vertices_mm[a, 1] * (
-            vertices_mm[b, 2] * vertices_mm[c, 0] - vertices_mm[b, 0] * vertices_mm[c, 2]
-        )
-        total += vertices_mm[a, 2] * (
-            vertices_mm[b, 0] * vertices_mm[c, 1] - vertices_mm[b, 1] * vertices_mm[c, 0]
-        )
-    return total / 6
-
-
 def spread_nodes(
     points_mm: PointsMM, normals: Directions, spacing_mm: float, order: Indices | None = None
 ) -> Nodes:
@@ -97,7 +79,7 @@ def spread_nodes(
 
 
 def smoothed(nodes: Nodes, values: Floats, n_rounds: int) -> Floats:
-    """Return values (K, ...) as means of each node's own and its neighbours', as many times."""
+    """Return values (K, ...), each the mean of a node's own and its neighbours', smoothed so many times."""
     links, has = nodes.neighbours, nodes.neighbours >= 0
     weights = has / (1.0 + has.sum(axis=1, keepdims=True))
     own = 1.0 / (1.0 + has.sum(axis=1))
@@ -119,28 +101,15 @@ def _choose(
     chosen: Indices,
 ) -> int:
     n_chosen = 0
+    near, distances2 = np.empty(len(points_mm), np.int64), np.empty(len(points_mm))
     for i in order:
         if not is_free[i]:
             continue
         chosen[n_chosen] = i
         n_chosen += 1
-        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
-        x0, x1 = cell_range(cells, x, 0, spacing_mm)
-        y0, y1 = cell_range(cells, y, 1, spacing_mm)
-        z0, z1 = cell_range(cells, z, 2, spacing_mm)
-        for cx in range(x0, x1 + 1):
-            for cy in range(y0, y1 + 1):
-                row = (cx * cells.counts[1] + cy) * cells.counts[2]
-                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
-                    j = cells.order[at]
-                    d2 = (points_mm[j, 0] - x) ** 2 + (points_mm[j, 1] - y) ** 2 + (points_mm[j, 2] - z) ** 2
-                    cosine = (
-                        normals[i, 0] * normals[j, 0]
-                        + normals[i, 1] * normals[j, 1]
-                        + normals[i, 2] * normals[j, 2]
-                    )
-                    if d2 < spacing_mm * spacing_mm and cosine > SAME_SIDE:
-                        is_free[j] = False
+        for at in range(find_near(cells, points_mm, points_mm[i], spacing_mm, near, distances2)):
+            if cosine(normals[i], normals[near[at]]) > SAME_SIDE:
+                is_free[near[at]] = False
         is_free[i] = False
     return n_chosen
 
@@ -150,37 +119,32 @@ def _link(
     points_mm: PointsMM, normals: Directions, cells: Cells, spacing_mm: float, neighbours: Indices32
 ) -> None:
     """Fill in the nearest nodes of each."""
-    reach_mm = NEIGHBOURS_WITHIN * spacing_mm
-    distances = np.empty(MAX_NEIGHBOURS)
+    near, distances2 = np.empty(len(points_mm), np.int64), np.empty(len(points_mm))
+    nearest2 = np.empty(MAX_NEIGHBOURS)
     for i in range(len(points_mm)):
         n = 0
-        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
-        x0, x1 = cell_range(cells, x, 0, reach_mm)
-        y0, y1 = cell_range(cells, y, 1, reach_mm)
-        z0, z1 = cell_range(cells, z, 2, reach_mm)
-        for cx in range(x0, x1 + 1):
-            for cy in range(y0, y1 + 1):
-                row = (cx * cells.counts[1] + cy) * cells.counts[2]
-                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
-                    j = cells.order[at]
-                    d2 = (points_mm[j, 0] - x) ** 2 + (points_mm[j, 1] - y) ** 2 + (points_mm[j, 2] - z) ** 2
-                    cosine = (
-                        normals[i, 0] * normals[j, 0]
-                        + normals[i, 1] * normals[j, 1]
-                        + normals[i, 2] * normals[j, 2]
-                    )
-                    if j == i or d2 >= reach_mm * reach_mm or cosine <= SAME_SIDE:
-                        continue
-                    if n == MAX_NEIGHBOURS and d2 >= distances[n - 1]:
-                        continue
-                    place = min(n, MAX_NEIGHBOURS - 1)
-                    while place > 0 and distances[place - 1] > d2:
-                        distances[place] = distances[place - 1]
-                        neighbours[i, place] = neighbours[i, place - 1]
-                        place -= 1
-                    distances[place] = d2
-                    neighbours[i, place] = j
-                    n = min(n + 1, MAX_NEIGHBOURS)
+        for at in range(
+            find_near(cells, points_mm, points_mm[i], NEIGHBOURS_WITHIN * spacing_mm, near, distances2)
+        ):
+            j, d2 = near[at], distances2[at]
+            if j == i or cosine(normals[i], normals[j]) <= SAME_SIDE:
+                continue
+            if n == MAX_NEIGHBOURS and d2 >= nearest2[n - 1]:
+                continue
+            place = min(n, MAX_NEIGHBOURS - 1)
+            while place > 0 and nearest2[place - 1] > d2:
+                nearest2[place] = nearest2[place - 1]
+                neighbours[i, place] = neighbours[i, place - 1]
+                place -= 1
+            nearest2[place] = d2
+            neighbours[i, place] = j
+            n = min(n + 1, MAX_NEIGHBOURS)
+
+
+@compiled_within
+def cosine(one: Vector, other: Vector) -> float:
+    """Return the cosine of the angle between two unit vectors."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 def interpolated(
@@ -211,31 +175,17 @@ def _interpolate(
     found: Floats,
 ) -> None:
     reach_mm = REACH_SDS * sd_mm
+    near, distances2 = np.empty(len(nodes_mm), np.int64), np.empty(len(nodes_mm))
     for i in range(len(points_mm)):
-        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
         total = 0.0
-        x0, x1 = cell_range(cells, x, 0, reach_mm)
-        y0, y1 = cell_range(cells, y, 1, reach_mm)
-        z0, z1 = cell_range(cells, z, 2, reach_mm)
-        for cx in range(x0, x1 + 1):
-            for cy in range(y0, y1 + 1):
-                row = (cx * cells.counts[1] + cy) * cells.counts[2]
-                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
-                    j = cells.order[at]
-                    d2 = (nodes_mm[j, 0] - x) ** 2 + (nodes_mm[j, 1] - y) ** 2 + (nodes_mm[j, 2] - z) ** 2
-                    if d2 >= reach_mm * reach_mm:
-                        continue
-                    cosine = (
-                        normals[i, 0] * node_normals[j, 0]
-                        + normals[i, 1] * node_normals[j, 1]
-                        + normals[i, 2] * node_normals[j, 2]
-                    )
-                    # falls to zero at the reach, as (1 - d2 / reach2)^3: a Gaussian without its cost
-                    near = 1 - d2 / (reach_mm * reach_mm)
-                    weight = weights[j] * max(cosine, 0.0) * near * near * near
-                    total += weight
-                    for column in range(values.shape[1]):
-                        found[i, column] += weight * values[j, column]
+        for at in range(find_near(cells, nodes_mm, points_mm[i], reach_mm, near, distances2)):
+            j = near[at]
+            # falls to zero at the reach, as (1 - d2 / reach2)^3: a Gaussian without its cost
+            fall = 1 - distances2[at] / (reach_mm * reach_mm)
+            weight = weights[j] * max(cosine(normals[i], node_normals[j]), 0.0) * fall * fall * fall
+            total += weight
+            for column in range(values.shape[1]):
+                found[i, column] += weight * values[j, column]
         if total > 0:
             for column in range(values.shape[1]):
                 found[i, column] /= total

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Directions, Floats, PointsMM, Values
+from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.frames import CameraId, Frame
 from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
@@ -27,7 +28,6 @@ from pipeline.refinement.node_field import (
 )
 from pipeline.refinement.nodes import (
     Nodes,
-    enclosed_volume_mm3,
     interpolated,
     smoothed,
     spread_nodes,
@@ -78,7 +78,7 @@ def warm_up() -> Refinement:
     }
     views = prepare_views(ball_silhouettes(rig), rig)
     without_crossings(ball.vertices_mm, faces)
-    return refine_body(ball, ball, ball.vertices_mm[:1], frames, views)
+    return refine_body(estimate_body(ball, views), ball, frames, views)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,31 +92,31 @@ class _Field:
 
 
 def refine_body(
-    estimate: ParticleMesh,
+    estimate: BodyEstimate,
     hull: ParticleMesh,
-    touches_mm: PointsMM,
     frames: Mapping[CameraId, Frame],
     prepared: PreparedViews,
 ) -> Refinement:
     """Shift the estimate's surface, within the hull, to where the pixels inside the outlines say that it lies.
 
-    `hull` has the same faces, and `touches_mm` (T, 3) are points where tangent rays touch.
+    `hull` is the mesh that the estimate was made from, by the views `prepared` of these frames.
     """
-    vertices_mm, normals = estimate.vertices_mm, vertex_normals(estimate.vertices_mm, estimate.faces)
-    size_mm = float(np.cbrt(enclosed_volume_mm3(vertices_mm, estimate.faces)))
+    vertices_mm, faces = estimate.mesh.vertices_mm, estimate.mesh.faces
+    normals = vertex_normals(vertices_mm, faces)
+    size_mm = float(np.cbrt(estimate.volume_mm3))
     scale = float(np.clip(size_mm / FULL_SIZE_MM, LEAST_SCALE, 1.0))
     views = photo_views(frames, prepared, vertices_mm)
     field = None
     for each, nodes, gate in _levels(vertices_mm, normals, scale):
-        field = _passed(each, nodes, gate, field, views, touches_mm, scale, size_mm)
+        field = _passed(each, nodes, gate, field, views, estimate.corners_mm, scale, size_mm)
     supported_share = 0.0 if field is None else field.supported_share
     if field is None or supported_share < MIN_SUPPORTED:
-        return Refinement(mesh=estimate, supported_share=0.0, fallback="no texture that the views share")
+        return Refinement(mesh=estimate.mesh, supported_share=0.0, fallback="no texture that the views share")
     shifts_mm = _vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
-    moved_mm = without_crossings(vertices_mm + shifts_mm, estimate.faces)
+    moved_mm = without_crossings(vertices_mm + shifts_mm, faces)
     if moved_mm is None:
-        return Refinement(mesh=estimate, supported_share=0.0, fallback="the surface would cross itself")
-    mesh = ParticleMesh(moved_mm, estimate.faces)
+        return Refinement(mesh=estimate.mesh, supported_share=0.0, fallback="the surface would cross itself")
+    mesh = ParticleMesh(moved_mm, faces)
     return Refinement(mesh=mesh, supported_share=supported_share)
 
 

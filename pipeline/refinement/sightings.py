@@ -16,17 +16,17 @@ from pipeline.views.prepared import PreparedViews
 
 MARGIN_PX = 12
 BLUR_PX = 0.55
-"""Of images at half their size, against noise."""
+"""Sigma of the blur of images at half their size, against noise."""
 BORDER_SIGMAS = 2.5
 """Distance to the outline, in sigmas of its blur, within which the wall shines into the stone's picture."""
 SHARP_SIGMA_PX = 1.0
-"""Blur of an outline of which it was not measured."""
+"""Sigma that is taken for an outline whose blur was not measured."""
 COARSE = 4
 """Pixels of the image along an edge of one of the depth map."""
 SPLAT = 2
 """Pixels of the depth map that a node covers to each side."""
 MIN_COSINE = 0.42
-"""Of the angle between normal and line of sight: 65 degrees."""
+"""Least cosine between normal and line of sight: 65 degrees."""
 SLACK_MM = 0.25
 """Depth behind the depth map that still counts as seen, beside what the covered pixels tilt."""
 

@@ -14,7 +14,7 @@ class AlarmState(StrEnum):
     RETURNED = "returned"
     """Its cause is gone, and nobody has acknowledged it: somebody should know of it."""
     SHELVED = "shelved"
-    """Somebody has put it aside for a time."""
+    """An operator has put it aside for a time."""
     SUPPRESSED = "suppressed"
     """Another alarm is its cause."""
     NORMAL = "normal"

@@ -26,7 +26,7 @@ from service.errors import ServiceError
 
 KEYS, LOCK = "keys.json", ".keys.lock"
 PREFIX = "stonefall_"
-"""Of every token: whoever finds one knows what it opens, and programs that search for secrets find it."""
+"""Beginning of every token, which programs that search for secrets look for."""
 TOKEN_BYTES = 32
 MAX_KEYS = 1000
 MAX_BYTES = 1_000_000

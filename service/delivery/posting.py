@@ -24,7 +24,7 @@ from service.errors import ServiceError
 
 CHUNK_BYTES = 4096
 MAX_HEAD_BYTES = 32 * 1024
-"""Of an answer, with all that comes before it."""
+"""Greatest head of an answer, with all interim answers before it."""
 MAX_ADDRESSES = 4
 """Addresses of a name that are tried."""
 

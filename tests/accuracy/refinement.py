@@ -100,13 +100,7 @@ def table(name: str, size_mm: float, scene: Scene) -> Table:
         if hull is None:
             raise SystemExit(f"{name}: no body")
         estimate = estimate_body(hull, views)
-        given = (
-            estimate.mesh,
-            hull,
-            estimate.corners_mm,
-            case.frames,
-            prepare_views(kept, case.rig).with_outline(),
-        )
+        given = (estimate, hull, case.frames, prepare_views(kept, case.rig).with_outline())
         times_ms = []
         for _ in range(N_TIMES + 1):
             began_s = time.process_time()

@@ -21,7 +21,7 @@ SETS = ("en-basic-2", "r20", "astm-c136")
 MAX_POINTS, MAX_POINTS_OF_PAIRS, MAX_FLAKINESS, MAX_SHAPE, MIN_AGREEMENT_PERCENT = 1.0, 2.5, 1.0, 1.5, 95.0
 SCALE_SD = LENGTH_SD_PERCENT / 100
 LEAST_SD = 0.001
-"""Of a figure: what differs by less is equal."""
+"""Standard deviation of a figure below which two values count as equal."""
 N_ANYWHERE = 1000
 
 

@@ -50,7 +50,7 @@ FORM_SHARES: Mapping[str, float] = {
 """By number, as of a crushed rock of a flakiness index above 10; trominoes and horseshoes are no stones of a quarry."""
 MEDIAN_MM, GEOMETRIC_SD = 13.0, 1.5
 SIZES_MM = (5.0, 36.0)
-"""Of sieve sizes: log-normal by number, and the least and the greatest."""
+"""Least and greatest sieve size; between them sizes are log-normal by number."""
 MAX_FERET_MM = 44.0
 """Longer stones do not fall: the field of view is not made for them."""
 DRAWN_MM = 20.0

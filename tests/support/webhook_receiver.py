@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 CERTIFICATE = Path(__file__).with_name("localhost.pem")
-"""Of `localhost`, signed by itself, with its key: for tests, and no secret."""
+"""Certificate of `localhost`, signed by itself, with its key: for tests, and no secret."""
 KEY, OTHER_KEY = b"k" * 24, b"o" * 32
 TAKEN = b"HTTP/1.1 204 No Content\r\n\r\n"
 NEVER = b""

@@ -90,7 +90,7 @@ def test_figures_are_compared_as_they_are_reported() -> None:
 
 
 def test_that_all_stones_pass_is_never_proven_but_bounded() -> None:
-    """Of 1.4 D and 2 D the standards ask 100 %."""
+    """The standards ask that 100 % pass 1.4 D and 2 D."""
     limits = Limits(min_percent=100)
     sizes_mm = np.random.default_rng(4).uniform(8, 16, 2000)
 

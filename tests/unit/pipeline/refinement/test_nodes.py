@@ -1,14 +1,12 @@
 """Nodes: evenly spread, linked to those nearby on the same side, and interpolated between."""
 
 import numpy as np
-import pytest
 import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from pipeline.refinement.nodes import (
     Nodes,
-    enclosed_volume_mm3,
     interpolated,
     smoothed,
     spread_nodes,
@@ -63,10 +61,3 @@ def test_a_constant_is_interpolated_and_smoothed_to_itself():
     weights = np.random.default_rng(1).uniform(0.1, 1, len(ones))
     found = interpolated(np.array(mesh.vertices), normals, nodes, ones, weights, 0.6 * SPACING_MM)
     np.testing.assert_allclose(found, 1.0)
-
-
-def test_the_volume_is_that_of_the_mesh():
-    mesh = ball()
-    assert enclosed_volume_mm3(np.asarray(mesh.vertices), np.asarray(mesh.faces)) == pytest.approx(
-        mesh.volume
-    )
