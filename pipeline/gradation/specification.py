@@ -15,8 +15,8 @@ from pipeline.gradation.estimates import (
 from pipeline.gradation.evaluation import Gradation
 
 UNPROVEN_PERCENT = 2.0
-"""Mass that may be retained, at the upper end of the interval, where 100 % must pass: no number of stones proves that all
-do. A test portion of EN 933-1, some 900 stones, tells as much, and the wider categories tolerate it."""
+"""Mass that may be retained, at the upper end of the interval, where 100 % must pass: no number of stones proves that
+all do. A test portion of EN 933-1, some 900 stones, tells as much, and the wider categories tolerate it."""
 
 
 class Verdict(StrEnum):
