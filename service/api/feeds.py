@@ -6,6 +6,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pydantic import BaseModel, Field
+
 from service.api.context import ApiContext
 from service.api.pages import FeedPage, Names, event_page, event_stream, feed_page, result_stream
 from service.api.problems import Problem
@@ -20,6 +22,15 @@ KEEP_S = 1.0
 
 PageQuery = Callable[..., FeedPage]
 """Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
+
+
+class CursorPage(BaseModel):
+    """One page of a feed. Ask again with `after = next_after`; each item is delivered at least once."""
+
+    instance_id: str = Field(description="Identity of the history; when it changes, start again from 0")
+    first_seq: int = Field(description="`seq` of the oldest item kept; `last_seq + 1` when there is none")
+    last_seq: int = Field(description="`seq` of the newest item; 0 before the first")
+    next_after: int = Field(description="The cursor: pass it as `after` of the next request")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

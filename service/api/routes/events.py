@@ -7,7 +7,7 @@ from fastapi.responses import Response
 from pydantic import BaseModel, Field
 
 from service.api.context import Context
-from service.api.feeds import EVENTS, MAX_SEQ, cursor_problem, page_after
+from service.api.feeds import EVENTS, MAX_SEQ, CursorPage, cursor_problem, page_after
 from service.api.problems import problem_responses
 from service.results.fields import TIME
 from service.store.events import EventType
@@ -25,13 +25,9 @@ class EventDocument(BaseModel):
     data: dict[str, Any] = Field(description="More of it, by type")
 
 
-class EventsDocument(BaseModel):
+class EventsDocument(CursorPage):
     """One page of the events. Ask again with `after = next_after`."""
 
-    instance_id: str = Field(description="Identity of the history; when it changes, start again from 0")
-    first_seq: int = Field(description="`seq` of the oldest event kept; `last_seq + 1` when there is none")
-    last_seq: int = Field(description="`seq` of the newest event; 0 before the first")
-    next_after: int = Field(description="The cursor: pass it as `after` of the next request")
     items: list[EventDocument] = Field(description="In the order of `seq`; empty when there is nothing new")
 
 

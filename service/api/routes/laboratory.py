@@ -10,7 +10,8 @@ from pipeline.gradation.correlation import Form
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import Problem, existing, problem_responses
-from service.api.routes.lots import LotName, Measuring
+from service.api.routes.lot_figures import Measuring
+from service.api.routes.lots import LotName
 from service.api.routes.products import ProductName, Text
 from service.api.settings import Scope
 from service.lots.laboratory import (

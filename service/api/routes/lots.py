@@ -1,4 +1,4 @@
-"""Lots of the plant: opened, closed, voided; their stones, and the figures that these make up."""
+"""Lots of the plant: opened, closed, voided; the stones that are assigned to them."""
 
 import re
 import sqlite3
@@ -13,18 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
-from service.api.lot_reports import lot_report
-from service.api.pages import lot_figures_json
 from service.api.problems import Problem, existing, problem_responses
-from service.api.report_requests import report_request
-from service.api.routes.particle_files import best_match
 from service.api.routes.products import Text
 from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.language import Language
 from service.lots.evaluation import lot_document
-from service.lots.figures import LotDocument, LotFigures
+from service.lots.figures import LotDocument
 from service.lots.lots import (
     LotDefinition,
     LotRecord,
@@ -37,12 +32,7 @@ from service.lots.lots import (
     open_lot,
     void_lot,
 )
-from service.lots.products import find_product
-from service.lots.stored_stones import stones_behind
-from service.lots.yardsticks import Request, yardstick_of
-from service.reports.report import ReportFormat
 from service.results.fields import TIME
-from service.store import read
 
 router = APIRouter(prefix="/lots", tags=["lots"])
 
@@ -53,13 +43,6 @@ STONES = re.compile('-[0-9]+(?=")')
 """The number of stones in the tag of a lot."""
 READABLE = [Depends(require(Scope.READ))]
 OPERABLE = [Depends(require(Scope.OPERATE))]
-
-
-REPORTS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {each.media_type.partition(";")[0]: {} for each in ReportFormat}}
-}
-REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""What a browser lets the HTML do: it has no scripts and loads nothing."""
 
 
 class LotRequest(BaseModel):
@@ -122,47 +105,6 @@ class Assigned(BaseModel):
 
     lot: LotDocument = Field(description="The lot as it is now")
     n_assigned: int = Field(description="Stones that are in the lot now and were in none")
-
-
-class StoneBehindStep(BaseModel):
-    """A stone between two neighbouring sieves of the curve."""
-
-    seq: int = Field(description="`seq` of the result")
-    id: str = Field(description="`id` of the result")
-    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
-    quality: str = Field(
-        description="How far from the truth the result may be: `good`, `reduced` or `degraded`"
-    )
-    sieve_size_mm: float = Field(
-        description="Smallest square aperture the body passes (EN 933-2 square holes), mm"
-    )
-    volume_mm3: float = Field(description="Corrected volume, mm³")
-    influence_percent: float = Field(description="Its share of the lot's mass")
-
-
-class StonesBehindStep(BaseModel):
-    """The stones that pass one sieve and not the next smaller one, the heaviest first."""
-
-    above_mm: float = Field(
-        description="Aperture of the next smaller sieve of the set, mm; 0 below the smallest"
-    )
-    up_to_mm: float = Field(description="Aperture of the upper sieve, mm")
-    items: list[StoneBehindStep] = Field(description="The heaviest first")
-
-
-async def request_of(
-    context: Context,
-    sieve_set: Annotated[str | None, Query(max_length=200, description="Another than the product's")] = None,
-    specification: Annotated[
-        str | None, Query(max_length=200, description="Another than the product's")
-    ] = None,
-) -> Request:
-    """Return what the figures of a request are to be measured by."""
-    return Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
-
-
-Measuring = Annotated[Request, Depends(request_of)]
-ReportLanguage = Annotated[Language, Query(description="Language of the report")]
 
 
 @router.post(
@@ -262,85 +204,6 @@ async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, ask
     return Assigned(lot=lot_document(record), n_assigned=n_assigned)
 
 
-@router.get(
-    "/{lot}/gradation",
-    response_model=LotFigures,
-    dependencies=READABLE,
-    responses=problem_responses(404, 422),
-)
-async def gradation(
-    context: Context,
-    lot: LotName,
-    measuring: Measuring,
-) -> Response:
-    """Return the figures of a lot through the sieves and the specification of its product, or through any other."""
-    content = await context.reading.run(read, context.store.path, lot_figures_json, lot, measuring)
-    return Response(existing(content, "lot", lot), media_type="application/json")
-
-
-@router.get(
-    "/{lot}/report",
-    response_class=Response,
-    dependencies=READABLE,
-    responses={**REPORTS, **problem_responses(404, 406, 422)},
-)
-async def report(
-    context: Context,
-    asked: HttpRequest,
-    lot: LotName,
-    measuring: Measuring,
-    language: ReportLanguage = Language.ENGLISH,
-) -> Response:
-    """Return the report of a lot in the format that `Accept` prefers: HTML, PDF, CSV or XLSX."""
-    offers = [each.media_type.partition(";")[0] for each in ReportFormat]
-    choice = best_match(asked.headers.get("accept"), offers)
-    if choice is None:
-        raise Problem(
-            406, "not-acceptable", "a report comes as " + ", ".join(offers), headers={"Vary": "Accept"}
-        )
-    return await _report(context, lot, list(ReportFormat)[choice], language, measuring)
-
-
-@router.get(
-    "/{lot}/report.{report_format}",
-    response_class=Response,
-    dependencies=READABLE,
-    responses={**REPORTS, **problem_responses(404, 422)},
-)
-async def report_file(
-    context: Context,
-    lot: LotName,
-    report_format: Annotated[ReportFormat, Path(description="Format of the file")],
-    measuring: Measuring,
-    language: ReportLanguage = Language.ENGLISH,
-) -> Response:
-    """Return the report of a lot as a file of this format."""
-    return await _report(context, lot, report_format, language, measuring)
-
-
-@router.get(
-    "/{lot}/particles",
-    response_model=StonesBehindStep,
-    dependencies=READABLE,
-    responses=problem_responses(404, 422),
-)
-async def particles_behind_step(
-    context: Context,
-    lot: LotName,
-    sieve: Annotated[float, Query(gt=0, le=1000, description="Aperture of the upper sieve, mm")],
-    measuring: Measuring,
-    limit: Annotated[int, Query(ge=1, le=1000, description="Stones of the answer, at most")] = 100,
-) -> dict[str, Any]:
-    """Return the stones behind a step of the curve: that pass this sieve and not the next smaller one of the set."""
-    record = existing(await context.store.read(find_lot, lot), "lot", lot)
-    product = await context.store.read(find_product, record.product, record.version)
-    definition = None if product is None else product.definition
-    apertures_mm = yardstick_of(definition, measuring).apertures_mm
-    above_mm = max((each for each in apertures_mm if each < sieve), default=0.0)
-    items = await context.store.read(stones_behind, lot, above_mm, sieve, limit)
-    return {"above_mm": above_mm, "up_to_mm": sieve, "items": [asdict(each) for each in items]}
-
-
 def _served(response: Response, record: LotRecord) -> LotDocument:
     response.headers["ETag"] = _tag(record)
     return lot_document(record)
@@ -372,18 +235,3 @@ async def _changed(
     return existing(
         await context.store.write(change_if_match, facts, version, change, lot, *given), "lot", lot
     )
-
-
-async def _report(
-    context: ApiContext,
-    lot: str,
-    report_format: ReportFormat,
-    language: Language,
-    measuring: Request,
-) -> Response:
-    wanted = report_request(context.control, measuring, report_format, language)
-    store = context.store
-    content = await context.reading.run(read, store.path, lot_report, store.particles_dir, lot, wanted)
-    name = f'inline; filename="{lot}.{report_format}"'
-    headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
-    return Response(existing(content, "lot", lot), media_type=report_format.media_type, headers=headers)

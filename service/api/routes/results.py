@@ -4,11 +4,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
 from fastapi.responses import Response
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import AfterValidator, Field
 
 from pipeline.frames import rfc3339
 from service.api.context import Context
-from service.api.feeds import MAX_SEQ, RESULTS, choosing, cursor_problem, page_after
+from service.api.feeds import MAX_SEQ, RESULTS, CursorPage, choosing, cursor_problem, page_after
 from service.api.gzipped import TakesGzip
 from service.api.pages import Names
 from service.api.problems import Problem, problem_responses
@@ -21,13 +21,9 @@ router = APIRouter(prefix="/results", tags=["results"])
 Time = Annotated[str, AfterValidator(rfc3339), Query(json_schema_extra=TIME)]
 
 
-class ResultsPage(BaseModel):
+class ResultsPage(CursorPage):
     """One page of the feed. Ask again with `after = next_after`; every result is delivered at least once."""
 
-    instance_id: str = Field(description="Identity of the history; when it changes, start again from 0")
-    first_seq: int = Field(description="`seq` of the oldest result kept; `last_seq + 1` when there is none")
-    last_seq: int = Field(description="`seq` of the newest result; 0 before the first")
-    next_after: int = Field(description="The cursor: pass it as `after` of the next request")
     items: list[Result] = Field(description="In the order of `seq`; empty when there is nothing new")
 
 
