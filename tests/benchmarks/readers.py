@@ -24,16 +24,13 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
+from crowds import CLIENTS, N_WITH_MESH
 from rich.console import Console
 from rich.table import Table
 from sustained import DRAIN_S, LOOK_S, RIG, Watched
@@ -43,7 +40,7 @@ from support.daemon_process import DaemonProcess, descendants_of, process_name
 from support.rest import add
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.stores import folder_of
-from support.usage import cpu_s
+from support.usage import cpu_s, pss_mb
 
 from drivers.files.recording import open_recording
 from pipeline.gradation.stones import DEVIATIONS, MEASURES
@@ -52,20 +49,11 @@ from service.results.fields import STORED_FIELDS
 from service.store import open_store
 
 SEED = 12
+CROWDS = Path(__file__).with_name("crowds.py")
 MAX_RATIO = 1.5
-N_WITH_MESH = 1000
-"""Results in the store before the run that have a mesh: a page of the greatest size."""
 WARM_UP_S = 10.0
 SETTLE_S = 3.0
 """Between two phases, once no stone waits any more; stones of that time are in none."""
-CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71}
-"""Number of clients of each crowd."""
-N_STREAMS, N_STALLED = 20, 50
-"""Clients among the rude ones that read a stream, and that do not read."""
-BODY_BYTES = 100_000_000
-PIECE = b" " * 65_536
-Questions = Generator[str, bytes, None]
-"""What a client asks for, one after the other, sent the answer of each: a path, or method, path and body."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +65,7 @@ class Phase:
     lost: int
     answers: str
     cores: dict[str, float]
+    memory_mb: float  # daemon and its processes together at the end (PSS)
 
 
 def main() -> int:
@@ -89,12 +78,7 @@ def main() -> int:
     parser.add_argument("--recording", type=Path, help="stones are rendered here, or taken from here")
     parser.add_argument("--before", type=int, default=N_WITH_MESH, help="stones in the store before")
     parser.add_argument("--phases", default="calm,polls,calm,pages,calm,cheap")
-    parser.add_argument("--client", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.client:
-        crowd, url, seconds = arguments.client
-        asyncio.run(be(crowd, url, float(seconds)))
-        return 0
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
         stones = arguments.recording or folder / "stones"
@@ -123,7 +107,7 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
     asyncio.run(fill(state, arguments.before))
     daemon.heard.clear()
     watched, is_over = Watched(), threading.Event()
-    spans, cores, answers = [], [], []
+    spans, cores, answers, memory_mb = [], [], [], []
     with daemon:
         daemon.hear("READY=1")
         with closing(sqlite3.connect(f"file:{state / 'results.sqlite'}?mode=ro", uri=True)) as connection:
@@ -139,7 +123,9 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
                 begin_s, before = time.monotonic(), usage(daemon)
                 answers.append(crowd_of(name, daemon, arguments.seconds))
                 spans.append((begin_s, time.monotonic()))
-                cores.append(cores_between(before, usage(daemon), spans[-1][1] - begin_s))
+                after = usage(daemon)
+                cores.append(cores_between(before, after, spans[-1][1] - begin_s))
+                memory_mb.append(sum(pss_mb(pid) for pid in after))
                 daemon.wait_for("/accounting", lambda now: now["in_progress"] <= 1, timeout_s=DRAIN_S)
                 time.sleep(SETTLE_S)
             daemon.put("/acquisition", {"state": "disarmed"})
@@ -169,9 +155,10 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
             lost=sum(outcome == "lost" and begin_s <= begun_s < end_s for begun_s, _, outcome in stones),
             answers=said,
             cores=busy,
+            memory_mb=used_mb,
         )
-        for name, (begin_s, end_s), said, busy in zip(
-            arguments.phases.split(","), spans, answers, cores, strict=True
+        for name, (begin_s, end_s), said, busy, used_mb in zip(
+            arguments.phases.split(","), spans, answers, cores, memory_mb, strict=True
         )
     ]
 
@@ -212,7 +199,7 @@ def crowd_of(name: str, daemon: DaemonProcess, seconds: float) -> str:
     if name not in CLIENTS:
         time.sleep(seconds)
         return "-"
-    command = [sys.executable, __file__, "--client", name, daemon.url(""), str(seconds)]
+    command = [sys.executable, CROWDS, name, daemon.url(""), str(seconds)]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
@@ -233,7 +220,7 @@ def cores_between(
 
 def report(phases: list[Phase], arguments: Any) -> int:
     table = Table(
-        *("", "stones", "lost", "p50 ms", "p95", "p99", "p99 by calm", "answers", "cores"),
+        *("", "stones", "lost", "p50 ms", "p95", "p99", "p99 by calm", "answers", "cores", "MB"),
         title=f"{arguments.rate:g} stones a second of {arguments.size_mm:g} mm, {arguments.seconds:g} s each;"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
     )
@@ -246,141 +233,19 @@ def report(phases: list[Phase], arguments: Any) -> int:
         busy = ", ".join(f"{name} {used:.2f}" for name, used in phase.cores.items() if used >= 0.01)
         figures = (f"{p50:.0f}", f"{p95:.0f}", f"{p99:.0f}", f"{p99 / calm_ms:.2f}")
         n_stones = len(phase.latency_ms) + phase.lost
-        table.add_row(phase.name, str(n_stones), str(phase.lost), *figures, phase.answers, busy)
+        table.add_row(
+            phase.name,
+            str(n_stones),
+            str(phase.lost),
+            *figures,
+            phase.answers,
+            busy,
+            f"{phase.memory_mb:.0f}",
+        )
     Console(width=None if sys.stdout.isatty() else 150).print(table)
     for problem in problems:
         Console(stderr=True).print(f"FAILED: {problem}")
     return int(any(problems))
-
-
-async def be(crowd: str, url: str, seconds: float) -> None:
-    """Be a crowd of clients in a closed loop; print how many answers of which status they got, and how much."""
-    os.nice(19)
-    statuses: dict[int, int] = {}
-    n_bytes = 0
-    longest_s = 0.0
-
-    async def rude(number: int) -> None:
-        nonlocal n_bytes
-        address = urlsplit(url)
-        path, kind = (f"{address.path}/results/stream", "streams") if number < N_STREAMS else ("", "bodies")
-        while True:
-            reader, writer = await asyncio.open_connection(address.hostname, address.port)
-            try:
-                if N_STREAMS <= number < N_STREAMS + N_STALLED:
-                    path, kind = f"{address.path}/results?after=0&limit=1000", "stalled"
-                    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
-                    RUDE[f"{kind} begun"] += 1
-                    await asyncio.sleep(seconds)
-                elif number < N_STREAMS:
-                    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
-                    while piece := await reader.read(65_536):
-                        RUDE["events"] += piece.count(b"\nid: ") + piece.startswith(b"id: ")
-                        n_bytes += len(piece)
-                else:
-                    head = f"POST {address.path}/lots HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
-                    writer.write(f"{head}\r\nContent-Length: {BODY_BYTES}\r\n\r\n".encode())
-                    for _ in range(BODY_BYTES // len(PIECE)):
-                        writer.write(PIECE)
-                        await writer.drain()
-            except OSError:  # closed, as it must be
-                pass
-            finally:
-                RUDE[f"{kind} ended"] += 1
-                writer.close()
-            await asyncio.sleep(0.1)
-
-    async def client(number: int) -> None:
-        nonlocal n_bytes, longest_s
-        reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
-        try:
-            questions = QUESTIONS[crowd](number)
-            question = next(questions)
-            while True:
-                began_s = time.monotonic()
-                status, content = await ask(reader, writer, urlsplit(url).path, question)
-                longest_s = max(longest_s, time.monotonic() - began_s)
-                statuses[status] = statuses.get(status, 0) + 1
-                n_bytes += len(content)
-                question = questions.send(content)
-        finally:
-            writer.close()
-
-    try:
-        async with asyncio.timeout(seconds), asyncio.TaskGroup() as clients:
-            for number in range(CLIENTS[crowd]):
-                clients.create_task(rude(number) if crowd == "rude" else client(number))
-    except TimeoutError:
-        pass
-    counts = ", ".join(
-        [
-            *(f"{n} x {status}" for status, n in sorted(statuses.items())),
-            *(f"{n} {what}" for what, n in RUDE.items()),
-        ]
-    )
-    told = "".join(
-        f"; {what}: first {took_s[0]:.2f}, median {np.median(took_s):.2f}, longest {max(took_s):.2f} s"
-        for what, took_s in TIMES_S.items()
-    )
-    sys.stdout.write(f"{counts}, {n_bytes / 1e6:.0f} MB, within {longest_s:.1f} s{told}\n")
-
-
-async def ask(
-    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, base: str, question: str
-) -> tuple[int, bytes]:
-    """Return status and body of the answer."""
-    method, path, body = ("GET", question, "") if question.startswith("/") else question.split(" ", 2)
-    head = f"{method} {base}{path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
-    writer.write(f"{head}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode())
-    head = (await reader.readuntil(b"\r\n\r\n")).decode()
-    fields = dict(line.lower().split(": ", 1) for line in head.splitlines()[1:] if line)
-    return int(head.split()[1]), await reader.readexactly(int(fields["content-length"]))
-
-
-def long_polls(number: int) -> Questions:
-    after = json.loads((yield "/results?after=0&limit=1"))["last_seq"]
-    while True:
-        after = json.loads((yield f"/results?after={after}&limit=100&wait_s=30"))["next_after"]
-
-
-def big_pages(number: int) -> Questions:
-    for turn in count():
-        if turn % 2:
-            yield f"/results?after={turn % 7}&limit=1000"
-        else:
-            yield "/particles?limit=1000"
-        for preview in range(5):
-            yield f"/particles/{10 + (turn * 20 + number * 5 + preview) % N_WITH_MESH}/preview.png"
-
-
-def cheap_answers(number: int) -> Questions:
-    while True:
-        yield f"/particles/{10 + number}"
-        yield "/particles/10/preview.png"
-        yield "/results?after=100&limit=1"
-
-
-def lots(number: int) -> Questions:
-    yield 'PUT /products/bench {"title": "bench", "density_kg_m3": 2700}'
-    for turn in count():
-        began_s = time.monotonic()
-        yield f'POST /lots {{"lot": "L{turn}", "product": "bench"}}'
-        if turn == 0:
-            yield 'POST /lots/L0/assign {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}'
-        yield f"POST /lots/L{turn}/close {{}}"
-        yield "/lots/L0/report.html"
-        TIMES_S["opened, closed, reported as HTML"].append(time.monotonic() - began_s)
-        began_s = time.monotonic()
-        yield "/lots/L0/report.pdf"
-        TIMES_S["as PDF"].append(time.monotonic() - began_s)
-
-
-QUESTIONS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers, "lots": lots}
-"""What a client of each crowd asks for, one after the other."""
-TIMES_S: dict[str, list[float]] = defaultdict(list)
-"""What a client noted."""
-RUDE: dict[str, int] = defaultdict(int)
-"""What became of the connections of rude clients."""
 
 
 if __name__ == "__main__":

@@ -1,0 +1,161 @@
+"""Clients that ask a daemon in a closed loop: the crowds of `readers.py`, in a process of the lowest priority.
+
+Run: .venv/bin/python tests/benchmarks/crowds.py polls|pages|cheap|lots|rude URL SECONDS
+"""
+
+import asyncio
+import json
+import os
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Generator
+from itertools import count
+from urllib.parse import urlsplit
+
+import numpy as np
+
+N_WITH_MESH = 1000
+"""Results in the store before the run that have a mesh: a page of the greatest size."""
+CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71}
+"""Number of clients of each crowd."""
+N_STREAMS, N_STALLED = 20, 50
+"""Clients among the rude ones that read a stream, and that do not read."""
+BODY_BYTES = 100_000_000
+PIECE = b" " * 65_536
+Questions = Generator[str, bytes, None]
+"""What a client asks for, one after the other, sent the answer of each: a path, or method, path and body."""
+
+
+async def be(crowd: str, url: str, seconds: float) -> None:
+    """Be a crowd of clients in a closed loop; print how many answers of which status they got, and how much."""
+    os.nice(19)
+    statuses: dict[int, int] = {}
+    n_bytes = 0
+    longest_s = 0.0
+
+    async def rude(number: int) -> None:
+        nonlocal n_bytes
+        address = urlsplit(url)
+        path, kind = (f"{address.path}/results/stream", "streams") if number < N_STREAMS else ("", "bodies")
+        while True:
+            reader, writer = await asyncio.open_connection(address.hostname, address.port)
+            try:
+                if N_STREAMS <= number < N_STREAMS + N_STALLED:
+                    path, kind = f"{address.path}/results?after=0&limit=1000", "stalled"
+                    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+                    RUDE[f"{kind} begun"] += 1
+                    await asyncio.sleep(seconds)
+                elif number < N_STREAMS:
+                    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+                    while piece := await reader.read(65_536):
+                        RUDE["events"] += piece.count(b"\nid: ") + piece.startswith(b"id: ")
+                        n_bytes += len(piece)
+                else:
+                    head = f"POST {address.path}/lots HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
+                    writer.write(f"{head}\r\nContent-Length: {BODY_BYTES}\r\n\r\n".encode())
+                    for _ in range(BODY_BYTES // len(PIECE)):
+                        writer.write(PIECE)
+                        await writer.drain()
+            except OSError:  # closed, as it must be
+                pass
+            finally:
+                RUDE[f"{kind} ended"] += 1
+                writer.close()
+            await asyncio.sleep(0.1)
+
+    async def client(number: int) -> None:
+        nonlocal n_bytes, longest_s
+        reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
+        try:
+            questions = QUESTIONS[crowd](number)
+            question = next(questions)
+            while True:
+                began_s = time.monotonic()
+                status, content = await ask(reader, writer, urlsplit(url).path, question)
+                longest_s = max(longest_s, time.monotonic() - began_s)
+                statuses[status] = statuses.get(status, 0) + 1
+                n_bytes += len(content)
+                question = questions.send(content)
+        finally:
+            writer.close()
+
+    try:
+        async with asyncio.timeout(seconds), asyncio.TaskGroup() as clients:
+            for number in range(CLIENTS[crowd]):
+                clients.create_task(rude(number) if crowd == "rude" else client(number))
+    except TimeoutError:
+        pass
+    counts = ", ".join(
+        [
+            *(f"{n} x {status}" for status, n in sorted(statuses.items())),
+            *(f"{n} {what}" for what, n in RUDE.items()),
+        ]
+    )
+    told = "".join(
+        f"; {what}: first {took_s[0]:.2f}, median {np.median(took_s):.2f}, longest {max(took_s):.2f} s"
+        for what, took_s in TIMES_S.items()
+    )
+    sys.stdout.write(f"{counts}, {n_bytes / 1e6:.0f} MB, within {longest_s:.1f} s{told}\n")
+
+
+async def ask(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, base: str, question: str
+) -> tuple[int, bytes]:
+    """Return status and body of the answer."""
+    method, path, body = ("GET", question, "") if question.startswith("/") else question.split(" ", 2)
+    head = f"{method} {base}{path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
+    writer.write(f"{head}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode())
+    head = (await reader.readuntil(b"\r\n\r\n")).decode()
+    fields = dict(line.lower().split(": ", 1) for line in head.splitlines()[1:] if line)
+    return int(head.split()[1]), await reader.readexactly(int(fields["content-length"]))
+
+
+def long_polls(number: int) -> Questions:
+    after = json.loads((yield "/results?after=0&limit=1"))["last_seq"]
+    while True:
+        after = json.loads((yield f"/results?after={after}&limit=100&wait_s=30"))["next_after"]
+
+
+def big_pages(number: int) -> Questions:
+    for turn in count():
+        if turn % 2:
+            yield f"/results?after={turn % 7}&limit=1000"
+        else:
+            yield "/particles?limit=1000"
+        for preview in range(5):
+            yield f"/particles/{10 + (turn * 20 + number * 5 + preview) % N_WITH_MESH}/preview.png"
+
+
+def cheap_answers(number: int) -> Questions:
+    while True:
+        yield f"/particles/{10 + number}"
+        yield "/particles/10/preview.png"
+        yield "/results?after=100&limit=1"
+
+
+def lots(number: int) -> Questions:
+    yield 'PUT /products/bench {"title": "bench", "density_kg_m3": 2700}'
+    for turn in count():
+        began_s = time.monotonic()
+        yield f'POST /lots {{"lot": "L{turn}", "product": "bench"}}'
+        if turn == 0:
+            yield 'POST /lots/L0/assign {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}'
+        yield f"POST /lots/L{turn}/close {{}}"
+        yield "/lots/L0/report.html"
+        TIMES_S["opened, closed, reported as HTML"].append(time.monotonic() - began_s)
+        began_s = time.monotonic()
+        yield "/lots/L0/report.pdf"
+        TIMES_S["as PDF"].append(time.monotonic() - began_s)
+
+
+QUESTIONS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers, "lots": lots}
+"""What a client of each crowd asks for, one after the other."""
+TIMES_S: dict[str, list[float]] = defaultdict(list)
+"""What a client noted."""
+RUDE: dict[str, int] = defaultdict(int)
+"""What became of the connections of rude clients."""
+
+
+if __name__ == "__main__":
+    asyncio.run(be(sys.argv[1], sys.argv[2], float(sys.argv[3])))
