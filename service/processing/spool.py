@@ -90,8 +90,8 @@ class Spool:
         """Bundles offered and not yet released, in memory or on tmpfs: never more than `max_bundles`."""
         self.overflows = 0
         """Stones and balls lost because the spool was full, or could not be written."""
-        self._trouble = ""
-        self._trouble_s = -RECENT_S
+        self._troubles: dict[str, tuple[str, float]] = {}
+        """By kind of trouble what was the last, and when."""
         for each in left:
             self._ready.put_nowait(
                 SpooledBundle(trigger=each.trigger, name=each.name, content=each.path, left=each)
@@ -100,7 +100,8 @@ class Spool:
     @property
     def trouble(self) -> str | None:
         """What went wrong with the spool within the last `RECENT_S`, None if nothing did."""
-        return self._trouble if time.monotonic() - self._trouble_s < RECENT_S else None
+        recent_s = time.monotonic() - RECENT_S
+        return ", ".join(text for text, at_s in list(self._troubles.values()) if at_s > recent_s) or None
 
     @property
     def n_waiting(self) -> int:
@@ -190,7 +191,7 @@ class Spool:
         except FileNotFoundError:
             path.parent.mkdir(parents=True, exist_ok=True)
             log.error("the spool was deleted and is made anew folder=%s", path.parent)
-            self._note("its folder was deleted, and made anew")
+            self._note("deleted", "its folder was deleted, and made anew")
             overwrite_bundle(path, bundle, self._camera_ids)
 
     def _overflow(self, bundle: FrameBundle, detail: str) -> Loss:
@@ -198,11 +199,11 @@ class Spool:
         self.overflows += bundle.trigger.kind is not BundleKind.BACKGROUND
         if (trouble := self._store_trouble()) is not None:
             return Loss(reason=LossReason.STORE_HELD, detail=trouble)
-        self._note(f"{self.overflows} stones lost since the start ({detail})")
+        self._note("full", f"{self.overflows} stones lost since the start ({detail})")
         return Loss(reason=LossReason.QUEUE_FULL, detail=detail)
 
-    def _note(self, trouble: str) -> None:
-        self._trouble, self._trouble_s = trouble, time.monotonic()
+    def _note(self, kind: str, trouble: str) -> None:
+        self._troubles[kind] = trouble, time.monotonic()
 
 
 def _loss_without_frames(bundle: FrameBundle) -> Loss:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.gige import NET, design, picture, powered, serial, settings_for
 from support.quick_and_full import first_quick
 from support.sinks import Collector
@@ -24,8 +24,8 @@ from drivers.gige_simulator.camera import SimulatedCamera
 from drivers.interfaces import CameraLost
 from pipeline.frames import Frame
 
-FOUND_OUT_S = 0.5
-"""How soon `examine` knows: 0.25 s, and this machine may be busy."""
+FOUND_OUT_S = 2.5
+"""How soon `examine` knows: 0.25 s, and before the heartbeat's 3 s on any machine."""
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def trouble(camera: AravisCamera) -> str:
     return str(caught.value)
 
 
-def reopen(camera: AravisCamera, timeout_s: float = 10.0) -> None:
+def reopen(camera: AravisCamera, timeout_s: float = PATIENCE_S) -> None:
     """What the service does with a lost camera: close, and open until it can."""
     camera.close()
 
@@ -150,7 +150,6 @@ def test_a_killed_camera_does_not_hold_up_anybody_else(
             moments_s.append(time.monotonic())
         closing.join()
         closing_s = time.monotonic() - start_s
-        assert closing_s < 9
         # with the lock held the other one would have waited all the while
         assert max(later - earlier for earlier, later in pairwise(moments_s)) < closing_s / 2
     with pytest.raises(CameraUnavailableError, match="does not answer"):
@@ -224,7 +223,7 @@ def test_a_killed_predecessor_is_waited_for(simulated: SimulatedCamera) -> None:
     camera = AravisCamera(settings_for(design()))
     with pytest.raises(CameraUnavailableError, match="its heartbeat ends within 3 s"):
         camera.open()
-    reopen(camera, timeout_s=5.0)
+    reopen(camera)
     assert works(camera, simulated)
     camera.close()
 

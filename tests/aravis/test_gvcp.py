@@ -44,7 +44,7 @@ def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
         mute.bind((f"{NET}.9", GVCP_PORT))
         lasted_s = []
-        for _ in range(3):  # a busy machine may be late, but not always
+        for _ in range(10):  # a busy machine may be late, but not always
             start_s = time.monotonic()
             assert probe(f"{NET}.9") is None
             lasted_s.append(time.monotonic() - start_s)

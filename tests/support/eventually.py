@@ -5,8 +5,11 @@ import time
 from collections.abc import Awaitable, Callable
 from inspect import isawaitable
 
+PATIENCE_S = 100.0
+"""Nothing takes so long, but on a machine that is busy with other things."""
 
-def eventually(is_so: Callable[[], bool], timeout_s: float = 10.0) -> None:
+
+def eventually(is_so: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
     """Wait until it is so; fails when it takes too long."""
     deadline_s = time.monotonic() + timeout_s
     while not is_so():
@@ -14,7 +17,7 @@ def eventually(is_so: Callable[[], bool], timeout_s: float = 10.0) -> None:
         time.sleep(0.005)
 
 
-async def soon(is_so: Callable[[], bool | Awaitable[bool]], timeout_s: float = 30.0) -> None:
+async def soon(is_so: Callable[[], bool | Awaitable[bool]], timeout_s: float = PATIENCE_S) -> None:
     """Wait on the event loop until it is so; fails when it takes too long."""
     deadline_s = time.monotonic() + timeout_s
     while not (await found if isawaitable(found := is_so()) else found):

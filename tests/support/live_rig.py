@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from support.daemon_process import DaemonProcess
+from support.eventually import PATIENCE_S
 
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.camera import SimulatedCamera
@@ -124,7 +125,9 @@ class LiveRig:
         self.fall(n_stones)
         return self.wait_for_results(before, n_stones if n_results is None else n_results)
 
-    def wait_for_results(self, after: int, n_results: int, timeout_s: float = 60) -> list[dict[str, Any]]:
+    def wait_for_results(
+        self, after: int, n_results: int, timeout_s: float = PATIENCE_S
+    ) -> list[dict[str, Any]]:
         eventually(
             lambda: len(self.results(after)) >= n_results and self.accounting()["in_progress"] == 0,
             f"{n_results} outcomes after {after}: {self.daemon.log[-3000:]}",
@@ -145,7 +148,7 @@ class LiveRig:
             assert len(results) < most, f"not whole: {results}"
             results += self.measure(1)
 
-    def wait_until_whole(self, timeout_s: float = 30) -> None:
+    def wait_until_whole(self, timeout_s: float = PATIENCE_S) -> None:
         """Return once every camera and the gate are at work."""
         eventually(
             lambda: (
@@ -184,7 +187,7 @@ def live_rig(
             yield live
 
 
-def eventually(condition: Callable[[], bool], what: str, timeout_s: float = 20) -> None:
+def eventually(condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
     """Return once the condition holds."""
     deadline = time.monotonic() + timeout_s
     while not condition():

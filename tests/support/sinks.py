@@ -3,6 +3,8 @@
 import queue
 import threading
 
+from support.eventually import PATIENCE_S
+
 from drivers.interfaces import DeviceEvent
 
 
@@ -21,5 +23,5 @@ class Collector:
         self._arrived.put(event)
         return self._accepts
 
-    def next(self, timeout_s: float = 10.0) -> DeviceEvent:
+    def next(self, timeout_s: float = PATIENCE_S) -> DeviceEvent:
         return self._arrived.get(timeout=timeout_s)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from support.aravis_stream import AravisError, AravisStream, opened
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.simulated_camera import ADDRESS, picture
 
 from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
@@ -227,7 +227,7 @@ def test_after_a_power_cycle_the_camera_is_opened_anew(simulated: SimulatedCamer
         with AravisStream(camera) as stream:
             simulated.power_cycle(0.3)
             eventually(lambda: simulated.log[-1].event == "power on")
-            deadline_s = time.monotonic() + 4  # Aravis' heartbeat sees that control is gone
+            deadline_s = time.monotonic() + PATIENCE_S  # Aravis' heartbeat sees that control is gone
             while camera.get_device().is_controller():
                 assert time.monotonic() < deadline_s
                 time.sleep(0.05)

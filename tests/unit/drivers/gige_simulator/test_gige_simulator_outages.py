@@ -40,7 +40,6 @@ def test_a_slow_camera_asks_for_patience(camera: Session) -> None:
     since_s = time.monotonic()
     pending = camera.control.socket.recv(100)
     assert pending == struct.pack(">HHHHHH", 0, 0x89, 4, 9, 0, 800)
-    assert time.monotonic() - since_s < 0.35  # at once, as far as a busy machine lets it
     assert camera.control.socket.recv(100) == struct.pack(">HHHHI", 0, 0x81, 4, 9, 2)
     assert time.monotonic() - since_s >= 0.4
 
@@ -94,7 +93,7 @@ def test_a_new_address_and_another_device_in_the_place(camera: Session) -> None:
 
 def test_device_reset_is_acknowledged_before_the_camera_is_gone(camera: Session) -> None:
     assert camera.set("DeviceReset", 1) == 0
-    eventually(lambda: camera.camera.log[-1].event == "power on", 5.0)
+    eventually(lambda: camera.camera.log[-1].event == "power on")
     assert camera.control.read(CCP) == 0
 
 
@@ -103,7 +102,7 @@ def test_stolen_control(camera: Session) -> None:
     camera.camera.steal_control(0.7)
     assert camera.set("GevSCPD", 5) == ACCESS_DENIED
     assert camera.control.read(CCP) == 2  # Aravis' heartbeat sees nothing wrong
-    eventually(lambda: camera.camera.controller is None, 2.0)
+    eventually(lambda: camera.camera.controller is None)
     assert camera.control.read(CCP) == 0
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
 
 from drivers.files.recording import BundleHeader, Recording, open_recording
@@ -113,7 +113,7 @@ class TestBelt:
         belt = Belt(Hopper(open_recording(recording_path)), ground.drop, rate_hz=20)
         belt.open()
         belt.start()
-        assert belt.ended.wait(5)
+        assert belt.ended.wait(PATIENCE_S)
         assert not belt.is_running
         # on time to the nanosecond, or late and never too soon after another
         assert all(later - earlier >= 50_000_000 for earlier, later in pairwise(ground.edges_ns))
@@ -125,10 +125,10 @@ class TestBelt:
         belt.open()
         for _ in range(2):
             belt.drop_one()
-            assert ground.arrived.acquire(timeout=5)
+            assert ground.arrived.acquire(timeout=PATIENCE_S)
         assert not belt.is_running
         belt.start()
-        assert all(ground.arrived.acquire(timeout=5) for _ in range(5))
+        assert all(ground.arrived.acquire(timeout=PATIENCE_S) for _ in range(5))
         belt.stop()
         assert not belt.is_running
         belt.close()
@@ -141,7 +141,7 @@ class TestBelt:
         assert not belt.ended.wait(0.2)
         ready_ns = time.monotonic_ns()
         is_ready.set()
-        assert belt.ended.wait(5)
+        assert belt.ended.wait(PATIENCE_S)
         assert ground.edges_ns[0] - ready_ns >= 1_000_000_000
         belt.close()
 

@@ -198,8 +198,13 @@ async def test_a_deleted_folder_is_made_anew_and_costs_no_bundle_after_it(tmp_pa
                 await asyncio.to_thread(read_bundle, bundle.content, CAMERAS)
                 await spool.release(bundle)
             await asyncio.to_thread(shutil.rmtree, folder)
-    assert spool.overflows == 0
-    assert spool.trouble == "its folder was deleted, and made anew"
+        assert spool.overflows == 0
+        assert spool.trouble == "its folder was deleted, and made anew"
+        for sequence in range(21, 42):
+            spool.offer(bundle_of(sequence))
+        assert spool.trouble == (
+            "its folder was deleted, and made anew, 1 stones lost since the start (20 bundles were waiting)"
+        )
 
 
 async def test_a_spool_that_cannot_be_written_loses_bundles_not_the_daemon(
