@@ -302,7 +302,8 @@ def _measure(
     mesh = _measured_mesh(hull_mesh, estimate, refinement)
     supported_share = 0.0 if refinement is None else refinement.supported_share
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
-    shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm)
+    around_mm = NO_POINTS if mesh is hull_mesh else hull_mesh.vertices_mm
+    shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm, around_mm)
     if estimate is None or estimate.fallback is not None:  # corrected by the least excess that any hull has
         body: BodyKind = "hull"
         volume_model = "sphere"

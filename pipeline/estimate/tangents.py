@@ -29,6 +29,9 @@ OUTWARDS = np.array(
 SLACK_MM = 0.004
 """Distance by which planes are moved outwards before they cut rays: a tenth of a pixel. Planes that nearly contain
 a ray would otherwise cut it anywhere, by the noise of the outlines."""
+LEAST_SLOPE = 0.002
+"""Sine of the angle between a ray and a plane below which the plane does not end the ray: along a face that two views
+see nearly edge-on a hundredth of a millimetre between their planes would move that end by centimetres."""
 SEEN_POINTS = 10
 """Points to either side of the one that touches at which the edge must have been seen: closer to a gap it may be the
 noise of the outline that has the tangent touch there, and not beyond."""
@@ -163,6 +166,6 @@ def segments_mm(
 ) -> tuple[Values, Values]:
     """Return the ends (N,), (N,) of what all planes leave of each ray; infinite where no plane ends it."""
     low_mm, high_mm = clip_lines(
-        normals, offsets_mm + SLACK_MM, np.concatenate([points_mm, directions], axis=1).T
+        normals, offsets_mm + SLACK_MM, np.concatenate([points_mm, directions], axis=1).T, LEAST_SLOPE
     )
     return low_mm, high_mm

@@ -16,6 +16,9 @@ from pipeline.measuring.directions import COVERING_RAD, half_sphere
 
 WIDTH_TOLERANCE = 1e-4
 """Relative gap between the least width found and its lower bound at which the search ends."""
+NEAR = 0.004
+"""Relative gap between the least widths of estimate and hull within which neither is nearer to the truth: so much wider
+is an arc of 10 degrees between two tangent planes than its chord."""
 MAX_DIRECTIONS = 128
 """Largest number of directions in which the greatest dimension is looked for; a longish body needs one or two."""
 MAX_OPEN = 160
@@ -66,6 +69,17 @@ def min_feret_mm(body: ConvexBody) -> float:
     return _least_width_mm(
         body.edges, sphere.directions, sphere.triangles, body.touching, corners, ends, least_mm
     )
+
+
+def least_width_within_mm(estimate_mm: float, hull_mm: float) -> float:
+    """Return the least width of a body, given those of its estimate and of its hull: the estimate's, or a mean of both.
+
+    A round bar is nearly as thin from all sides; its estimate is flat between the planes that were seen and thinnest
+    where it is flattest, while the planes that were seen cut the hull to the bar's own width. The mean of both counts
+    where they are close. Where the thinnest side was not seen, the hull is much wider and tells nothing.
+    """
+    gap = (hull_mm - estimate_mm) / (NEAR * estimate_mm)
+    return estimate_mm + min(max(2 - gap, 0.0), 1.0) / 2 * (hull_mm - estimate_mm)
 
 
 @compiled

@@ -21,7 +21,7 @@ from pipeline.arrays import PointsMM
 from pipeline.geometry.icosphere import icosphere
 from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.boxes import smallest_around_mm
-from pipeline.measuring.calipers import extents_across, max_feret, min_feret_mm
+from pipeline.measuring.calipers import extents_across, least_width_within_mm, max_feret, min_feret_mm
 from pipeline.measuring.convex import convex_body
 from pipeline.measuring.solid import solid_of
 
@@ -93,12 +93,12 @@ class ShapeMeasurement:
 
 
 def measure_shape(
-    vertices_mm: ArrayLike, faces: ArrayLike, corners_mm: PointsMM = NO_POINTS
+    vertices_mm: ArrayLike, faces: ArrayLike, corners_mm: PointsMM = NO_POINTS, hull_mm: PointsMM = NO_POINTS
 ) -> ShapeMeasurement:
     """Measure a closed mesh with vertices (N, 3) in mm and faces (M, 3); deterministic.
 
     Sizes are those of the mesh with points (C, 3) that the body is known to have beyond it: a mesh of marching cubes
-    cuts corners.
+    cuts corners. Of an estimate, points (H, 3) of the visual hull that it lies in say more about its least width.
 
     Volume and area are exactly those of the polyhedron. All else is taken from its convex hull, without points
     that stand out by less than 3e-5 of the extent (`quickhull.TOLERANCE`): of that hull the D4791 triple is exact,
@@ -116,9 +116,14 @@ def measure_shape(
     length_mm = float(np.linalg.norm(longest))
     across_mm, thickness_mm = extents_across(body, longest)
     box_mm, sieve_mm = smallest_around_mm(body)
-    a, b, c = (float(edge) for edge in box_mm)
     # each of these is a width, so the least width cannot exceed it
-    least_mm = min(min_feret_mm(body), c, thickness_mm)
+    least_mm = min(min_feret_mm(body), float(box_mm[2]), thickness_mm)
+    if len(hull_mm):
+        least_mm = least_width_within_mm(least_mm, min_feret_mm(convex_body(hull_mm)))
+        across_mm, thickness_mm, sieve_mm = (
+            max(size, least_mm) for size in (across_mm, thickness_mm, sieve_mm)
+        )
+    a, b, c = (max(float(edge), least_mm) for edge in box_mm)
     x, y, z = (float(coordinate) for coordinate in solid.center_mm)
     return ShapeMeasurement(
         volume_mm3=solid.volume_mm3,

@@ -80,31 +80,32 @@ def stretches_mm(planes: Planes, lines: Singles, slack_px: float) -> tuple[Value
 
 
 def clip_lines(
-    normals: Directions, offsets_mm: Values, lines: Floats | Singles
+    normals: Directions, offsets_mm: Values, lines: Floats | Singles, least_slope: float = 0.0
 ) -> Annotated[Floats, "(2, R)"]:
     """Return the ends (2, R) of what P planes leave of lines (6, R); infinite where no plane ends one.
 
-    A line is a point and a unit direction. In single precision: lengths of some ten mm are good to a few micrometres.
+    A line is a point and a unit direction. A plane that it meets at a sine of at most `least_slope` ends none.
+    In single precision: lengths of some ten mm are good to a few micrometres.
     """
     ends_mm = np.empty((2, lines.shape[1]), np.float32)
     ends_mm[0], ends_mm[1] = -np.inf, np.inf
     planes = np.column_stack([normals, offsets_mm]).astype(np.float32)
-    _clip(planes, np.ascontiguousarray(lines, np.float32), ends_mm)
+    _clip(planes, np.ascontiguousarray(lines, np.float32), np.float32(least_slope), ends_mm)
     return ends_mm.astype(np.float64)
 
 
 @compiled
-def _clip(planes: Singles, lines: Singles, ends_mm: Singles) -> None:
+def _clip(planes: Singles, lines: Singles, least_slope: np.float32, ends_mm: Singles) -> None:
     """Move the ends (2, R) to what planes (P, 4), normals and offsets, leave of the lines (6, R).
 
     Lines in the inner loop: unlike the search for the least of all planes it runs in vectors.
     """
-    zero, infinite = np.float32(0), np.float32(np.inf)
+    infinite = np.float32(np.inf)
     for plane in range(len(planes)):
         x, y, z, offset_mm = planes[plane, 0], planes[plane, 1], planes[plane, 2], planes[plane, 3]
         for line in range(lines.shape[1]):
             slope = lines[3, line] * x + lines[4, line] * y + lines[5, line] * z
             reach_mm = offset_mm - (lines[0, line] * x + lines[1, line] * y + lines[2, line] * z)
             end_mm = reach_mm / slope
-            ends_mm[0, line] = max(ends_mm[0, line], end_mm if slope < zero else -infinite)
-            ends_mm[1, line] = min(ends_mm[1, line], end_mm if slope > zero else infinite)
+            ends_mm[0, line] = max(ends_mm[0, line], end_mm if slope < -least_slope else -infinite)
+            ends_mm[1, line] = min(ends_mm[1, line], end_mm if slope > least_slope else infinite)

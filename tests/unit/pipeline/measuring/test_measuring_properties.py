@@ -11,6 +11,7 @@ from support.quick_and_full import examples
 
 from pipeline.errors import MeshError
 from pipeline.measuring import ShapeMeasurement, measure_shape
+from pipeline.measuring.calipers import NEAR, least_width_within_mm
 from pipeline.measuring.solid import solid_of
 
 LENGTHS = (
@@ -207,3 +208,25 @@ def test_any_one_corner_moved_is_noticed(mesh: trimesh.Trimesh, seed: int) -> No
     faces[at] = (faces[at] + rng.integers(1, len(mesh.vertices))) % len(mesh.vertices)
     with pytest.raises(MeshError, match="not closed"):
         solid_of(mesh.vertices, faces)
+
+
+@given(estimate_mm=st.floats(1, 60), gap=st.floats(0, 5))
+def test_the_least_width_is_between_that_of_the_estimate_and_that_of_the_hull(
+    estimate_mm: float, gap: float
+) -> None:
+    hull_mm = estimate_mm * (1 + gap * NEAR)
+    least_mm = least_width_within_mm(estimate_mm, hull_mm)
+    assert estimate_mm <= least_mm <= hull_mm
+    if gap < 0.999:
+        assert least_mm == pytest.approx((estimate_mm + hull_mm) / 2)
+    if gap > 2:
+        assert least_mm == estimate_mm
+
+
+def test_a_round_bar_is_as_thin_as_its_estimate_and_its_hull_have_it_in_the_mean() -> None:
+    """The chords between 36 planes that touch a cylinder, within what the planes leave."""
+    estimate = trimesh.creation.cylinder(radius=10, height=40, sections=36)
+    flat = np.cos(np.pi / 36)
+    shape = measure_shape(estimate.vertices, estimate.faces, hull_mm=estimate.vertices / [flat, flat, 1])
+    assert shape.min_feret_mm == pytest.approx(20 * (1 + flat) / 2, rel=1e-4)
+    assert min(shape.thickness_mm, shape.sieve_size_mm, *shape.min_box_mm) >= shape.min_feret_mm

@@ -14,8 +14,7 @@ TRUE_MM = {
     "cylinder": (15.0, 15 * np.sqrt(2), 15.0),
     "cube": (15.0, 15 * np.sqrt(3), 15.0),
 }
-BARS_MM = {"cylinder": (0.02, 0.02, 0.03)}  # its mantle between its ends is of means of contacts
-BAR_MM = (0.02, 0.02, 0.02)
+BAR_MM = 0.02
 
 
 @pytest.mark.parametrize(
@@ -35,4 +34,4 @@ def test_sizes_are_those_of_the_body(name: str, number: int) -> None:
     assert result.measurement is not None
     shape = result.measurement.shape
     errors_mm = np.subtract((shape.sieve_size_mm, shape.max_feret_mm, shape.min_feret_mm), TRUE_MM[name])
-    assert (np.abs(errors_mm) < BARS_MM.get(name, BAR_MM)).all(), errors_mm
+    assert (np.abs(errors_mm) < BAR_MM).all(), errors_mm

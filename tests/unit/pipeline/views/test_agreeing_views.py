@@ -50,8 +50,10 @@ def test_they_are_the_clearances_below_zero(name: str, n_gaps: int) -> None:
 
 
 @examples(0.2)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40))
-def test_planes_leave_of_rays_what_they_leave_one_by_one(seed: int, n_planes: int) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from([0.0, 0.5]))
+def test_planes_leave_of_rays_what_they_leave_one_by_one(
+    seed: int, n_planes: int, least_slope: float
+) -> None:
     rng = np.random.default_rng(seed)
     planes, rays = (
         rng.normal(size=(n_planes, 4)).astype(np.float32),
@@ -59,10 +61,8 @@ def test_planes_leave_of_rays_what_they_leave_one_by_one(seed: int, n_planes: in
     )
     slopes = planes[:, :3].astype(float) @ rays[3:]
     ends_mm = (planes[:, 3:] - planes[:, :3].astype(float) @ rays[:3]) / slopes
-    low_mm, high_mm = tangent_planes.clip_lines(planes[:, :3], planes[:, 3], rays)
-    np.testing.assert_allclose(
-        low_mm, np.where(slopes < 0, ends_mm, -np.inf).max(axis=0), rtol=1e-2, atol=1e-3
-    )
-    np.testing.assert_allclose(
-        high_mm, np.where(slopes > 0, ends_mm, np.inf).min(axis=0), rtol=1e-2, atol=1e-3
-    )
+    low_mm, high_mm = tangent_planes.clip_lines(planes[:, :3], planes[:, 3], rays, least_slope)
+    lowest_mm = np.where(slopes < -least_slope, ends_mm, -np.inf).max(axis=0)
+    highest_mm = np.where(slopes > least_slope, ends_mm, np.inf).min(axis=0)
+    np.testing.assert_allclose(low_mm, lowest_mm, rtol=1e-2, atol=1e-3)
+    np.testing.assert_allclose(high_mm, highest_mm, rtol=1e-2, atol=1e-3)
