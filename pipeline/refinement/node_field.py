@@ -11,8 +11,9 @@ from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE,
 
 CURVATURE_ROUNDS = 2
 MAX_SLOPE = 1.5
-CHANCE_MM = 0.03
-"""Shift (mm) that a patch without texture may have by chance."""
+CHANCE_MM = (0.02, 0.09)
+"""Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
+CHANCE_ROUNDS = 4
 
 
 def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
@@ -79,13 +80,14 @@ def depths_of(
     return depths_mm[best] + part * (depths_mm[1] - depths_mm[0]), np.maximum(sure, DOUBTFUL) * region
 
 
-def anchored(shifts_mm: Values, sure: Values, anchors: Values) -> tuple[Values, Values]:
+def anchored(shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes) -> tuple[Values, Values]:
     """Return shifts (K,) and their weights with what the silhouettes say: `anchors` (K,) hold the estimate, 0 to 1.
 
-    Small shifts of which little is sure are chance, and vanish.
+    Where the shifts of a neighbourhood are no larger than chance has them, they vanish (Wiener's filter).
     """
-    chance2 = ((1 - np.minimum(sure, 1)) * CHANCE_MM) ** 2
-    shifts_mm = shifts_mm * shifts_mm**2 / (shifts_mm**2 + chance2 + 1e-12)
+    chance_mm = CHANCE_MM[1] + np.minimum(sure, 1) * (CHANCE_MM[0] - CHANCE_MM[1])
+    energy_mm2 = smoothed(nodes, shifts_mm**2, CHANCE_ROUNDS)
+    shifts_mm = shifts_mm * energy_mm2 / (energy_mm2 + chance_mm**2)
     weights = sure + anchors
     return shifts_mm * sure / np.maximum(weights, 1e-9), weights
 

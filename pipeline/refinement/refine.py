@@ -185,7 +185,7 @@ def _passed(
     shifts_mm, weights = base_mm + np.where(sure > 0, found_mm, 0.0), sure
     if each is PASSES[-1]:
         anchors = np.maximum(touches**4, 1 - gate)  # at the very points
-        shifts_mm, weights = anchored(shifts_mm, sure, anchors)
+        shifts_mm, weights = anchored(shifts_mm, sure, anchors, nodes)
     return _Field(nodes=nodes, shifts_mm=shifts_mm, weights=weights, supported_share=float((sure > 0).mean()))
 
 

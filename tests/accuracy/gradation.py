@@ -10,7 +10,7 @@ their true class, the truth within each interval that is stated; passing within 
 A stone that lies within some hundredths of a millimetre of a sieve may be found on the other side of it, and the
 heaviest of 300 are more than a point: which ones crossed a sieve is printed.
 
-Run: .venv/bin/python tests/accuracy/gradation.py [--stones 300] [--seed 1] [--jobs 2] [--json]
+Run: .venv/bin/python tests/accuracy/gradation.py [--stones 300] [--seed 1] [--jobs 2] [--body photo] [--json]
      .venv/bin/python tests/accuracy/gradation.py --out stones.json     # each stone, true and measured
 """
 
@@ -22,13 +22,14 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from math import hypot
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from pipeline.gradation.stones import Stone
+from pipeline.particle import BodyKind
 from service.lots.standards import read_standards
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -154,10 +155,13 @@ def main() -> int:
     parser.add_argument("--stones", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--body", choices=get_args(BodyKind), default="estimate")
     parser.add_argument("--out", type=Path, help="JSON of all stones, true and measured")
     parser.add_argument("--json", action="store_true", help="print the comparisons as JSON")
     arguments = parser.parse_args()
-    rows = measured_rows(arguments.stones, arguments.seed, arguments.jobs, PAIRS, arguments.out)
+    rows = measured_rows(
+        arguments.stones, arguments.seed, arguments.jobs, PAIRS, arguments.out, arguments.body
+    )
     found = [comparison(rows, cameras) for cameras in rows[0].found]
     broken = [said for each in found for said in missed(each)]
     if arguments.json:

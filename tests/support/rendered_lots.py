@@ -22,7 +22,7 @@ from pipeline.fall import Fall
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.gradation.stones import DEVIATIONS, MEASURES, Stone, UnmeasuredStone
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.synthesis.bodies import Body
@@ -101,12 +101,12 @@ def segmenter() -> Segmenter:
     return build_segmenter(SegmenterPlan(wanted="auto", model=read_model()), SegmentationParameters())
 
 
-def measured(number: int, seed: int, pairs: Sequence[Pair]) -> Row:
+def measured(number: int, seed: int, pairs: Sequence[Pair], kind: BodyKind) -> Row:
     """Render and measure stone `number`."""
     scene, (it, true) = scene_of(seed), body(number, seed)
     placed = tumble(it, scene.true_rig, stream(seed, number, POSE))
     bundle = render_bundle([placed], scene.simulated, stream(seed, number, EXPOSURE), sequence=number + 1)
-    parameters = PipelineParameters()
+    parameters = PipelineParameters(body=BodyParameters(kind))
     whole = measure_bundle(bundle, scene.true_rig, scene.background, segmenter(), parameters)
     found = {ALL_CAMERAS: recorded(whole, bundle, scene)}
     for pair in pairs:
@@ -136,20 +136,25 @@ def recorded(result: ParticleResult, bundle: FrameBundle, scene: Scene) -> Stone
     return stone_of(record)
 
 
-def measure_job(job: tuple[range, int, Sequence[Pair]]) -> list[Row]:
+def measure_job(job: tuple[range, int, Sequence[Pair], BodyKind]) -> list[Row]:
     """Measure some stones of a lot."""
-    numbers, seed, pairs = job
+    numbers, seed, pairs, kind = job
     cv2.setNumThreads(1)
     with threadpool_limits(1):
-        return [measured(number, seed, pairs) for number in numbers]
+        return [measured(number, seed, pairs, kind) for number in numbers]
 
 
 def measured_rows(
-    n_stones: int, seed: int, n_jobs: int, pairs: Sequence[Pair], out: Path | None = None
+    n_stones: int,
+    seed: int,
+    n_jobs: int,
+    pairs: Sequence[Pair],
+    out: Path | None = None,
+    kind: BodyKind = "estimate",
 ) -> list[Row]:
     """Render and measure a lot; the same stones whatever the number of processes."""
     jobs = [
-        (range(first, min(first + STONES_PER_JOB, n_stones)), seed, pairs)
+        (range(first, min(first + STONES_PER_JOB, n_stones)), seed, pairs, kind)
         for first in range(0, n_stones, STONES_PER_JOB)
     ]
     rows: list[Row] = []
