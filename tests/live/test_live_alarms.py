@@ -38,7 +38,7 @@ def data(live: LiveRig, kind: str) -> list[dict[str, Any]]:
 
 def test_a_lost_camera_is_an_alarm_until_it_is_back(live: LiveRig):
     live.camera("c02").unplug()
-    eventually(lambda: alarms(live) == {"camera:c02": "unacknowledged"}, "the alarm is raised", 60)
+    eventually(lambda: alarms(live) == {"camera:c02": "unacknowledged"}, "the alarm is raised")
     (alarm,) = live.daemon.get("/alarms")["items"]
     assert (alarm["priority"], "switch port" in alarm["action"]) == ("medium", True)
     assert live.status("c02")["ne107"] == "failure"
@@ -52,7 +52,7 @@ def test_a_lost_camera_is_an_alarm_until_it_is_back(live: LiveRig):
     assert "-> Stromversorgung, Kabel und Switch-Port prüfen" in done.stdout
     assert done.stdout.endswith("1 alarms\n")
     live.camera("c02").replug()
-    eventually(lambda: alarms(live) == {}, "the alarm is gone", 60)
+    eventually(lambda: alarms(live) == {}, "the alarm is gone")
     assert events(live, "camera:c02") == [
         ("alarm.raised", "camera:c02"),
         ("alarm.acknowledged", "camera:c02"),
@@ -70,13 +70,13 @@ def test_a_lost_camera_is_an_alarm_until_it_is_back(live: LiveRig):
 def test_a_dead_switch_is_one_alarm(live: LiveRig):
     for camera in live.rig.cameras.values():
         camera.unplug()
-    eventually(lambda: "cameras" in alarms(live), "the alarm is raised", 60)
-    eventually(lambda: len(live.daemon.get("/alarms")["suppressed"]) == 16, "the cameras' are suppressed", 60)
+    eventually(lambda: "cameras" in alarms(live), "the alarm is raised")
+    eventually(lambda: len(live.daemon.get("/alarms")["suppressed"]) == 16, "the cameras' are suppressed")
     assert alarms(live) == {"cameras": "unacknowledged"}
     for camera in live.rig.cameras.values():
         camera.replug()
-    eventually(lambda: alarms(live) == {"cameras": "returned"}, "the alarm has returned", 60)
-    eventually(lambda: live.daemon.get("/alarms")["suppressed"] == [], "all cameras are back", 60)
+    eventually(lambda: alarms(live) == {"cameras": "returned"}, "the alarm has returned")
+    eventually(lambda: live.daemon.get("/alarms")["suppressed"] == [], "all cameras are back")
     assert events(live, "cameras") == [("alarm.raised", "cameras"), ("alarm.cleared", "cameras")]
     of_cameras = events(live, *(f"camera:c{number:02d}" for number in range(1, 17)))
     assert len(of_cameras) == 3  # of the first test

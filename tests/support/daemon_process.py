@@ -164,6 +164,11 @@ class DaemonProcess:
             time.sleep(0.02)
         return document
 
+    def check(self, name: str, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Return a check of the health once it is so: it is looked at once a second."""
+        health = self.wait_for("/health", lambda now: is_so(now["checks"][name]))
+        return dict(health["checks"][name])
+
     def results(self) -> list[dict[str, Any]]:
         return list(self.get("/results?after=0&limit=1000")["items"])
 
