@@ -211,7 +211,8 @@ def follow(
     """Yield what comes after a position, for `seconds`, whatever happens to the network, the daemon and its store.
 
     A step is to be durable before the next one is asked for. Then nothing is lost, whenever this process is killed.
-    Results come at least once, so `id` must be a key where they are stored.
+    Results come at least once, and a stone that was measured again comes again under its `id`, with the next
+    `revision` and a higher `seq`: so `id` must be a key where they are stored, and the newest takes its place.
     """
     end_s = time.monotonic() + seconds
     asked = position.after  # or beyond it, when what follows it has expired
@@ -278,15 +279,20 @@ class Database:
         return Position(*self._connection.execute("SELECT instance_id, after FROM cursor").fetchone())
 
     def store(self, step: Step) -> None:
-        """Store all of a step or nothing; a stone that is there already is only brought up to date."""
+        """Store all of a step or nothing; a stone that is there already is only brought up to date.
+
+        So of a stone that was measured again the newest revision is left, and it is counted once.
+        """
         stones = [
             (item["id"], step.position.instance_id, item["seq"], item["outcome"], json.dumps(item))
             for item in step.items
         ]
         with self._connection:  # one transaction
             self._connection.executemany(
-                "INSERT INTO stones VALUES (?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE"
-                " SET instance_id = excluded.instance_id, seq = excluded.seq, record = excluded.record",
+                "INSERT INTO stones VALUES (?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET"
+                " instance_id = excluded.instance_id, seq = excluded.seq, outcome = excluded.outcome,"
+                " record = excluded.record"
+                " WHERE excluded.instance_id IS NOT stones.instance_id OR excluded.seq >= stones.seq",
                 stones,
             )
             if step.gap is not None:
@@ -311,7 +317,7 @@ class Database:
 def deliver(client: Client, handle: Callable[[Step], None], cursor_file: Path, **options: Any) -> None:
     """Have a function handle each step, and keep the position in a file: for receivers without transactions.
 
-    After a kill in between the last step comes again: `id` tells what was handled before.
+    After a kill in between the last step comes again: `id` and `revision` tell what was handled before.
     """
     position = Position(**json.loads(cursor_file.read_text())) if cursor_file.exists() else Position()
     for step in follow(client, position, **options):

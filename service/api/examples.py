@@ -62,6 +62,7 @@ EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
             {
                 "seq": 1,
                 "id": "141fc8a1-00000001",
+                "revision": 1,
                 "kind": "particle",
                 "captured_at": "2026-03-01T06:00:12.345Z",
                 "outcome": "measured",
@@ -73,6 +74,7 @@ EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
             {
                 "seq": 2,
                 "id": "141fc8a1-00000002",
+                "revision": 1,
                 "kind": "particle",
                 "captured_at": "2026-03-01T06:00:13.120Z",
                 "outcome": "rejected",

@@ -28,7 +28,7 @@ from service.reports.report import (
     ReportFormat,
     SievingStep,
 )
-from service.store.reads import folder
+from service.store.reads import newest_folder
 from service.store.schema import connect_reader
 
 MATTER = {
@@ -146,7 +146,7 @@ def _stone(
         "SELECT id, sieve_size_mm, volume_mm3, quality FROM stones WHERE seq = ?", (seq,)
     ).fetchone()
     try:
-        png = preview_png(particles_dir / (folder(connection, seq) or str(seq)))
+        png = preview_png(particles_dir / (newest_folder(connection, seq) or str(seq)))
     except NotKeptError:
         png = None
     return GalleryStone(

@@ -14,6 +14,7 @@ from service.lots.yardsticks import Request
 from service.results.selection import served
 from service.store import ParticleFilter
 from service.store.events import EventsPage, events_after
+from service.store.particle_files import first_seq
 from service.store.reads import ResultPage, particles, results_after
 
 Names = tuple[str, ...] | None
@@ -87,7 +88,7 @@ def particles_page(
     """Return the page of the newest `limit` results that fit and are older than `before_seq`."""
     records = particles(connection, wanted, before_seq, limit + 1)
     items = records[:limit]
-    head = {"next_cursor": str(items[-1]["seq"]) if len(records) > limit else None}
+    head = {"next_cursor": str(first_seq(items[-1]["id"])) if len(records) > limit else None}
     return _page_json(head, (served(record, names) for record in items), as_gzip)
 
 

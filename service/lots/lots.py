@@ -166,6 +166,15 @@ def assign(
         return _existing(connection, lot), n_assigned
 
 
+def note_revised(connection: sqlite3.Connection, lot: str) -> None:
+    """Note within a transaction that a stone of a lot was measured again: a closed lot says something else now."""
+    closed = connection.execute(
+        "UPDATE lots SET revision = revision + 1 WHERE lot = ? AND state = 'closed'", (lot,)
+    )
+    if closed.rowcount:
+        _note_event(connection, EventType.LOT_REVISED, _existing(connection, lot))
+
+
 def find_lot(connection: sqlite3.Connection, lot: str) -> LotRecord | None:
     """Return a lot, None if there is none."""
     found = _lots(connection, "lot = ?", (lot,), 1)

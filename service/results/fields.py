@@ -26,7 +26,7 @@ def always_present(schema: dict[str, Any]) -> None:
         property_.pop("default", None)
 
 
-ALWAYS = ("seq", "id", "kind", "outcome", "is_simulated", "is_replay")
+ALWAYS = ("seq", "id", "revision", "kind", "outcome", "is_simulated", "is_replay")
 """Fields that are in every answer, whichever are chosen: what is not production must never be billed as such."""
 
 
@@ -122,7 +122,7 @@ class Verified(StrEnum):
 
 
 class Result(BaseModel):
-    """The one outcome of one trigger. Measured fields are null unless `outcome` is `measured`.
+    """The one outcome of one trigger, or a revision of it. Measured fields are null unless `outcome` is `measured`.
 
     All fields are there, unless the request chose some with `fields`.
     """
@@ -130,7 +130,17 @@ class Result(BaseModel):
     model_config = ConfigDict(extra="allow", json_schema_extra=chosen_present)
 
     seq: int = Field(description="Place in the feed: strictly increasing, without gaps, never reused")
-    id: str = Field(description="Unique across stores; the key for removing duplicates")
+    id: str = Field(
+        description="Of the stone, unique across stores: the key to store it by. Its revisions have the same"
+    )
+    revision: int = Field(
+        default=1,
+        description="1: the first result of the stone; higher: it was measured again, and this takes the place of what"
+        " was said of it before",
+    )
+    revises: int | None = Field(
+        default=None, description="`seq` of the item that this one takes the place of; null for the first"
+    )
     session: int = Field(description="Run of the daemon in which the trigger came")
     bundle: str = Field(description="Name of the bundle of images")
     sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
@@ -291,6 +301,8 @@ MEASURED_FIELDS = tuple(
 STORED_FIELDS = (
     "seq",
     "id",
+    "revision",
+    "revises",
     "session",
     "recorded_at",
     "time_is_doubtful",

@@ -9,6 +9,7 @@ LEAN_NAME = "lean"
 LEAN = frozenset(
     {
         *ALWAYS,
+        "revises",
         "captured_at",
         "recorded_at",
         "time_is_doubtful",

@@ -21,6 +21,8 @@ class EventType(StrEnum):
     LOT_VOIDED = "lot.voided"
     LOT_ASSIGNED = "lot.assigned"
     """Stones that were in no lot are in this one now."""
+    LOT_REVISED = "lot.revised"
+    """A stone of this closed lot was measured again."""
     ALARM_RAISED = "alarm.raised"
     """It needs someone: it is new, has come back, has become worse, or is suppressed or shelved no longer."""
     ALARM_CLEARED = "alarm.cleared"

@@ -1,7 +1,8 @@
 """The files of a particle, `particles/<day>/<id>/`: durable before the row that names them.
 
 A crash between the two leaves a folder without a row: it is invisible, and removed at the next start, or when its
-number is given to the next result. Raw frames are large, so only those of the newest results are kept.
+number is given to the next result. The files of a revision are in the folder `r<revision>` within it. Raw frames are
+large, so only those of the newest results are kept.
 """
 
 import logging
@@ -26,6 +27,16 @@ def particle_id(instance_id: str, seq: int) -> str:
 def particle_folder(name: str, recorded_at: str) -> str:
     """Return where the files of a particle are, below `particles`: a folder a day, each for itself of bearable size."""
     return f"{recorded_at[:10]}/{name}"
+
+
+def revision_folder(folder: str, revision: int) -> str:
+    """Return where the files of a revision are, below `particles`; `folder` is the stone's."""
+    return folder if revision == 1 else f"{folder}/r{revision}"
+
+
+def first_seq(name: str) -> int:
+    """Return the `seq` of the first result of a stone, which its id ends with."""
+    return int(name.rpartition("-")[2])
 
 
 def drop_raw(folder: Path) -> None:

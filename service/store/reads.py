@@ -8,6 +8,7 @@ from typing import Any
 from pipeline.frames import GateCount
 from service.results.fields import Outcome
 from service.store.accounting import Accounting
+from service.store.particle_files import revision_folder
 
 Record = dict[str, Any]
 """A result as stored: the fields of `service.results.fields.Result`, and any other key."""
@@ -34,12 +35,32 @@ class ParticleFilter:
     since: str | None = None  # captured at or after, as `pipeline.frames.rfc3339` writes it
     until: str | None = None  # captured before
     lot: str | None = None
+    has_frames: bool | None = None  # whether raw frames may be kept: of one of the newest stones, or pinned
 
 
-RECORDS = (
-    "SELECT record, removed, pins.reason, triggers.lot FROM results JOIN triggers USING (trigger)"
-    " LEFT JOIN files USING (seq) LEFT JOIN pins USING (seq)"
+STATE = (
+    " JOIN triggers ON triggers.trigger = results.trigger LEFT JOIN files ON files.seq = results.seq"
+    " LEFT JOIN pins ON pins.seq = results.seq"
 )
+"""What has happened to the stone of a result since."""
+FIRST = f"SELECT results.seq, results.record, removed, pins.reason, triggers.lot FROM results{STATE}"  # noqa: S608 - constants, as below
+"""Results as they first were."""
+LATER = (
+    "SELECT revisions.seq, revisions.record, removed, pins.reason, triggers.lot"  # noqa: S608
+    f" FROM revisions JOIN results ON results.seq = revisions.first{STATE}"
+)
+"""Their revisions."""
+NEWEST = (
+    "SELECT results.seq, coalesce(revisions.record, results.record), removed, pins.reason, triggers.lot"  # noqa: S608
+    f" FROM results{STATE} LEFT JOIN revised ON revised.first = results.seq"
+    " LEFT JOIN revisions ON revisions.seq = revised.seq"
+)
+"""The newest revision of each result."""
+LISTED = {
+    name: f"iif(revised.first IS NULL, listed.{name}, revised.{name})"
+    for name in ("outcome", "quality", "sieve_size_mm")
+}
+"""Columns of the newest revisions, of `listed` and `revised`."""
 
 
 def open_triggers(connection: sqlite3.Connection, live_session: int | None) -> list[tuple[int, str]]:
@@ -70,61 +91,82 @@ def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
 def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:
     """Return up to `limit` results after `seq`, in order."""
     last_seq, first_seq = connection.execute(
-        "SELECT last_seq, coalesce((SELECT min(seq) FROM results WHERE seq >= first_seq), last_seq + 1) FROM store"
+        "SELECT last_seq, min("
+        "coalesce((SELECT min(seq) FROM results WHERE seq >= first_seq), last_seq + 1), "
+        "coalesce((SELECT min(seq) FROM revisions WHERE seq >= first_seq), last_seq + 1)) FROM store"
     ).fetchone()
-    rows = connection.execute(f"{RECORDS} WHERE seq > ? ORDER BY seq LIMIT ?", (seq, limit)).fetchall()
+    rows = connection.execute(
+        f"{FIRST} WHERE results.seq > ?1 UNION ALL {LATER} WHERE revisions.seq > ?1 ORDER BY 1 LIMIT ?2",
+        (seq, limit),
+    ).fetchall()
     return ResultPage(first_seq=first_seq, last_seq=last_seq, items=[_record(*row) for row in rows])
 
 
 def seq_before(connection: sqlite3.Connection, recorded_at: str) -> int:
     """Return the number before the first result that became durable at or after a time; the last one without any."""
     row = connection.execute(
-        "SELECT coalesce((SELECT min(seq) - 1 FROM results WHERE json_extract(record, '$.recorded_at') >= ?), last_seq)"
-        " FROM store",
+        "SELECT coalesce(min(seq) - 1, (SELECT last_seq FROM store)) FROM ("
+        "SELECT min(seq) AS seq FROM results WHERE json_extract(record, '$.recorded_at') >= ?1 UNION ALL "
+        "SELECT min(seq) FROM revisions WHERE json_extract(record, '$.recorded_at') >= ?1)",
         (recorded_at,),
     ).fetchone()
     return int(row[0])
 
 
 def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
-    """Return the result with this id (text) or this seq (number), None if there is none."""
-    column = "seq" if isinstance(key, int) else "id"
-    row = connection.execute(f"{RECORDS} WHERE {column} = ?", (key,)).fetchone()
+    """Return the newest revision of the result with this id (text), or the item with this seq (number), or None."""
+    if isinstance(key, int):
+        query = f"{FIRST} WHERE results.seq = ?1 UNION ALL {LATER} WHERE revisions.seq = ?1"
+    else:
+        query = f"{NEWEST} WHERE results.id = ?1"
+    row = connection.execute(query, (key,)).fetchone()
     return _record(*row) if row else None
 
 
 def folder(connection: sqlite3.Connection, seq: int) -> str | None:
-    """Return where the files of a result are, below `particles`; None if it never had any."""
-    row = connection.execute("SELECT folder FROM files WHERE seq = ?", (seq,)).fetchone()
-    return row[0] if row else None
+    """Return where the files of a result or revision are, below `particles`; None if it never had any."""
+    row = connection.execute(
+        "SELECT folder, 1 FROM files WHERE seq = ?1 UNION ALL"
+        " SELECT folder, revision FROM revisions JOIN files ON files.seq = first WHERE revisions.seq = ?1",
+        (seq,),
+    ).fetchone()
+    return revision_folder(*row) if row else None
+
+
+def newest_folder(connection: sqlite3.Connection, first: int) -> str | None:
+    """Return where the files of a stone's newest revision are; `first` is the seq of its first result."""
+    row = connection.execute("SELECT seq FROM revised WHERE first = ?", (first,)).fetchone()
+    return folder(connection, row[0] if row else first)
 
 
 def particles(
     connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int | None, limit: int
 ) -> list[Record]:
-    """Return the newest `limit` results that fit and are older than `before_seq`, newest first."""
+    """Return the newest `limit` stones that fit and first came before `before_seq`, each in its newest revision."""
     conditions = {
-        "outcome = ?": wanted.outcome,
-        "quality = ?": wanted.quality,
+        f"{LISTED['outcome']} = ?": wanted.outcome,
+        f"{LISTED['quality']} = ?": wanted.quality,
         "kind = ?": wanted.kind,
-        "sieve_size_mm >= ?": wanted.min_sieve_size_mm,
-        "sieve_size_mm <= ?": wanted.max_sieve_size_mm,
+        f"{LISTED['sieve_size_mm']} >= ?": wanted.min_sieve_size_mm,
+        f"{LISTED['sieve_size_mm']} <= ?": wanted.max_sieve_size_mm,
         "captured_at >= ?": wanted.since,
         "captured_at < ?": wanted.until,
-        "seq IN (SELECT seq FROM stones WHERE lot = ?)": wanted.lot,
-        "seq < ?": before_seq,
+        "listed.seq IN (SELECT seq FROM stones WHERE lot = ?)": wanted.lot,
+        "(listed.seq >= (SELECT first_raw FROM store) OR listed.seq IN (SELECT seq FROM pins)) = ?": wanted.has_frames,
+        "listed.seq < ?": before_seq,
     }
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
-        f"{RECORDS} WHERE seq IN ("  # noqa: S608 - conditions are keys of the table above
-        f"SELECT seq FROM listed WHERE {' AND '.join(given) or 'TRUE'} ORDER BY seq DESC LIMIT ?"
-        ") ORDER BY seq DESC",
+        f"{NEWEST} WHERE results.seq IN ("  # noqa: S608 - conditions are keys of the table above
+        "SELECT listed.seq FROM listed LEFT JOIN revised ON revised.first = listed.seq"
+        f" WHERE {' AND '.join(given) or 'TRUE'} ORDER BY listed.seq DESC LIMIT ?"
+        ") ORDER BY results.seq DESC",
         (*given.values(), limit),
     ).fetchall()
     return [_record(*row) for row in rows]
 
 
-def _record(text: str, removed: str | None, pin_reason: str | None, lot: str | None) -> Record:
+def _record(seq: int, text: str, removed: str | None, pin_reason: str | None, lot: str | None) -> Record:
     """Return the record as it was stored, with what has happened to it since."""
     record: Record = json.loads(text)
     return record | {

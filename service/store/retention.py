@@ -114,7 +114,9 @@ def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now:
     with transaction(connection):
         rows = connection.execute(
             "SELECT seq, json_extract(record, '$.recorded_at') FROM results, store"
-            " WHERE seq >= first_seq AND seq < last_seq ORDER BY seq LIMIT ?",
+            " WHERE seq >= first_seq AND seq < last_seq UNION ALL"
+            " SELECT seq, json_extract(record, '$.recorded_at') FROM revisions, store"
+            " WHERE seq >= first_seq AND seq < last_seq ORDER BY 1 LIMIT ?",
             (LOOK,),
         ).fetchall()
         (read_by_all,) = connection.execute("SELECT min(after_seq) FROM consumers").fetchone()
@@ -126,10 +128,12 @@ def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now:
         due = rows[: min(n_due, STEP)]
         if due:
             connection.execute("UPDATE store SET first_seq = ?", (due[-1][0] + 1,))
-        # the newest trigger stays, so that its number is not given again; files go before their row
+        # the newest trigger stays, so that its number is not given again; files go before their row, and a result whose
+        # revision is still in the feed after that
         connection.execute(
             "DELETE FROM results WHERE seq IN (SELECT seq FROM results, store WHERE seq < first_seq"
             " AND seq NOT IN (SELECT seq FROM pins) AND trigger < (SELECT max(trigger) FROM triggers)"
+            " AND NOT EXISTS (SELECT 1 FROM revised WHERE first = results.seq AND revised.seq >= store.first_seq)"
             " AND NOT EXISTS (SELECT 1 FROM files WHERE files.seq = results.seq AND bytes IS NOT NULL) LIMIT ?)",
             (STEP,),
         )

@@ -218,7 +218,7 @@ class Store:
 
     async def drop_old_raw(self, seq: int) -> None:
         """Remove the raw frames of a result unless it is among the newest `keep_raw`."""
-        if seq <= self._last_seq - self._keep_raw:
+        if seq < self._first_raw:
             with suppress(OSError):  # a disk that is read-only now
                 await asyncio.to_thread(drop_raw, await self.folder(seq))
 
@@ -262,7 +262,7 @@ class Store:
         return await self.read(reads.results_after, seq, limit)
 
     async def particle(self, key: str | int) -> reads.Record | None:
-        """Return one result by id (text) or seq (number), None if there is none."""
+        """Return one result by id (text), in its newest revision, or by seq (number); None if there is none."""
         return await self.read(reads.particle, key)
 
     async def particles(
@@ -349,7 +349,7 @@ class Store:
             if last_seq != self._last_seq:
                 self._last_seq = last_seq
                 history.acknowledge(self.dir, self._instance_id, last_seq)
-            first_kept = last_seq - self._keep_raw + 1
+            first_kept = writes.first_with_frames(connection, self._keep_raw)
             if first_kept > self._first_raw:
                 writes.drop_old_raw(connection, self.particles_dir, self._first_raw, first_kept)
                 self._first_raw = first_kept

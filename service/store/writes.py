@@ -61,6 +61,14 @@ def note_calibration(connection: sqlite3.Connection, session: int, calibration_i
         )
 
 
+def first_with_frames(connection: sqlite3.Connection, keep_raw: int) -> int:
+    """Return the first of the newest `keep_raw` results; revisions are none of them, as they have no frames."""
+    row = connection.execute(
+        "SELECT seq FROM listed ORDER BY seq DESC LIMIT 1 OFFSET ?", (keep_raw,)
+    ).fetchone()
+    return 1 if row is None else int(row[0]) + 1
+
+
 def drop_old_raw(connection: sqlite3.Connection, particles_dir: Path, first: int, end: int) -> None:
     """Remove the raw frames of the results from `first` to before `end` but pinned ones, and note that at times."""
     rows = connection.execute(
@@ -210,6 +218,8 @@ def _end(
     identity = {
         "seq": seq,
         "id": name,
+        "revision": 1,
+        "revises": None,
         "session": session,
         "bundle": bundle,
         "sequence": sequence,

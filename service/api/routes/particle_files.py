@@ -1,7 +1,7 @@
 """The files of one particle: mesh, preview, views and silhouettes.
 
-They never change but by being removed: content negotiation and caching go as far as immutable files need them
-(RFC 9110, sections 12.5.1 and 13).
+They never change but by being removed, and what a `seq` or a view names is the same for ever; an `id` names the newest
+revision. Content negotiation and caching go as far as such files need them (RFC 9110, sections 12.5.1 and 13).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,6 +25,7 @@ from service.api.routes.cameras import CameraName
 from service.api.routes.particles import ParticleKey, find_record
 from service.results.fields import Outcome
 from service.store import Record
+from service.store.particle_files import first_seq
 
 router = APIRouter(prefix="/particles", tags=["particles"])
 
@@ -34,6 +35,8 @@ MEDIA_TYPES = {
     MeshFormat.GLB: "model/gltf-binary",
 }
 CACHE_FOREVER = "private, max-age=31536000, immutable"
+ASK_AGAIN = "private, no-cache"
+"""For what another revision may replace: it may be kept, and is asked for by its ETag."""
 
 IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)}
 MESH: Responses = {
@@ -78,14 +81,17 @@ async def mesh_file(
 async def preview(context: Context, request: Request, particle_id: ParticleKey) -> Response:
     """Return a rendered picture of the mesh."""
     record = await find_record(context, particle_id)
-    return await _file(context, request, record, "preview", "image/png", preview_png)
+    return await _file(
+        context, request, record, "preview", "image/png", preview_png, is_fixed=particle_id.isdecimal()
+    )
 
 
 @router.get("/{particle_id}/views/{camera}.png", response_class=Response, responses=IMAGE)
 async def view(context: Context, request: Request, particle_id: ParticleKey, camera: CameraName) -> Response:
     """Return the image of one camera; 404 `not-kept` when the raw images were not kept or are gone."""
     record = await _record_with_view(context, particle_id, camera)
-    return await _file(context, request, record, camera, "image/png", view_png, camera)
+    frames = {**record, "seq": first_seq(record["id"]), "revision": 1}  # the stone's, whatever measured it
+    return await _file(context, request, frames, camera, "image/png", view_png, camera, is_fixed=True)
 
 
 @router.get("/{particle_id}/views/{camera}/silhouette.png", response_class=Response, responses=IMAGE)
@@ -102,6 +108,7 @@ async def silhouette(
         "image/png",
         silhouette_png,
         camera,
+        is_fixed=particle_id.isdecimal(),
     )
 
 
@@ -127,6 +134,7 @@ async def _mesh_response(
         MEDIA_TYPES[mesh_format],
         mesh_bytes,
         mesh_format,
+        is_fixed=key.isdecimal(),
     )
     response.headers["Vary"] = "Accept"
     return response
@@ -140,16 +148,18 @@ async def _file(
     media_type: str,
     load: Callable[..., bytes],
     *choice: str,
+    is_fixed: bool,
 ) -> Response:
-    """Answer with `load(folder, *choice)`, which the client may cache for ever; 304 when it has it."""
+    """Answer with `load(folder, *choice)`, 304 when the client has it; one that is fixed it may cache for ever."""
     members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
     if (removed := record["files_removed"]) is not None:
         detail = (
             f"mesh and images of particle {record['id']} were removed for {removed}, its numbers are kept"
         )
         raise Problem(410, "files-removed", detail, files_removed=removed, **members)
-    etag = f'"{record["id"]}.{name}"'
-    headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER}
+    revision = record.get("revision", 1)
+    etag = f'"{record["id"]}.{name}"' if revision == 1 else f'"{record["id"]}.r{revision}.{name}"'
+    headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER if is_fixed else ASK_AGAIN}
     if has_version(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     try:

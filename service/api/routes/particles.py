@@ -20,7 +20,11 @@ from service.store import ParticleFilter, Record, read
 router = APIRouter(prefix="/particles", tags=["particles"])
 
 ParticleKey = Annotated[
-    str, Path(pattern=r"^([0-9a-f]{8}-)?[0-9]{1,15}$", description="`id` of a result, or its `seq`")
+    str,
+    Path(
+        pattern=r"^([0-9a-f]{8}-)?[0-9]{1,15}$",
+        description="`id` of a result, for its newest revision, or the `seq` of a first or later one",
+    ),
 ]
 CHANGING = ("lot", "files_removed", "is_pinned", "pin_reason")
 """Fields of a result that change after it became durable."""
@@ -51,12 +55,22 @@ async def particles(
     since: Annotated[Time | None, Query(description="Captured at or after, RFC 3339")] = None,
     until: Annotated[Time | None, Query(description="Captured before, RFC 3339")] = None,
     lot: Annotated[str | None, Query(max_length=64, description="In this lot now")] = None,
+    has_frames: Annotated[
+        bool | None,
+        Query(
+            description="True: only stones that are new enough to have their raw frames, by `[store] keep_raw`, or"
+            " pinned; false: only others"
+        ),
+    ] = None,
     cursor: Annotated[
         str | None, Query(pattern=r"^[0-9]{1,15}$", description="`next_cursor` of the page before")
     ] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Results of a page, at most")] = 100,
 ) -> Response:
-    """List the results that pass all filters, newest first. To follow production use the feed, `/results`."""
+    """List the results that pass all filters, newest first, each in its newest revision.
+
+    To follow production use the feed, `/results`.
+    """
     wanted = ParticleFilter(
         outcome=outcome,
         quality=quality,
@@ -66,6 +80,7 @@ async def particles(
         since=since,
         until=until,
         lot=lot,
+        has_frames=has_frames,
     )
     before_seq = MAX_SEQ if cursor is None else int(cursor)
     if limit > MAX_SMALL:
@@ -80,14 +95,14 @@ async def particles(
 
 @router.get("/{particle_id}", response_model=Result, responses={**NOT_MODIFIED, **problem_responses(404)})
 async def particle(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return one result; its `ETag` changes with its lot, its pin and the removal of its files."""
+    """Return one result; its `ETag` changes with its revision, its lot, its pin and the removal of its files."""
     record = await find_record(context, particle_id)
     return unchanged(request, record_tag(record)) or record_response(record)
 
 
 def record_tag(record: Record) -> str:
-    """Return the version of a result: a record never changes, but for what happens to it later."""
-    return etag(API_VERSION, record["id"], [record[name] for name in CHANGING])
+    """Return the version of a result: a record never changes, but for its revisions and what happens to it later."""
+    return etag(API_VERSION, record["id"], record.get("revision", 1), [record[name] for name in CHANGING])
 
 
 def record_response(record: Record) -> JSONResponse:

@@ -14,6 +14,7 @@ from service.api.routes.particles import ParticleKey, find_record, record_respon
 from service.api.settings import Scope
 from service.results.fields import Result
 from service.store.holds import pin
+from service.store.particle_files import first_seq
 from service.store.reads import particle as stored_particle
 
 router = APIRouter(prefix="/particles", tags=["particles"])
@@ -40,11 +41,11 @@ async def pin_particle(
     context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who, if_match: IfMatch = None
 ) -> Response:
     """Pin a result, or no longer, and return it. What was removed before does not come back."""
-    seq = (await find_record(context, particle_id))["seq"]
+    seq = first_seq((await find_record(context, particle_id))["id"])
     context.store.require_writable()
 
     def version(connection: sqlite3.Connection) -> str | None:
-        record = stored_particle(connection, seq)
+        record = stored_particle(connection, int(particle_id) if particle_id.isdecimal() else particle_id)
         return None if record is None else record_tag(record)
 
     reason = wanted.reason if wanted.is_pinned else None

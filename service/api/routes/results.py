@@ -33,7 +33,7 @@ async def fields_of(
         Query(
             max_length=2000,
             description="Only these fields of each result, separated by commas; `lean`: those that a MES needs, under"
-            " 1 kB. `seq`, `id`, `kind`, `outcome`, `is_simulated` and `is_replay` are always there",
+            " 1 kB. `seq`, `id`, `revision`, `kind`, `outcome`, `is_simulated` and `is_replay` are always there",
             examples=["lean", "sieve_size_mm,mass_g"],
         ),
     ] = None,
@@ -70,6 +70,9 @@ async def results(
     ] = None,
 ) -> Response:
     """Return the results after `after`, in order, without gaps, each at least once.
+
+    A stone that was measured again comes again: an item with the same `id`, the next `revision`, and in `revises` the
+    `seq` of the item whose place it takes. Store by `id`, and the newest wins.
 
     410 `cursor-expired`: results after `after` are no longer kept, the feed begins at `first_seq`. 409 `cursor-ahead`:
     the feed has not reached `after`, as when the store was replaced or restored from a backup.

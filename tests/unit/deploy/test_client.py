@@ -291,6 +291,65 @@ def test_a_post_is_repeated_with_one_key_and_refused_once(feed: FakeFeed) -> Non
     assert (refused.value.status, refused.value.kind) == (409, "lot-conflict")
 
 
+def test_of_a_stone_that_was_measured_again_the_newest_is_left(
+    feed: FakeFeed, database: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "stones.sqlite"
+
+    def items(after: int, limit: int = 0) -> list[dict[str, Any]]:
+        """Return five stones, and as 6 and 8 revisions of the second, as 7 one of the fourth."""
+        all_ = [feed.item(seq) for seq in range(1, feed.last_seq + 1)]
+        for seq, first, revision in ((6, 2, 2), (7, 4, 2), (8, 2, 3)):
+            if seq <= feed.last_seq:
+                changed = {
+                    "id": all_[first - 1]["id"],
+                    "revision": revision,
+                    "revises": seq - 2 * (revision - 1),
+                }
+                all_[seq - 1] |= changed | ({"outcome": "rejected"} if seq == 7 else {})
+        return [item for item in all_ if item["seq"] > after]
+
+    feed.items = items  # type: ignore[method-assign]
+    for feed.last_seq in (5, 6, 8):
+        follow_until(feed, database, has_all(feed))
+    assert [(id_[-1], seq) for id_, seq, _ in stored(path)] == [
+        ("1", 1),
+        ("3", 3),
+        ("5", 5),
+        ("4", 7),
+        ("2", 8),
+    ]
+    assert outcomes(path) == {
+        "1": "measured",
+        "2": "measured",
+        "3": "measured",
+        "4": "rejected",
+        "5": "measured",
+    }
+    assert database.summary() == "5 results, cursor at 8, 0 gaps"
+
+    old = client.Step(
+        client.Position("aaaaaaaa", 8), (items(1)[0],)
+    )  # comes again, as after a kill of a receiver
+    database.store(old)
+    assert stored(path)[-1][1] == 8
+    feed.instance_id = "bbbbbbbb"  # a backup of before the revisions: what it says counts
+    feed.last_seq = 5
+    restored = [item | {"id": item["id"].replace("bbbbbbbb", "aaaaaaaa")} for item in items(0)]
+    feed.items = lambda after, limit=0: restored[after:]  # type: ignore[method-assign]
+    follow_until(feed, database, has_all(feed))
+    assert [seq for _, seq, _ in stored(path)] == [1, 2, 3, 4, 5]
+    assert set(outcomes(path).values()) == {"measured"}
+
+
+def outcomes(path: Path) -> dict[str, str]:
+    """Return the outcome of each stone by the last digit of its id."""
+    connection = sqlite3.connect(path)
+    rows = connection.execute("SELECT id, outcome FROM stones").fetchall()
+    connection.close()
+    return {id_[-1]: outcome for id_, outcome in rows}
+
+
 def test_a_receiver_without_transactions_goes_on_after_what_it_has_handled(
     feed: FakeFeed, tmp_path: Path
 ) -> None:
