@@ -30,6 +30,7 @@ COMMANDS = {
     "audit": "service.commands.audit",
     "keys": "service.commands.keys",
     "backup": "service.commands.backup",
+    "remeasure": "service.commands.remeasure",
     "restore": "service.commands.restore",
     "shape": "service.commands.shape",
     "fit-volume": "service.commands.fit_volume",

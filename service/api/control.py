@@ -16,6 +16,7 @@ from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
+from service.remeasuring.remeasuring import Remeasuring
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 
 
@@ -33,6 +34,9 @@ class Control(Protocol):
 
     @property
     def alarms(self) -> Alarms: ...
+
+    @property
+    def remeasuring(self) -> Remeasuring: ...
 
     @property
     def webhooks(self) -> Webhooks: ...

@@ -34,6 +34,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationPlan, Verifications
 from service.errors import StoreError
+from service.processing.measure_job import RigFile
 from service.results.fields import Verified
 from service.status import AcquisitionState, CalibrationFacts
 
@@ -148,6 +149,11 @@ class Calibrations:
         """Return the rig file of one calibration, None while there is none."""
         record = self._records.get(name)
         return None if record is None or record.calibration_id is None else self._files.rig_file(record).path
+
+    def rig_file_of(self, calibration_id: str | None) -> RigFile | None:
+        """Return the rig file that results with this calibration were measured with, None if it is not kept."""
+        found = (self._files.rig_file(record) for record in self.all() if record.calibration_id is not None)
+        return next((file for file in found if file.calibration_id == calibration_id), None)
 
     # --- requests; each raises `CalibrationConflictError` where its state forbids it ---
 

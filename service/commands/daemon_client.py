@@ -27,11 +27,21 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer 
 
 
 class DaemonError(ServiceError):
-    """The daemon cannot be reached, or refuses a request."""
+    """The daemon cannot be reached, or refuses a request: then `kind` is the last part of the problem's type."""
+
+    def __init__(self, detail: str, kind: str | None = None) -> None:
+        super().__init__(detail)
+        self.kind = kind
 
 
 def ask(
-    url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None, *, method: str | None = None
+    url: str,
+    path: str,
+    key: str | None,
+    body: Mapping[str, Any] | None = None,
+    *,
+    method: str | None = None,
+    timeout_s: float = TIMEOUT_S,
 ) -> dict[str, Any]:
     """Return the answer to a GET request, or with a `body` to a POST request; members that are None are not sent.
 
@@ -40,7 +50,7 @@ def ask(
     DaemonError
         It does not answer, or refuses; carries the reason it gives.
     """
-    content = fetch(url, path, key, body, method=method)
+    content = fetch(url, path, key, body, method=method, timeout_s=timeout_s)
     try:
         return dict(json.loads(content))
     except ValueError as err:
@@ -48,7 +58,13 @@ def ask(
 
 
 def fetch(
-    url: str, path: str, key: str | None, body: Mapping[str, Any] | None = None, *, method: str | None = None
+    url: str,
+    path: str,
+    key: str | None,
+    body: Mapping[str, Any] | None = None,
+    *,
+    method: str | None = None,
+    timeout_s: float = TIMEOUT_S,
 ) -> bytes:
     """Return the content of an answer, whatever it is; otherwise as `ask`."""
     if urlsplit(url).scheme not in ("http", "https"):
@@ -63,18 +79,19 @@ def fetch(
     address = f"{url.rstrip('/')}{BASE}{path}"
     request = urllib.request.Request(address, data, headers, method=method)  # noqa: S310 - http or https, see above
     try:
-        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:  # noqa: S310 - as above
+        with urllib.request.urlopen(request, timeout=timeout_s) as answer:  # noqa: S310 - as above
             return bytes(answer.read())
     except urllib.error.HTTPError as err:
         with err:
-            raise DaemonError(_refusal(err)) from None
+            raise _refusal(err) from None
     except (OSError, HTTPException, ValueError) as err:
         reason = getattr(err, "reason", err)
         raise DaemonError(f"no answer from {url}: {reason}: is the daemon running there?") from None
 
 
-def _refusal(error: urllib.error.HTTPError) -> str:
+def _refusal(error: urllib.error.HTTPError) -> DaemonError:
     try:
-        return f"refused: {json.load(error)['detail']}"
+        problem = json.load(error)
+        return DaemonError(f"refused: {problem['detail']}", str(problem["type"]).rpartition(":")[2])
     except (ValueError, KeyError, TypeError):
-        return f"refused: {error.code} {error.reason}"
+        return DaemonError(f"refused: {error.code} {error.reason}")

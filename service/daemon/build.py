@@ -40,12 +40,12 @@ from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
 from service.processing.processing import Processing, ProcessingContext
 from service.processing.quarantine import Quarantine
-from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
+from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
@@ -116,7 +116,19 @@ async def build(settings: Settings, store: Store) -> Daemon:
         store_trouble=lambda: _store_trouble(store),
         on_state=lambda state, trouble: events.note(acquisition_changed(state, trouble)),
     )
-    pool = _build_pool(settings, source, segmentation)
+    worker_context = WorkerContext(
+        parameters=settings.pipeline,
+        is_simulated=source.is_simulated,
+        speed_at_gate_mm_s=source.fall.speed_at_gate_mm_s,
+        segmentation=segmentation,
+        compact_meshes=not settings.store.exact_meshes,
+    )
+    pool = WorkerPool(
+        slots=settings.workers.slots,
+        deadline_s=settings.workers.deadline_s,
+        prepare=prepare,
+        context=worker_context,
+    )
     delays = result_delays()
     processing = Processing(
         ProcessingContext(
@@ -166,6 +178,14 @@ async def build(settings: Settings, store: Store) -> Daemon:
         file_drop=await open_file_drop(store, settings.file_drop),
         acquisition=acquisition,
         processing=processing,
+        remeasuring=Remeasuring(
+            store,
+            calibrations,
+            processing,
+            make_pool=lambda: new_pool(worker_context),
+            folder=folder,
+            save_silhouettes=settings.store.save_silhouettes,
+        ),
         delays=delays,
         heartbeats=heartbeats,
         watches=watches,
@@ -201,21 +221,6 @@ def _build_queue(
         left=left,
     )
     return spool, archive
-
-
-def _build_pool(settings: Settings, source: RecordingSource, segmentation: SegmenterPlan) -> WorkerPool:
-    return WorkerPool(
-        slots=settings.workers.slots,
-        deadline_s=settings.workers.deadline_s,
-        prepare=prepare,
-        context=WorkerContext(
-            parameters=settings.pipeline,
-            is_simulated=source.is_simulated,
-            speed_at_gate_mm_s=source.fall.speed_at_gate_mm_s,
-            segmentation=segmentation,
-            compact_meshes=not settings.store.exact_meshes,
-        ),
-    )
 
 
 async def _begin_session(

@@ -78,6 +78,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 _retaining(daemon, tasks),
                 _delivering(daemon, reading, tasks),
                 _processing(daemon, tasks, requests),
+                _remeasuring(daemon),
                 _calibrating(daemon, tasks),
                 _acquiring(daemon, tasks, manager, requests),
             ):
@@ -223,6 +224,13 @@ async def _processing(
             log.error("outcomes are given up bundles=%d: %s", daemon.spool.n_waiting, trouble)
             processing.cancel()
     daemon.pool.close()
+
+
+@asynccontextmanager
+async def _remeasuring(daemon: Daemon) -> AsyncIterator[None]:
+    """Measure stones again on request; whoever asked for one that is being measured at the end must ask again."""
+    yield
+    daemon.remeasuring.close()
 
 
 @asynccontextmanager

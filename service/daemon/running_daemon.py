@@ -37,6 +37,7 @@ from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
+from service.remeasuring.remeasuring import Remeasuring
 from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
 from service.store import Store, StoreTrouble
 
@@ -77,6 +78,7 @@ class Daemon:
     file_drop: FileDrop
     acquisition: Acquisition
     processing: Processing
+    remeasuring: Remeasuring
     delays: Histogram
     heartbeats: Heartbeats
     watches: Watches

@@ -190,6 +190,11 @@ class Processing:
     def has_background(self) -> bool:
         return self._backgrounds.in_use is not None
 
+    @property
+    def background(self) -> Path | None:
+        """The folder of the version that the next stone is measured with; it is removed some time after another."""
+        return self._backgrounds.in_use
+
     async def run(self) -> None:
         """Process and commit every bundle of the spool; return when it is finished."""
         if self._kept_background is not None:

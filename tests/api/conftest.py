@@ -1,5 +1,5 @@
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import httpx
@@ -7,6 +7,7 @@ import pytest
 from pydantic import SecretStr
 from support.calibration_desk import open_desk
 from support.recordings import SOURCE
+from support.remeasuring import AgainPool, remeasuring_of
 from support.rest import FakeControl, app_of, client_of
 from support.webhook_receiver import SECRET, Receiver
 
@@ -56,7 +57,17 @@ async def webhooks(store: Store, control: FakeControl, receiver: Receiver) -> We
 
 
 @pytest.fixture
-async def client(store: Store, control: FakeControl) -> AsyncIterator[httpx.AsyncClient]:
+def again(store: Store, control: FakeControl, tmp_path: Path) -> Iterator[AgainPool]:
+    """Return the process in which the fake daemon measures stones again."""
+    assert control.calibrations is not None
+    pool = AgainPool()
+    control.remeasuring = remeasuring_of(store, control.calibrations, pool, tmp_path)
+    yield pool
+    control.remeasuring.close()
+
+
+@pytest.fixture
+async def client(store: Store, control: FakeControl, again: AgainPool) -> AsyncIterator[httpx.AsyncClient]:
     async with client_of(app_of(store, control, ApiSettings())) as client:
         yield client
 

@@ -13,6 +13,7 @@ import httpx
 import pytest
 from support.calibration_desk import a_drop, solve
 from support.recordings import make_bundle
+from support.remeasuring import AgainPool, add_old
 from support.rest import FakeControl, add, app_of, client_of, measured
 
 from service.alarms.alarms import Alarms
@@ -63,7 +64,9 @@ class Writing:
         return list((await self._client.get(f"/audit?after={after}&limit=1000")).json()["items"])
 
 
-async def write_everything(write: Writing, control: FakeControl, store: Store, session: int) -> None:
+async def write_everything(
+    write: Writing, control: FakeControl, store: Store, session: int, tmp_path: Path
+) -> None:
     assert control.recordings is not None
     assert control.calibrations is not None
     desk = control.calibrations
@@ -96,6 +99,11 @@ async def write_everything(write: Writing, control: FakeControl, store: Store, s
     pin = {"is_pinned": True, "reason": "dispute"}
     pinned = await write("PUT", "/particles/{particle_id}/pin", pin, "particle pinned", "1", particle_id="1")
     assert (pinned["before"], pinned["after"]) == (None, {"reason": "dispute"})
+
+    name = await add_old(store, session, 30, tmp_path, desk.rig_file.calibration_id)
+    route = "/particles/{particle_id}/revisions"
+    again = await write("POST", route, {}, "particle remeasured", name, particle_id=name)
+    assert (again["before"]["seq"], again["after"]["revision"]) == (30, 2)
 
     opened = await write("POST", "/calibrations", BALL, "calibration opened", "0002")
     assert opened["after"]["state"] == "collecting"
@@ -152,12 +160,13 @@ async def write_webhooks(write: Writing) -> None:
 
 @pytest.mark.usefixtures("webhooks")
 async def test_every_route_that_writes_leaves_an_entry(
-    store: Store, session: int, control: FakeControl, alarms: Alarms
+    store: Store, session: int, control: FakeControl, alarms: Alarms, again: AgainPool, tmp_path: Path
 ) -> None:
     async with client_of(app_of(store, control, ApiSettings(keys=(KEY,)))) as client:
         client.headers["Authorization"] = "Bearer token"
         write = Writing(client)
-        await write_everything(write, control, store, session)
+        await write_everything(write, control, store, session, tmp_path)
+        assert len(again.jobs) == 1
         await write_webhooks(write)
         await write_alarms(write, alarms)
         n_entries = len(await write.entries())

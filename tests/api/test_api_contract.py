@@ -91,7 +91,7 @@ async def fill(store: Store, session: int, folder: Path) -> None:
     await store.write(open_lot, LotDefinition(lot="L2"), "basalt-8-16", None, "test")
 
 
-@pytest.mark.usefixtures("webhooks")
+@pytest.mark.usefixtures("webhooks", "again")
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "phases", ["examples,fuzzing", pytest.param("examples,coverage,fuzzing", marks=pytest.mark.full)]

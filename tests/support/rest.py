@@ -28,6 +28,7 @@ from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
+from service.remeasuring.remeasuring import Remeasuring
 from service.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -76,6 +77,7 @@ class FakeControl:
     settings: dict[str, Any] = field(default_factory=dict)
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None
+    remeasuring: Remeasuring | None = None
 
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))

@@ -1,0 +1,139 @@
+"""An upgrade of the algorithm: the command has the daemon measure its stones again, over kills; a client follows."""
+
+import json
+import socket
+import sqlite3
+import subprocess
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from support.daemon_process import STONEFALL, DaemonProcess
+from support.eventually import eventually
+from support.reference_client import start_client
+from support.small_recording import write_small_recording
+
+from service.results.fields import MEASURED_FIELDS
+from service.results.version import ALGORITHM_VERSION
+
+N_STONES = 5
+OF_THE_STONE = ("id", "session", "bundle", "sequence", "kind", "captured_at", "is_simulated", "is_replay")
+NUMBERS = (
+    "outcome", "reason", "quality", "quality_causes", "views", "dropped_views", "segmenters", "segmentation_flags",
+    *MEASURED_FIELDS, "gate_extent_mm", "view_residuals_px", "tangency_px", "image_shifts_px", "optics",
+    "calibration_id",
+)  # fmt: skip
+EVER = {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}
+
+
+def remeasure(daemon: DaemonProcess, *options: str) -> subprocess.Popen[str]:
+    command = [STONEFALL, "remeasure", "--config", daemon.config_path, "--json", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def summary(command: subprocess.Popen[str]) -> dict[str, Any]:
+    """Return what the command prints once it has ended."""
+    printed, told = command.communicate()
+    assert command.returncode == 0, told
+    return dict(json.loads(printed))
+
+
+def free_port() -> int:
+    with closing(socket.create_server(("127.0.0.1", 0))) as listener:
+        return int(listener.getsockname()[1])
+
+
+def n_archived(folder: Path) -> int:
+    return len(list(folder.glob("state/particles/*/*/bundle.tiff")))
+
+
+def make_old(folder: Path) -> None:
+    """Have an older algorithm measured all stones so far."""
+    with closing(sqlite3.connect(folder / "state" / "results.sqlite")) as database, database:
+        database.execute("UPDATE results SET record = json_set(record, '$.algorithm_version', '0')")
+        database.execute("UPDATE stones SET algorithm_version = '0'")
+
+
+def newest_of(items: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {item["id"]: item for item in items}
+
+
+def client_has(path: Path) -> dict[str, tuple[int, int]]:
+    with closing(sqlite3.connect(path)) as database:
+        rows = database.execute("SELECT id, seq, record ->> 'revision' FROM stones").fetchall()
+    return {name: (seq, revision) for name, seq, revision in rows}
+
+
+def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_path: Path) -> None:
+    recording, port = tmp_path / "recording", free_port()
+    write_small_recording(recording, n_stones=N_STONES)
+
+    with DaemonProcess(tmp_path, recording, port=port) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda found: found["measured"] == N_STONES)
+        eventually(lambda: n_archived(tmp_path) == N_STONES)
+        daemon.put("/products/basalt", {"title": "8/16", "density_kg_m3": 2700})
+        daemon.post("/lots", {"lot": "L1", "product": "basalt"})
+        assert daemon.post("/lots/L1/assign", EVER)["n_assigned"] == N_STONES
+        assert daemon.post("/lots/L1/close", {})["revision"] == 1
+        assert daemon.stop() == 0
+    make_old(tmp_path)
+
+    following = start_client(f"http://127.0.0.1:{port}", tmp_path / "mes.sqlite", "--consumer", "mes")
+    try:
+        with DaemonProcess(tmp_path, recording, port=port) as daemon:
+            daemon.hear("READY=1")
+            daemon.wait_for("/accounting", lambda found: found["measured"] == 2 * N_STONES)
+            without = daemon.get("/particles/5")["id"]
+            next(tmp_path.glob(f"state/particles/*/{without}/bundle.tiff")).unlink()
+            command = remeasure(daemon)
+            daemon.wait_for("/results?after=10", lambda found: found["items"])
+            daemon.process.kill()
+            daemon.process.wait()
+            command.communicate()  # done just before the kill, or one line that says that nobody answers
+            assert command.returncode in (0, 1)
+        with DaemonProcess(tmp_path, recording, port=port) as daemon:
+            daemon.hear("READY=1")
+            daemon.wait_for("/accounting", lambda found: found["measured"] == 3 * N_STONES)
+            first = summary(
+                remeasure(daemon, "--lot", "L1", "--since", EVER["since"], "--until", EVER["until"])
+            )
+            assert first["failed"] == {}
+            assert first["without_frames"] == [without]
+            assert len(first["revised"]) + len(first["unchanged"]) == N_STONES - 1
+            second = summary(remeasure(daemon))
+            assert (second["revised"], len(second["unchanged"])) == ([], 3 * N_STONES - 1)
+
+            items = daemon.results()
+            assert [item["seq"] for item in items] == list(range(1, 4 * N_STONES))
+            by_seq = {item["seq"]: item for item in items}
+            later = [item for item in items if item["revision"] > 1]
+            assert [(item["revision"], item["revises"]) for item in later] == [
+                (2, n) for n in range(1, N_STONES)
+            ]
+            for again in later:
+                before = by_seq[again["revises"]]
+                assert {name: again[name] for name in OF_THE_STONE} == {
+                    name: before[name] for name in OF_THE_STONE
+                }
+                assert {name: again[name] for name in NUMBERS} == {name: before[name] for name in NUMBERS}
+                assert (before["algorithm_version"], again["algorithm_version"]) == ("0", ALGORITHM_VERSION)
+                assert again["mesh"] == f"particles/{again['seq']}/mesh.ply"
+                (mesh,) = tmp_path.glob(f"state/particles/*/{again['id']}/r2/mesh.sfmesh")
+                assert mesh.read_bytes() == (mesh.parents[1] / "mesh.sfmesh").read_bytes()
+            counts = daemon.get("/accounting")
+            assert (counts["triggers"], counts["measured"]) == (3 * N_STONES, 3 * N_STONES)
+            assert daemon.get("/lots/L1")["revision"] == N_STONES
+            entries = [
+                each for each in daemon.get("/audit")["items"] if each["action"] == "particle remeasured"
+            ]
+            assert len(entries) == N_STONES - 1
+
+            wanted = {name: (item["seq"], item["revision"]) for name, item in newest_of(items).items()}
+            assert len(wanted) == 3 * N_STONES
+            eventually(lambda: client_has(tmp_path / "mes.sqlite") == wanted)
+            assert daemon.stop() == 0
+    finally:
+        following.terminate()
+        following.wait()
+    assert "Traceback" not in daemon.log

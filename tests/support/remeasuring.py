@@ -1,0 +1,77 @@
+"""Measuring again without pixels: a pool that returns a made-up record, and stones with frames."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import trimesh
+from support.rest import add, measured, particle_files
+
+from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, NetworkUse
+from service.remeasuring.remeasuring import Remeasuring, RigFiles
+from service.results.version import ALGORITHM_VERSION
+from service.store import Store
+
+OLD = "0"
+"""The algorithm's version of the stones that are to be measured again."""
+
+
+@dataclass
+class AgainPool:
+    """Stands in for the process that measures again; writes a mesh of other size."""
+
+    fields: dict[str, Any] = field(default_factory=dict)  # of the next records
+    error: Exception | None = None  # raised instead
+    jobs: list[MeasureJob] = field(default_factory=list)
+    n_started: int = 0
+    closed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def start(self) -> None:
+        self.n_started += 1
+
+    async def run(self, function: Callable[[MeasureJob], MeasuredBundle], job: MeasureJob) -> MeasuredBundle:
+        self.jobs.append(job)
+        if self.error is not None:
+            raise self.error
+        job.out_dir.mkdir(parents=True)
+        trimesh.creation.box((1.0, 2.0, 3.0)).export(job.out_dir / MESH)
+        made = {"calibration_id": job.rig_file.calibration_id, "algorithm_version": ALGORITHM_VERSION}
+        record = measured(**made, **self.fields)
+        return MeasuredBundle(record, NetworkUse(is_source=False, trouble=None))
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+@dataclass
+class FixedBackground:
+    """The background in use, which a test sets."""
+
+    background: Path | None = None
+
+
+def remeasuring_of(
+    store: Store, rigs: RigFiles, pool: AgainPool, folder: Path, background: Path | None = None
+) -> Remeasuring:
+    """Return what measures stones of the store again, in that pool."""
+    return Remeasuring(
+        store,
+        rigs,
+        FixedBackground(background),
+        make_pool=lambda: pool,
+        folder=folder,
+        save_silhouettes=False,
+    )
+
+
+async def add_old(
+    store: Store, session: int, sequence: int, folder: Path, calibration_id: str, **fields: Any
+) -> str:
+    """Store a stone with frames that an older algorithm measured; return its id."""
+    record = measured(calibration_id=calibration_id, algorithm_version=OLD, **fields)
+    seq = await add(store, session, sequence, record, particle_files(folder / "out"))
+    found = await store.particle(seq)
+    assert found is not None
+    return str(found["id"])

@@ -1,0 +1,193 @@
+"""Which stones are measured again, with what, and what hinders it; without pixels."""
+
+import asyncio
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.calibration_desk import open_desk
+from support.remeasuring import AgainPool, add_old, remeasuring_of
+from support.rest import add, measured
+
+from drivers.errors import RecordingError
+from service.calibration.calibrations import Calibrations
+from service.processing.measure_job import MeasureJob
+from service.processing.worker_pool import JobLostError
+from service.remeasuring import remeasuring as module
+from service.remeasuring.remeasuring import Hindrance, RemeasureError, Remeasuring
+from service.results.fields import LossReason
+from service.results.version import ALGORITHM_VERSION
+from service.store import Store
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Calibrations:
+    return open_desk(tmp_path / "desk")
+
+
+@pytest.fixture
+def pool() -> AgainPool:
+    return AgainPool(fields={"volume_mm3": 7.0})
+
+
+@pytest.fixture
+def again(store: Store, desk: Calibrations, pool: AgainPool, tmp_path: Path) -> Iterator[Remeasuring]:
+    remeasuring = remeasuring_of(store, desk, pool, tmp_path)
+    yield remeasuring
+    remeasuring.close()
+
+
+async def test_a_stone_is_measured_once_more_and_not_twice(
+    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+) -> None:
+    name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
+    assert await asyncio.gather(again.measure(name, "anna"), again.measure(name, "bob")) == [True, False]
+    (job,) = pool.jobs
+    assert job.bundle_path == await store.raw_path(1)
+    assert job.rig_file == desk.rig_file
+    assert not job.out_dir.exists()
+    newest = await store.particle(name)
+    assert newest is not None
+    assert (newest["revision"], newest["volume_mm3"]) == (2, 7.0)
+    assert newest["algorithm_version"] == ALGORITHM_VERSION
+    assert (await store.folder(2) / "mesh.ply").is_file()
+    assert pool.n_started == 1
+
+
+async def assert_hindered(again: Remeasuring, store: Store, name: str, why: Hindrance) -> None:
+    before = store.last_seq
+    with pytest.raises(RemeasureError) as refused:
+        await again.measure(name, "anna")
+    assert refused.value.why is why
+    assert store.last_seq == before
+    newest = await store.particle(name)
+    assert newest is None or newest["revision"] == 1
+
+
+async def test_what_has_no_frames_stays(
+    store: Store, session: int, desk: Calibrations, again: Remeasuring, tmp_path: Path
+) -> None:
+    name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
+    await asyncio.to_thread((await store.raw_path(1)).unlink)
+    await assert_hindered(again, store, name, Hindrance.NO_FRAMES)
+    await assert_hindered(again, store, "aaaaaaaa-00000007", Hindrance.NO_FRAMES)
+
+
+async def test_a_calibration_that_is_gone_is_replaced_by_no_other(
+    store: Store, session: int, desk: Calibrations, again: Remeasuring, tmp_path: Path
+) -> None:
+    unknown = await add_old(store, session, 1, tmp_path, "unknown")
+    await assert_hindered(again, store, unknown, Hindrance.NO_CALIBRATION)
+    known = await add_old(store, session, 2, tmp_path, desk.rig_file.calibration_id)
+    await asyncio.to_thread(desk.rig_file.path.unlink)
+    await assert_hindered(again, store, known, Hindrance.NO_CALIBRATION)
+
+
+async def test_what_was_compared_with_the_empty_rig_needs_a_background(
+    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+) -> None:
+    calibration_id = desk.rig_file.calibration_id
+    seen = await add_old(store, session, 1, tmp_path, calibration_id, segmenters={"c01": "background"})
+    await assert_hindered(again, store, seen, Hindrance.NO_BACKGROUND)
+    other = await add_old(store, session, 2, tmp_path, calibration_id, segmenters={"c01": "network"})
+    assert await again.measure(other, "anna")
+    assert pool.jobs[-1].background_path is None
+
+
+async def test_a_background_is_held_while_its_version_is_removed(
+    store: Store, session: int, desk: Calibrations, pool: AgainPool, tmp_path: Path
+) -> None:
+    versions = [tmp_path / f"background-{number}" for number in (1, 2)]
+    for version in versions:
+        await asyncio.to_thread(version.mkdir)
+        await asyncio.to_thread((version / "c01.npy").write_text, version.name)
+    again = remeasuring_of(store, desk, pool, tmp_path, versions[0])
+    processing = again._processing
+    for number, version in ((1, 0), (2, 0), (3, 1)):
+        name = await add_old(store, session, number, tmp_path, desk.rig_file.calibration_id)
+        processing.background = versions[version]  # type: ignore[misc]
+        await again.measure(name, "anna")
+    paths = [job.background_path for job in pool.jobs]
+    assert paths[0] is not None and paths[2] is not None
+    assert paths[0] == paths[1] != paths[2]
+    await asyncio.to_thread(shutil.rmtree, versions[1])
+    assert (paths[2] / "c01.npy").read_text() == "background-2"
+    assert not paths[0].exists()  # only one is held
+    again.close()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [JobLostError(LossReason.WORKER_CRASH, "it died"), RecordingError(Path("bundle.tiff"), "is damaged")],
+    ids=lambda error: type(error).__name__,
+)
+async def test_a_failure_leaves_the_result_and_the_next_stone_is_measured(
+    store: Store,
+    session: int,
+    desk: Calibrations,
+    pool: AgainPool,
+    again: Remeasuring,
+    tmp_path: Path,
+    error: Exception,
+) -> None:
+    names = [await add_old(store, session, n, tmp_path, desk.rig_file.calibration_id) for n in (1, 2)]
+    pool.error = error
+    await assert_hindered(again, store, names[0], Hindrance.FAILED)
+    pool.error = None
+    assert await again.measure(names[1], "anna")
+
+
+async def test_the_process_ends_when_nobody_asks_and_comes_again(
+    store: Store,
+    session: int,
+    desk: Calibrations,
+    pool: AgainPool,
+    again: Remeasuring,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "REST_S", 0.0)
+    for number in (1, 2):
+        name = await add_old(store, session, number, tmp_path, desk.rig_file.calibration_id)
+        assert await again.measure(name, "anna")
+        await pool.closed.wait()
+        pool.closed.clear()
+    assert pool.n_started == 2
+
+
+async def test_closing_ends_what_is_measured(
+    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+) -> None:
+    name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
+    begun = asyncio.Event()
+
+    async def hang(function: object, job: MeasureJob) -> None:
+        begun.set()
+        await asyncio.Event().wait()
+
+    pool.run = hang  # type: ignore[method-assign, assignment]
+    asking = asyncio.create_task(assert_hindered(again, store, name, Hindrance.FAILED))
+    await begun.wait()
+    again.close()
+    await asking
+    await assert_hindered(again, store, name, Hindrance.FAILED)  # and nothing begins any more
+    assert pool.n_started == 1
+
+
+async def test_frames_that_were_damaged_since_make_no_result_worse(
+    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+) -> None:
+    calibration_id = desk.rig_file.calibration_id
+    name = await add_old(store, session, 1, tmp_path, calibration_id)
+    pool.fields = {"dropped_views": {"c02": "damaged", "c03": "lost"}}
+    await assert_hindered(again, store, name, Hindrance.FAILED)
+    pool.fields = {"dropped_views": {"c03": "damaged"}}  # as it was when the stone fell
+    assert await again.measure(name, "anna")
+
+
+async def test_a_lost_stone_has_nothing_to_measure(store: Store, session: int, again: Remeasuring) -> None:
+    await add(store, session, 1, {**measured(), "outcome": "lost", "reason": "crash"})
+    record = await store.particle(1)
+    assert record is not None
+    await assert_hindered(again, store, record["id"], Hindrance.NO_FRAMES)
