@@ -237,7 +237,11 @@ class Remeasuring:
                 raise RemeasureError(Hindrance.FAILED, "the daemon stops")
             return self._job.result()
         finally:
-            self._job.cancel()
+            if (
+                not self._job.done()
+            ):  # whoever asked was given up: nothing of this may get among the next one's files
+                self._job.cancel()
+                self._rest()
             self._job = None
 
     async def _run(self, job: MeasureJob) -> MeasuredBundle:

@@ -175,6 +175,27 @@ async def test_closing_ends_what_is_measured(
     assert pool.n_started == 1
 
 
+async def test_a_request_that_is_given_up_leaves_nothing_to_the_next(
+    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+) -> None:
+    name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
+    run, begun = pool.run, asyncio.Event()
+
+    async def hang(function: object, job: MeasureJob) -> None:
+        begun.set()
+        await asyncio.Event().wait()
+
+    pool.run = hang  # type: ignore[method-assign, assignment]
+    asking = asyncio.create_task(again.measure(name, "anna"))
+    await begun.wait()
+    asking.cancel()
+    await asyncio.wait([asking])
+    assert pool.closed.is_set()
+    pool.run = run  # type: ignore[method-assign]
+    assert await again.measure(name, "anna")
+    assert pool.n_started == 2
+
+
 async def test_frames_that_were_damaged_since_make_no_result_worse(
     store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
 ) -> None:
