@@ -23,7 +23,7 @@ IfMatch = Annotated[
     str | None,
     Header(
         description="`ETag` of the version that you have seen: the change is made only if it is still the newest, else"
-        " 412 `precondition-failed`. Without it the change is made in any case"
+        " 412 `precondition-failed`, also where there is none yet. Without it the change is made in any case"
     ),
 ]
 
@@ -55,14 +55,21 @@ def change_if_match(
 ) -> T:
     """Return `change(connection, *arguments)`, made only if the `current` version is one of `if_match`.
 
-    What is not there (None) has no version that could differ, and is left to the change itself.
+    `current` returns None for what is not there yet and the change would create. Where the change would create nothing
+    it raises the 404 itself, which goes before any 412 (RFC 9110, section 13.2.1).
 
     Raises
     ------
     Problem
-        412: there is another version.
+        412: there is another version, or none, which `If-Match: *` does not name either.
     """
-    if if_match is not None and (tag := current(connection)) is not None and not has_version(if_match, tag):
+    if if_match is None:
+        return change(connection, *arguments)
+    tag = current(connection)
+    if tag is None:
+        detail = "there is none of this name, or no longer: leave out If-Match to create it"
+        raise Problem(412, "precondition-failed", detail)
+    if not has_version(if_match, tag):
         detail = f"it was changed meanwhile and has the version {tag} now: read it again"
         raise Problem(412, "precondition-failed", detail, headers={"ETag": tag})
     return change(connection, *arguments)

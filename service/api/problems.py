@@ -46,7 +46,7 @@ TITLES = {
     "not-kept": "This file was not kept",
     "not-measured": "The stone could not be measured again",
     "not-ready": "Not ready to measure stones",
-    "precondition-failed": "It was changed meanwhile",
+    "precondition-failed": "It is not the version that If-Match names",
     "recording-exists": "A recording of this name exists",
     "recording-running": "A recording is running",
     "request-in-progress": "The first request with this key is still being carried out",

@@ -26,6 +26,13 @@ async def lot(client: httpx.AsyncClient, product: httpx.Response) -> httpx.Respo
     return await client.post("/lots", json={"lot": "L1", "product": "basalt"})
 
 
+@pytest.fixture
+async def cursor(client: httpx.AsyncClient, store: Store, session: int) -> httpx.Response:
+    for number in range(1, 5):
+        await add(store, session, number, measured())
+    return await client.put("/consumers/mes/cursor", json={"after": 1})
+
+
 async def test_who_has_the_newest_version_is_told_so(
     client: httpx.AsyncClient, store: Store, session: int, lot: httpx.Response, product: httpx.Response
 ) -> None:
@@ -90,6 +97,51 @@ async def test_stones_that_fell_since_are_no_change_of_a_lot(
     assert (now.status_code, now.json()["n_stones"]) == (200, 1)
     closed = await client.post("/lots/L1/close", json={}, headers=seen(lot))
     assert (closed.status_code, closed.json()["state"]) == (200, "closed")
+
+
+async def test_of_two_clients_of_one_name_the_late_one_moves_no_cursor(
+    client: httpx.AsyncClient, cursor: httpx.Response
+) -> None:
+    answers = await asyncio.gather(
+        *(client.put("/consumers/mes/cursor", json={"after": n}, headers=seen(cursor)) for n in (2, 3))
+    )
+    first, late = sorted(answers, key=lambda each: each.status_code)
+    assert first.status_code == 200
+    assert_problem(late, 412, "precondition-failed")
+    assert "read it again" in late.json()["detail"]
+    now = await client.get("/consumers/mes/cursor")
+    assert (now.json()["after"], now.headers["ETag"]) == (first.json()["after"], first.headers["ETag"])
+    assert late.headers["ETag"] == now.headers["ETag"]
+    assert (
+        await client.get("/consumers/mes/cursor", headers={"If-None-Match": now.headers["ETag"]})
+    ).status_code == 304
+    again = await client.put("/consumers/mes/cursor", json={"after": 4}, headers=seen(now))
+    assert (again.status_code, again.json()["after"]) == (200, 4)
+    back = await client.put("/consumers/mes/cursor", json={"after": 1})
+    assert (back.status_code, back.json()["after"]) == (200, 1)
+
+
+async def test_results_that_come_are_no_change_of_a_cursor(
+    client: httpx.AsyncClient, store: Store, session: int, cursor: httpx.Response
+) -> None:
+    await add(store, session, 5, measured())
+    assert (await client.get("/consumers/mes/cursor")).headers["ETag"] == cursor.headers["ETag"]
+    moved = await client.put("/consumers/mes/cursor", json={"after": 5}, headers=seen(cursor))
+    assert moved.status_code == 200
+
+
+@pytest.mark.parametrize("version", ['"1"', "*"])
+async def test_no_version_of_what_is_not_there_can_be_seen_so_nothing_is_created(
+    client: httpx.AsyncClient, version: str
+) -> None:
+    for path, body in (("/products/basalt", PRODUCT), ("/consumers/mes/cursor", {"after": 0})):
+        refused = await client.put(path, json=body, headers={"If-Match": version})
+        assert_problem(refused, 412, "precondition-failed")
+        assert "leave out If-Match" in refused.json()["detail"]
+        assert (await client.get(path)).status_code == 404
+        assert (await client.put(path, json=body)).status_code == 200
+    pinned = await client.put("/particles/9/pin", json={"is_pinned": False}, headers={"If-Match": version})
+    assert_problem(pinned, 404, "unknown-particle")
 
 
 @pytest.mark.usefixtures("lot")

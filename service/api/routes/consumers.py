@@ -1,17 +1,20 @@
 """Named readers of the feed: results are kept for longer while one of them has not read them."""
 
+import sqlite3
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import Context
+from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
 from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
 from service.results.fields import TIME
+from service.store.holds import Consumer as Parked
 from service.store.holds import CursorError, TooManyConsumersError, consumers, forget, park
 
 router = APIRouter(prefix="/consumers", tags=["results"])
@@ -21,12 +24,17 @@ ConsumerName = Annotated[
 ]
 
 
-class Consumer(BaseModel):
-    """A named reader of the feed, and its place there."""
+class ParkedCursor(BaseModel):
+    """The place of a consumer, and since when."""
 
     name: str = Field(description="Name that the consumer chose")
     after: int = Field(description="`seq` of the last result that it has")
     moved_at: str = Field(description="When the cursor was parked, RFC 3339 UTC", json_schema_extra=TIME)
+
+
+class Consumer(ParkedCursor):
+    """A named reader of the feed, and its place there."""
+
     unread: int = Field(description="Results since")
     is_overrun: bool = Field(
         description="True when results that it has not read were removed: `[store.retention] consumer_days`"
@@ -55,25 +63,48 @@ async def list_consumers(context: Context) -> dict[str, Any]:
     return {"items": [asdict(consumer) for consumer in await context.store.read(consumers)]}
 
 
+@router.get(
+    "/{name}/cursor",
+    response_model=ParkedCursor,
+    dependencies=[Depends(require(Scope.READ))],
+    responses={**NOT_MODIFIED, **problem_responses(404)},
+)
+async def parked_cursor(context: Context, request: Request, response: Response, name: ConsumerName) -> Any:
+    """Return the place of a consumer; its `ETag` is for `If-Match` where two clients share the name."""
+    found = existing(await context.store.read(_find, name), "consumer", repr(name))
+    response.headers["ETag"] = _tag(found)
+    return unchanged(request, _tag(found)) or asdict(found)
+
+
 @router.put(
     "/{name}/cursor",
     response_model=Consumer,
     dependencies=[Depends(require(Scope.OPERATE))],
-    responses=problem_responses(409, 410),
+    responses=problem_responses(409, 410, 412),
 )
-async def park_cursor(context: Context, name: ConsumerName, cursor: Cursor) -> dict[str, Any]:
+async def park_cursor(
+    context: Context, response: Response, name: ConsumerName, cursor: Cursor, if_match: IfMatch = None
+) -> dict[str, Any]:
     """Park the place of a consumer, which this makes known; results after it are kept for longer.
 
-    409 `cursor-ahead` and 410 `cursor-expired` as at `/results`; 409 `too-many-consumers`.
+    409 `cursor-ahead` and 410 `cursor-expired` as at `/results`; 409 `too-many-consumers`. 412 with `If-Match` when
+    another client of this name has parked meanwhile: read the cursor, and go on from where that one is.
     """
+
+    def version(connection: sqlite3.Connection) -> str | None:
+        found = _find(connection, name)
+        return None if found is None else _tag(found)
+
     context.store.require_writable()
     try:
-        return asdict(await context.store.write(park, name, cursor.after))
+        parked = await context.store.write(change_if_match, if_match, version, park, name, cursor.after)
     except CursorError as err:
         status, slug = (409, "cursor-ahead") if err.is_ahead else (410, "cursor-expired")
         raise Problem(status, slug, str(err), **err.ends) from err
     except TooManyConsumersError as err:
         raise Problem(409, "too-many-consumers", str(err)) from err
+    response.headers["ETag"] = _tag(parked)
+    return asdict(parked)
 
 
 @router.delete(
@@ -88,3 +119,12 @@ async def delete_consumer(context: Context, name: ConsumerName, asking: Who) -> 
     context.store.require_writable()
     is_forgotten = await context.store.write(forget, name, asking)
     existing(is_forgotten or None, "consumer", repr(name))
+
+
+def _find(connection: sqlite3.Connection, name: str) -> Parked | None:
+    return next((consumer for consumer in consumers(connection) if consumer.name == name), None)
+
+
+def _tag(parked: Parked) -> str:
+    """Return the version of a cursor; results that come meanwhile are no change of it."""
+    return etag(parked.name, parked.after, parked.moved_at)

@@ -227,9 +227,8 @@ async def _changed(
 ) -> LotRecord:
     """Return the lot after a change; for `If-Match`, stones that fell meanwhile are no change."""
 
-    def version(connection: sqlite3.Connection) -> str | None:
-        record = find_lot(connection, lot)
-        return None if record is None else _tag_of_facts(record)
+    def version(connection: sqlite3.Connection) -> str:
+        return _tag_of_facts(existing(find_lot(connection, lot), "lot", lot))
 
     facts = None if if_match is None else STONES.sub("", if_match)
     return existing(

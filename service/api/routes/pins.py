@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.etags import IfMatch, change_if_match
-from service.api.problems import problem_responses
+from service.api.problems import existing, problem_responses
 from service.api.routes.particles import ParticleKey, find_record, record_response, record_tag
 from service.api.settings import Scope
 from service.results.fields import Result
@@ -44,9 +44,9 @@ async def pin_particle(
     seq = first_seq((await find_record(context, particle_id))["id"])
     context.store.require_writable()
 
-    def version(connection: sqlite3.Connection) -> str | None:
-        record = stored_particle(connection, int(particle_id) if particle_id.isdecimal() else particle_id)
-        return None if record is None else record_tag(record)
+    def version(connection: sqlite3.Connection) -> str:
+        key = int(particle_id) if particle_id.isdecimal() else particle_id
+        return record_tag(existing(stored_particle(connection, key), "particle", particle_id))
 
     reason = wanted.reason if wanted.is_pinned else None
     await context.store.write(change_if_match, if_match, version, pin, seq, reason, asking)
