@@ -48,6 +48,19 @@ class Sample:
         volumes, sds = self.lot.column("volume_mm3"), self.lot.column("volume_sd")
         return (volumes, sds) if basis is Basis.MASS else (np.ones_like(volumes), np.zeros_like(sds))
 
+    def near(self, low_mm: float, high_mm: float) -> "Sample":
+        """Return the sample of the stones that may lie between two sieves: no other one counts there."""
+        is_near = np.zeros(self.lot.n_measured, bool)
+        for lot in (self.lot, self.larger, self.smaller):
+            sizes_mm, reach_mm = lot.column("sieve_size_mm"), FAR_SDS * lot.column("sieve_size_sd_mm")
+            is_near |= (sizes_mm + reach_mm > low_mm) & (sizes_mm - reach_mm <= high_mm)
+        return Sample(
+            lot=self.lot.where(is_near),
+            as_measured=self.as_measured.where(is_near),
+            larger=self.larger.where(is_near),
+            smaller=self.smaller.where(is_near),
+        )
+
 
 def sample_of(lot: Lot, scale_sd: float = 0.0) -> Sample:
     """Return the sample of a lot; `scale_sd` is the relative standard deviation that all lengths have in common."""
@@ -101,7 +114,22 @@ def share_percent(
 
     `unseen_weight` is that of stones that might have fallen (see `_interval`), by default the mean over the mass.
     """
-    weights, weight_sds = sample.weights(basis)
+    weights, sds = sample.weights(basis)
+    return weighted_share_percent(
+        sample, property_, weights, sds, unseen_weight=unseen_weight, min_stones=min_stones
+    )
+
+
+def weighted_share_percent(
+    sample: Sample,
+    property_: Property,
+    weights: Values,
+    weight_sds: Values,
+    *,
+    unseen_weight: float | None = None,
+    min_stones: int = 0,
+) -> Estimate:
+    """Return such a share where each stone has a weight of its own, with a relative standard deviation."""
     as_measured, chances = property_(sample.as_measured), property_(sample.lot)
     total, n_stones = float(np.sum(weights * as_measured.counts)), int(as_measured.counts.sum())
     if not n_stones:

@@ -77,7 +77,7 @@ def evaluate(
         curve=curve,
         quantiles_interpolated_mm=_sizes(interpolated),
         quantiles_exact_mm=_sizes(exact),
-        indices=indices_of(sample, exact, fractions, measured),
+        indices=indices_of(sample, exact, fractions, apertures_mm, measured),
         unmeasured=unmeasured_mass(lot, measured.max_mm),
         measured=measured,
         scale_sd=scale_sd,

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.arrays import Values
 from pipeline.gradation.curve import Quantile
+from pipeline.gradation.d4791 import D4791, d4791_of
 from pipeline.gradation.estimates import (
     NOT_MEASURED,
     Errors,
@@ -17,7 +18,6 @@ from pipeline.gradation.estimates import (
     standard_errors_to_either_end,
 )
 from pipeline.gradation.estimators import (
-    Basis,
     Chances,
     Property,
     Sample,
@@ -25,6 +25,7 @@ from pipeline.gradation.estimators import (
     ratio_of_sums,
     share_percent,
 )
+from pipeline.gradation.proportions import chance_between, exceeds
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
 
@@ -62,8 +63,6 @@ MAX_CUBICAL = 3.0
 """Length by thickness beyond which a stone is non-cubical (EN 933-4), or a needle or a flake (JTG 3432 T 0312)."""
 NEEDLE_RANGE_MM = (4.75, np.inf)
 MIN_NEEDLE_STONES = 100
-D4791_RATIOS = (2, 3, 4, 5)
-MIN_D4791_STONES = 100
 FINENESS_SIEVES_MM = (0.15, 0.3, 0.6, 1.18, 2.36, 4.75, 9.5, 19.0, 37.5, 75.0, 150.0)
 """Sieves of the fineness modulus, ASTM C125."""
 
@@ -80,32 +79,25 @@ class Indices:
     flakiness: Estimate  # FI, EN 933-3
     shape: Estimate  # SI, EN 933-4
     needle_flaky: Estimate  # JTG 3432 T 0312
-    flat: Mapping[int, Mapping[Basis, Estimate]]  # by ratio, ASTM D4791 method A
-    elongated: Mapping[int, Mapping[Basis, Estimate]]  # method A
-    flat_and_elongated: Mapping[int, Mapping[Basis, Estimate]]  # method B
+    d4791: D4791  # ASTM D4791
 
 
 def indices_of(
     sample: Sample,
     quantiles: Mapping[int, Quantile | None],
     fractions: Sequence[FlakinessFraction],
+    apertures_mm: Sequence[float],
     measured: MeasuredRange,
 ) -> Indices:
-    """Return all indices, over the sizes that are measured and that the standard is for."""
+    """Return all indices, over the sizes that are measured and that the standard is for.
+
+    `fractions` are those of the flakiness index; those of ASTM D4791 lie between neighbouring apertures.
+    """
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
 
     def non_cubical(sizes_mm: tuple[float, float], min_stones: int = 0) -> Estimate:
-        is_long = _exceeds("max_feret_mm", "min_feret_mm", MAX_CUBICAL, measured.within(*sizes_mm))
+        is_long = exceeds("max_feret_mm", "min_feret_mm", MAX_CUBICAL, [measured.within(*sizes_mm)])
         return share_percent(sample, is_long, min_stones=min_stones)
-
-    def d4791(long: str, short: str) -> dict[int, dict[Basis, Estimate]]:
-        properties = {limit: _exceeds(long, short, limit, measured) for limit in D4791_RATIOS}
-        return {
-            limit: {
-                basis: share_percent(sample, property_, basis, min_stones=MIN_D4791_STONES) for basis in Basis
-            }
-            for limit, property_ in properties.items()
-        }
 
     return Indices(
         fineness_modulus=ratio_of_sums(sample, _fineness(measured)),
@@ -116,9 +108,7 @@ def indices_of(
         flakiness=share_percent(sample, _is_flaky(fractions, measured)),
         shape=non_cubical(SHAPE_RANGE_MM),
         needle_flaky=non_cubical(NEEDLE_RANGE_MM, MIN_NEEDLE_STONES),
-        flat=d4791("width_mm", "thickness_mm"),
-        elongated=d4791("length_mm", "width_mm"),
-        flat_and_elongated=d4791("length_mm", "thickness_mm"),
+        d4791=d4791_of(sample, apertures_mm, measured),
     )
 
 
@@ -138,12 +128,6 @@ def fineness_modulus(passing: Mapping[float, float]) -> float:
     return sum(100 - passing.get(sieve_mm, ends[sieve_mm]) for sieve_mm in FINENESS_SIEVES_MM) / 100
 
 
-def _chance_between(lot: Lot, low_mm: float, high_mm: float) -> Values:
-    """Return the probability that each stone passes the larger and not the smaller of two sieves."""
-    sizes_mm, sds_mm = lot.column("sieve_size_mm"), lot.column("sieve_size_sd_mm")
-    return chance_up_to(sizes_mm, sds_mm, high_mm) - chance_up_to(sizes_mm, sds_mm, low_mm)
-
-
 def _is_flaky(fractions: Sequence[FlakinessFraction], measured: MeasuredRange) -> Property:
     """Return the property of passing the slot of its own fraction."""
     whole = [of for of in fractions if of.low_mm in measured and of.high_mm in measured]
@@ -151,22 +135,10 @@ def _is_flaky(fractions: Sequence[FlakinessFraction], measured: MeasuredRange) -
     def chances(lot: Lot) -> Chances:
         counts, has = np.zeros(lot.n_measured), np.zeros(lot.n_measured)
         for low_mm, high_mm, slot_mm in whole:
-            inside = _chance_between(lot, low_mm, high_mm)
+            inside = chance_between(lot, low_mm, high_mm)
             counts += inside
             has += inside * chance_up_to(lot.column("min_feret_mm"), lot.column("feret_sd_mm"), slot_mm)
         return Chances(counts, has)
-
-    return chances
-
-
-def _exceeds(long: str, short: str, limit: float, sizes: MeasuredRange) -> Property:
-    """Return the property that one length is more than so many times the other, of stones of these sizes."""
-
-    def chances(lot: Lot) -> Chances:
-        counts = _chance_between(lot, sizes.min_mm, sizes.max_mm)
-        excess_mm = lot.column(long) - limit * lot.column(short)
-        sds_mm = lot.column("feret_sd_mm") * hypot(1.0, limit)
-        return Chances(counts, counts * (1 - chance_up_to(excess_mm, sds_mm, 0.0)))
 
     return chances
 

@@ -8,6 +8,7 @@ from math import pi
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Values
 
@@ -86,6 +87,10 @@ class Lot:
         """Return the lot with its stones by size; equal ones are interchangeable."""
         order = np.lexsort((*self.measures, self.column("sieve_size_mm")))
         return replace(self, measures=self.measures[:, order])
+
+    def where(self, is_wanted: NDArray[np.bool_]) -> "Lot":
+        """Return some of the measured stones, in the same order; their qualities are counted no more."""
+        return Lot(measures=self.measures[:, is_wanted])
 
     def scaled(self, factor: float) -> "Lot":
         """Return the lot as an instrument sees it whose lengths are larger by `factor`."""

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
+from pipeline.gradation.d4791 import RATIOS, Form, Shares
 from pipeline.gradation.evaluation import Gradation, evaluate
 from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
 from pipeline.gradation.stones import Fate, Lot, lot_of
@@ -16,7 +17,9 @@ from service.lots.figures import (
     CorrelatedStep,
     CurveStep,
     Decision,
+    Figure,
     FlatAndElongated,
+    FlatAndElongatedFraction,
     LotDocument,
     LotFigures,
     ProductDocument,
@@ -209,7 +212,7 @@ def _quantiles(gradation: Gradation) -> list[Quantile]:
 
 
 def _indices(gradation: Gradation) -> ShapeIndices:
-    indices = gradation.indices
+    indices, d4791 = gradation.indices, gradation.indices.d4791
     return ShapeIndices(
         fineness_modulus=figure(indices.fineness_modulus),
         uniformity=figure(indices.uniformity),
@@ -219,16 +222,34 @@ def _indices(gradation: Gradation) -> ShapeIndices:
         flakiness_percent=figure(indices.flakiness),
         shape_percent=figure(indices.shape),
         needle_flaky_percent=figure(indices.needle_flaky),
-        flat_and_elongated=[
-            FlatAndElongated(
-                ratio=ratio,
-                flat_percent={by: figure(each) for by, each in indices.flat[ratio].items()},
-                elongated_percent={by: figure(each) for by, each in indices.elongated[ratio].items()},
-                flat_and_elongated_percent={by: figure(each) for by, each in both.items()},
+        flat_and_elongated=_forms(d4791.whole),
+        flat_and_elongated_fractions=[
+            FlatAndElongatedFraction(
+                lower_mm=fraction.size.min_mm,
+                upper_mm=fraction.size.max_mm,
+                mass_percent=fraction.mass_percent,
+                n_stones=fraction.n_stones,
+                forms=_forms(fraction.shares),
             )
-            for ratio, both in sorted(indices.flat_and_elongated.items())
+            for fraction in d4791.fractions
         ],
+        flat_and_elongated_weighted=_forms(d4791.weighted),
     )
+
+
+def _forms(shares: Shares) -> list[FlatAndElongated]:
+    def figures(form: Form, ratio: int) -> dict[str, Figure]:
+        return {basis: figure(each) for basis, each in shares[form][ratio].items()}
+
+    return [
+        FlatAndElongated(
+            ratio=ratio,
+            flat_percent=figures(Form.FLAT, ratio),
+            elongated_percent=figures(Form.ELONGATED, ratio),
+            flat_and_elongated_percent=figures(Form.FLAT_AND_ELONGATED, ratio),
+        )
+        for ratio in RATIOS
+    ]
 
 
 def _decision(judgement: Judgement | None, rate_per_s: float) -> Decision | None:

@@ -92,6 +92,16 @@ class FlatAndElongated(Report):
     )
 
 
+class FlatAndElongatedFraction(Report):
+    """ASTM D4791 of the particles between two neighbouring sieves of the set, with a tenth of the mass or more."""
+
+    lower_mm: float = Field(description="Sieve that they are retained on, mm")
+    upper_mm: float = Field(description="Sieve that they pass, mm")
+    mass_percent: float = Field(description="Share of the measured mass that they are, %")
+    n_stones: int = Field(description="How many they are; figures of fewer than 100 are `insufficient`")
+    forms: list[FlatAndElongated] = Field(description="At each ratio")
+
+
 class ShapeIndices(Report):
     """Figures of the whole lot beside its curve."""
 
@@ -103,7 +113,18 @@ class ShapeIndices(Report):
     flakiness_percent: Figure = Field(description="FI, EN 933-3")
     shape_percent: Figure = Field(description="SI, EN 933-4")
     needle_flaky_percent: Figure = Field(description="JTG 3432 T 0312")
-    flat_and_elongated: list[FlatAndElongated] = Field(description="ASTM D4791 at each ratio")
+    flat_and_elongated: list[FlatAndElongated] = Field(
+        description="ASTM D4791 at each ratio, of all particles together"
+    )
+    flat_and_elongated_fractions: list[FlatAndElongatedFraction] = Field(
+        default=[],
+        description="ASTM D4791 of each size fraction that holds 10 % of the mass or more, by rising size",
+    )
+    flat_and_elongated_weighted: list[FlatAndElongated] = Field(
+        default=[],
+        description="ASTM D4791 at each ratio, the mean over these fractions, weighted by their masses; `insufficient`"
+        " where one of them is",
+    )
 
 
 class Unmeasured(Report):

@@ -1,9 +1,9 @@
 """The figures of a report as rows for machines: one figure a row, names as in REST, full precision."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from service.lots.figures import Decision, Figure
+from service.lots.figures import Decision, Figure, FlatAndElongated
 from service.reports.report import ReportData, Scalar
 
 
@@ -79,11 +79,22 @@ def index_rows(data: ReportData) -> Iterator[Row]:
         if isinstance(value, Figure):
             unit = "%" if name.endswith("_percent") else "mm" if name.endswith("_mm") else None
             yield _figure_row("indices", name, value, unit, decisions.get(name))
-    for form in figures.indices.flat_and_elongated:
+    found = figures.indices
+    yield from _form_rows("d4791", found.flat_and_elongated)
+    for part in found.flat_and_elongated_fractions:
+        section = f"d4791 {part.lower_mm:g} to {part.upper_mm:g} mm"
+        yield Row(section=section, name="mass_percent", value=part.mass_percent, unit="%")
+        yield Row(section=section, name="n_stones", value=part.n_stones, unit="stones")
+        yield from _form_rows(section, part.forms)
+    yield from _form_rows("d4791 mean by mass", found.flat_and_elongated_weighted)
+
+
+def _form_rows(section: str, forms: Iterable[FlatAndElongated]) -> Iterator[Row]:
+    for form in forms:
         for name, by in form:
             if isinstance(by, Mapping):
                 for counted, figure in by.items():
-                    yield _figure_row("d4791", f"1:{form.ratio} {name} by {counted}", figure, "%")
+                    yield _figure_row(section, f"1:{form.ratio} {name} by {counted}", figure, "%")
 
 
 def accounting_rows(data: ReportData) -> Iterator[Row]:

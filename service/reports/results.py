@@ -2,9 +2,9 @@
 
 from pipeline.gradation.estimates import State
 from pipeline.gradation.specification import Verdict
-from service.lots.figures import CurveStep, Decision, Figure, Quantile
+from service.lots.figures import CurveStep, Decision, Figure, Quantile, ShapeIndices
 from service.reports.curve import gradation_curve
-from service.reports.document import DASH, Column, Note, Picture, Section, Table
+from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table
 from service.reports.report import LaboratorySieving, ReportData
 from service.reports.texts import LONGEST_HEADING, abridged
 from service.reports.words import Words
@@ -150,8 +150,51 @@ def indices(data: ReportData, say: Words) -> Section:
             for by in form.flat_percent
         ],
     )
-    blocks = (table, Note(say("d4791.note")), forms) if forms.rows else (table,)
+    blocks = (table, Note(say("d4791.note")), forms, *_size_fractions(found, say)) if forms.rows else (table,)
     return Section(say("indices.title"), blocks)
+
+
+def _size_fractions(found: ShapeIndices, say: Words) -> tuple[Block, ...]:
+    """Return ASTM D4791 size by size, the flat and elongated ones alone: the other files have all forms."""
+    parts = [
+        (
+            say("d4791.between", lower=say.size(part.lower_mm), upper=say.size(part.upper_mm)),
+            say.number(part.mass_percent, 1),
+            str(part.n_stones),
+            part.forms,
+        )
+        for part in found.flat_and_elongated_fractions
+    ]
+    if not parts:
+        return ()
+    together = (
+        say("d4791.weighted"),
+        say.number(sum(part.mass_percent for part in found.flat_and_elongated_fractions), 1),
+        str(sum(part.n_stones for part in found.flat_and_elongated_fractions)),
+        found.flat_and_elongated_weighted,
+    )
+    ratios = [form.ratio for form in found.flat_and_elongated_weighted]
+    table = Table(
+        (
+            Column(say("d4791.fraction"), is_number=False, width=1.2),
+            Column(say("d4791.share"), width=0.8),
+            Column(say("d4791.stones"), width=0.7),
+            Column(say("d4791.counted"), is_number=False, width=0.9),
+            *(Column(f"1:{ratio}") for ratio in ratios),
+        ),
+        [
+            (
+                name,
+                share,
+                n_stones,
+                say.known("counted", by),
+                *(with_interval(form.flat_and_elongated_percent[by], 0, say) for form in forms),
+            )
+            for name, share, n_stones, forms in (*parts, together)
+            for by in forms[0].flat_and_elongated_percent
+        ],
+    )
+    return (Note(say("d4791.fractions_note")), table)
 
 
 def laboratory(sieving: LaboratorySieving, data: ReportData, say: Words) -> Section:

@@ -1,6 +1,6 @@
 """The report as a workbook: curve with its chart, indices, accounting, stones. No text becomes a formula."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from io import BytesIO
 from math import isfinite
@@ -8,7 +8,7 @@ from math import isfinite
 from xlsxwriter import Workbook
 from xlsxwriter.worksheet import Worksheet
 
-from service.lots.figures import Decision, Figure
+from service.lots.figures import Decision, Figure, FlatAndElongated
 from service.reports.content import document_of
 from service.reports.document import Facts, Note
 from service.reports.evidence import calibration, uncertainty, versions
@@ -171,7 +171,19 @@ def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
             (f"D{quantile.percent}: {say('quantiles.interpolated')}", quantile.interpolated_mm, None)
         )
         named.append((f"D{quantile.percent}: {say('quantiles.exact')}", quantile.exact_mm, None))
-    for form in found.flat_and_elongated:
+    named += _forms("", found.flat_and_elongated, say)
+    for part in found.flat_and_elongated_fractions:
+        sizes = say("d4791.between", lower=say.size(part.lower_mm), upper=say.size(part.upper_mm))
+        named += _forms(f", {sizes} mm", part.forms, say)
+    named += _forms(f", {say('d4791.weighted')}", found.flat_and_elongated_weighted, say)
+    sheets.write(sheet, 1, [(name, *_figure(figure, decision, say)) for name, figure, decision in named])
+
+
+def _forms(
+    of: str, forms: Iterable[FlatAndElongated], say: Words
+) -> Iterator[tuple[str, Figure, Decision | None]]:
+    """Yield the shares of ASTM D4791, `of` all particles or some."""
+    for form in forms:
         kinds: Mapping[str, Mapping[str, Figure]] = {
             "d4791.flat": form.flat_percent,
             "d4791.elongated": form.elongated_percent,
@@ -179,9 +191,8 @@ def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
         }
         for key, by in kinds.items():
             for counted, figure in by.items():
-                name = f"ASTM D4791 1:{form.ratio}: {say(key)}, {say.known('counted', counted)}"
-                named.append((name, figure, None))
-    sheets.write(sheet, 1, [(name, *_figure(figure, decision, say)) for name, figure, decision in named])
+                name = f"ASTM D4791 1:{form.ratio}: {say(key)}, {say.known('counted', counted)}{of}"
+                yield name, figure, None
 
 
 def _laboratory(sheets: _Sheets, data: ReportData, say: Words) -> None:

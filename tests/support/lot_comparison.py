@@ -9,9 +9,10 @@ import numpy as np
 from support.rendered_lots import ALL_CAMERAS, Row
 
 from pipeline.arrays import Values
+from pipeline.gradation.d4791 import Form
 from pipeline.gradation.estimates import Estimate, State
+from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import Gradation, evaluate
-from pipeline.gradation.indices import Basis
 from pipeline.gradation.sieves import OF_THE_RIG
 from pipeline.gradation.stones import Lot, Stone, UnmeasuredStone, lot_of
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
@@ -149,10 +150,10 @@ def index_figures(truth: Gradation, lot: Gradation) -> list[Figure]:
         "needle-flaky": (true.needle_flaky, mine.needle_flaky, None),
         "fineness modulus": (true.fineness_modulus, mine.fineness_modulus, None),
     }
-    for name in ("flat", "elongated", "flat_and_elongated"):
+    for form in Form:
         for basis in Basis:
-            of_true, of_mine = (getattr(each, name)[3][basis] for each in (true, mine))
-            figures[f"D4791 {name.replace('_', ' ')} 3:1 by {basis}"] = (of_true, of_mine, None)
+            of_true, of_mine = (each.d4791.whole[form][3][basis] for each in (true, mine))
+            figures[f"D4791 {form.replace('_', ' ')} 3:1 by {basis}"] = (of_true, of_mine, None)
     for percent, found in lot.quantiles_exact_mm.items():
         figures[f"D{percent}, mm"] = (truth.quantiles_exact_mm[percent], found, None)
     return [

@@ -14,6 +14,7 @@ from service.lots.figures import (
     Decision,
     Figure,
     FlatAndElongated,
+    FlatAndElongatedFraction,
     LotDocument,
     LotFigures,
     ProductDocument,
@@ -107,15 +108,7 @@ def lot_document(**changes: Any) -> LotDocument:
 
 
 def indices() -> ShapeIndices:
-    forms = [
-        FlatAndElongated(
-            ratio=ratio,
-            flat_percent={"mass": measured(30 / ratio), "number": measured(33 / ratio)},
-            elongated_percent={"mass": measured(24 / ratio), "number": measured(25 / ratio)},
-            flat_and_elongated_percent={"mass": measured(60 / ratio, 2), "number": measured(66 / ratio, 2)},
-        )
-        for ratio in (2, 3, 5)
-    ]
+    sizes = ((8.0, 10.0, 23.4, 410), (10.0, 12.5, 26.7, 301), (12.5, 14.0, 17.7, 122), (14.0, 16.0, 15.2, 78))
     return ShapeIndices(
         fineness_modulus=NOT_MEASURED,
         uniformity=measured(1.56, 0.03),
@@ -125,8 +118,38 @@ def indices() -> ShapeIndices:
         flakiness_percent=measured(12.4, 1.3),
         shape_percent=measured(18.9, 1.6),
         needle_flaky_percent=measured(9.1, 1.1),
-        flat_and_elongated=forms,
+        flat_and_elongated=forms(1.0),
+        flat_and_elongated_fractions=[
+            FlatAndElongatedFraction(
+                lower_mm=lower_mm,
+                upper_mm=upper_mm,
+                mass_percent=mass_percent,
+                n_stones=n_stones,
+                forms=forms(14 / upper_mm),
+            )
+            for lower_mm, upper_mm, mass_percent, n_stones in sizes
+        ],
+        flat_and_elongated_weighted=forms(1.1),
     )
+
+
+def forms(factor: float) -> list[FlatAndElongated]:
+    """Shares of ASTM D4791, so many times those of the whole lot."""
+    return [
+        FlatAndElongated(
+            ratio=ratio,
+            flat_percent={"mass": measured(factor * 30 / ratio), "number": measured(factor * 33 / ratio)},
+            elongated_percent={
+                "mass": measured(factor * 24 / ratio),
+                "number": measured(factor * 25 / ratio),
+            },
+            flat_and_elongated_percent={
+                "mass": measured(factor * 60 / ratio, 2),
+                "number": measured(factor * 66 / ratio, 2),
+            },
+        )
+        for ratio in (2, 3, 5)
+    ]
 
 
 def lot_figures(**changes: Any) -> LotFigures:

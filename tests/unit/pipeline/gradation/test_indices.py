@@ -1,10 +1,9 @@
-"""Vectors F1 to F3 of the domain notes."""
+"""Vectors F1 and F2 of the domain notes; F3 is with `test_d4791`."""
 
 import pytest
 from support.stones import box, round_stone
 
 from pipeline.gradation.estimates import State
-from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.indices import Indices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
@@ -31,20 +30,6 @@ def test_vector_f1() -> None:
 def test_vector_f2_the_length_of_a_box_is_its_diagonal() -> None:
     found = indices([box((10.0, 14.0, 28.0), 14.0)])
     assert found.shape.value == found.needle_flaky.value == 100
-
-
-def test_vector_f3() -> None:
-    found = indices([box((10.0, 20.0, 40.0), 20.0)])
-    for basis in Basis:
-        assert found.flat[3][basis].value == found.elongated[3][basis].value == 0
-        assert found.flat_and_elongated[3][basis].value == 100
-        assert found.flat_and_elongated[5][basis].value == 0
-
-
-def test_indices_by_mass_and_by_number_differ() -> None:
-    of = indices([box((2.5, 5.0, 10.0), 5.0), round_stone(10.0, 900.0)]).flat_and_elongated[3]
-    assert of[Basis.NUMBER].value == 50
-    assert of[Basis.MASS].value == pytest.approx(100 * 125 / 1025)
 
 
 def test_a_slot_as_wide_as_the_stone_is_passed_and_a_sieve_belongs_to_the_fraction_below() -> None:

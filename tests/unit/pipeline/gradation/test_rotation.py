@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 from support.quick_and_full import examples
 
 from pipeline.arrays import Matrix33
+from pipeline.gradation.d4791 import Form
 from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import Gradation, evaluate
-from pipeline.gradation.indices import Basis
 from pipeline.gradation.stones import Stone, lot_of
 from pipeline.measuring import measure_shape
 from pipeline.synthesis.stones import STONE_FORMS, stone
@@ -57,7 +58,8 @@ def figures(of: Gradation) -> dict[str, Estimate]:
     shares |= {f"number passing {point.sieve_mm:g} mm": point.by_number for point in of.curve}
     shares |= {"flakiness": of.indices.flakiness, "shape": of.indices.shape}
     return shares | {
-        f"flat and elongated {basis}": of.indices.flat_and_elongated[3][basis] for basis in Basis
+        f"flat and elongated {basis}": of.indices.d4791.whole[Form.FLAT_AND_ELONGATED][3][basis]
+        for basis in Basis
     }
 
 

@@ -149,8 +149,8 @@ def test_the_pdf_says_the_same_on_numbered_pages() -> None:
     text = pdf_text(report_data())
     for said in ("Gradation of lot 2026-04711", "EN 13043 GC90/15", "not measured", "92.2 - 96.2", "L-221"):
         assert said in text
-    assert "Page 1 of 4" in text
-    assert "Page 4 of 4" in text
+    assert "Page 1 of 5" in text
+    assert "Page 5 of 5" in text
 
 
 def test_german_has_commas_umlauts_and_no_english_word() -> None:

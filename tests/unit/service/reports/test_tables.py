@@ -72,6 +72,9 @@ def test_csv_has_one_figure_a_row_with_all_that_is_known_of_it() -> None:
     assert by_name["accounting", "rejected: multiple"] == "12"
     assert by_name["verdict", "verdict"] == "undecided"
     assert by_name["d4791", "1:3 flat_percent by mass"] == "10.0"
+    assert by_name["d4791 12.5 to 14 mm", "1:3 flat_percent by mass"] == "10.0"
+    assert by_name["d4791 12.5 to 14 mm", "n_stones"] == "122"
+    assert by_name["d4791 mean by mass", "1:3 flat_percent by mass"] == "11.0"
     assert by_name["about", "verification_error_mm"] == "0.021"
 
 
