@@ -192,7 +192,11 @@ class Verifications:
             case Verified.FAILED if last is not None:
                 return f"verification {last.id} failed: {'; '.join(last.problems)}"
             case Verified.OVERDUE if last is not None:
-                return f"the last verification was {_age(last, now) / timedelta(hours=1):.0f} hours ago: start one"
+                every = timedelta(hours=self._parameters.every_h)
+                return (
+                    f"the last verification was {_in_words(_age(last, now))} ago, and one is due every"
+                    f" {_in_words(every)}: start one"
+                )
             case Verified.NEVER if self._parameters.every_h > 0:
                 return "this calibration was never verified: start a verification and drop the ball"
         return None
@@ -287,6 +291,14 @@ class Verifications:
             await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
         if verification.state is not VerificationState.COLLECTING:
             self._on_ended(verification)
+
+
+def _in_words(span: timedelta) -> str:
+    """Return a span in the largest unit of which it has two."""
+    for unit, name in ((timedelta(hours=1), "hours"), (timedelta(minutes=1), "minutes")):
+        if span >= 2 * unit:
+            return f"{span / unit:.0f} {name}"
+    return f"{span.total_seconds():.0f} seconds"
 
 
 def _age(verification: Verification, now: datetime) -> timedelta:

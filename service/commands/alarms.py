@@ -1,10 +1,11 @@
 """`stonefall alarms`: what needs somebody now, and what to do, as a client of a running daemon."""
 
 import json
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from service.alarms.printed import as_text
 from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask
 from service.language import Language
 
@@ -13,6 +14,10 @@ def command(
     acknowledge: Annotated[
         int | None, typer.Option(metavar="ID", help="Take note of this alarm, and print the others.")
     ] = None,
+    is_history: Annotated[
+        bool,
+        typer.Option("--history", help="Print the latest 100 instead, newest first, with those that ended."),
+    ] = False,
     language: Annotated[Language, typer.Option(help="Of causes and actions.")] = Language.ENGLISH,
     url: Url = DEFAULT_URL,
     key: Key = None,
@@ -21,20 +26,11 @@ def command(
     """Print the alarms of a running daemon, the most urgent first, each with its cause and what to do."""
     if acknowledge is not None:
         ask(url, f"/alarms/{acknowledge}/acknowledge", key, {})
-    found = ask(url, f"/alarms?language={language}", key)
+    found = ask(url, f"/alarms{'/history' if is_history else ''}?language={language}", key)
     if as_json:
         typer.echo(json.dumps(found))
         return
     for alarm in found["items"]:
-        typer.echo(_text(alarm))
-    aside = [f"{len(found[kind])} {kind}" for kind in ("shelved", "suppressed") if found[kind]]
+        typer.echo(as_text(alarm))
+    aside = [f"{len(found[kind])} {kind}" for kind in ("shelved", "suppressed") if found.get(kind)]
     typer.echo("; ".join([f"{len(found['items'])} alarms", *aside]))
-
-
-def _text(alarm: dict[str, Any]) -> str:
-    times = f", {alarm['occurrences']} times" if alarm["occurrences"] > 1 else ""
-    lines = (
-        f"{alarm['id']:>5}  {alarm['priority']}  {alarm['check']}  {alarm['state']}, since {alarm['raised_at']}{times}",
-        *(f"       {text}" for text in (alarm["detail"], alarm["cause"], f"-> {alarm['action']}") if text),
-    )
-    return "\n".join(lines)

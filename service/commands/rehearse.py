@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.errors import UsageError
+from service.language import Language
 from service.rehearsal.day import Day, merged
 from service.rehearsal.expected import as_text
 from service.rehearsal.recordings import RehearsedRecording, rehearsed_recording
@@ -42,6 +43,7 @@ def command(
     linger_s: Annotated[
         float, typer.Option(min=0, help="Time for clients to read the last results, before the daemon ends.")
     ] = 15.0,
+    language: Annotated[Language, typer.Option(help="Of the alarms' causes and actions.")] = Language.ENGLISH,
     as_json: Annotated[
         bool,
         typer.Option("--json", help="Print what a client should have seen as JSON; the rest goes to stderr."),
@@ -49,7 +51,8 @@ def command(
 ) -> None:
     """Rehearse a day: a simulated rig, a daemon of its own, sample lots, and what goes wrong at a plant.
 
-    Let your client follow the address that is printed. At the end stands what it should have seen.
+    Let your client follow the address that is printed. At the end stands what it should have seen, and each alarm with
+    its cause and what to do.
     """
     if is_list:
         _print_scripts()
@@ -74,7 +77,7 @@ def command(
         daemon.start()
         rig.rest(daemon)
         say(f"follow http://{HOST}:{port}/api/v1/results with your client")
-        expected = Day(chosen, daemon, rig, say).play()
+        expected = Day(chosen, daemon, rig, say, language).play()
         say("the day is over; a correct client has seen:")
         typer.echo(json.dumps(expected.document()) if as_json else as_text(expected))
         sys.stdout.flush()

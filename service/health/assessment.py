@@ -277,7 +277,7 @@ def _drops(facts: Facts) -> HealthCheck:
 def _store(facts: Facts) -> HealthCheck:
     is_held = facts.store_trouble is not None
     held = [f"{facts.store_trouble}; {facts.without_outcome} stones wait for it"] if is_held else []
-    aside = [f"store.dir/{incident}" for incident in facts.store_incidents]
+    aside = [f"store.dir/{incident.removesuffix('.')}" for incident in facts.store_incidents]
     if aside:
         aside.append("look at it, restore a backup if results are missing, then move it out of store.dir")
     return HealthCheck(

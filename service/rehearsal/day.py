@@ -4,6 +4,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from service.alarms.alarm import ACTIVE
+from service.language import Language
 from service.rehearsal.expected import Expected, Observer, ends_of
 from service.rehearsal.rehearsed_daemon import RehearsalError, RehearsedDaemon
 from service.rehearsal.rigs import Rig
@@ -12,17 +14,27 @@ from service.store.backups import back_up, restore
 
 DEEDS = (
     "product", "open", "close", "fall", "flow", "count", "rest", "kill", "restart", "cut", "expire", "reconnect",
-    "backup", "restore", "verify", "clock", "fault", "until", "without_files", "wait",
+    "backup", "restore", "verify", "clock", "fault", "until", "without_files", "alarm",
+    "without_alarm", "wait",
 )  # fmt: skip
 OF_LOTS = ("triggers", "measured", "rejected", "lost", "verdict")
-OF_ALARMS = ("id", "check", "priority", "state", "detail", "action")
+OF_ALARMS = (
+    "id", "check", "priority", "state", "raised_at", "cleared_at", "occurrences", "detail", "cause", "action",
+)  # fmt: skip
 
 
 class Day:
     """Plays the steps of a script, and notes what clients can see."""
 
-    def __init__(self, script: Script, daemon: RehearsedDaemon, rig: Rig, say: Callable[[str], None]) -> None:
-        self._script, self._daemon, self._rig, self._say = script, daemon, rig, say
+    def __init__(
+        self,
+        script: Script,
+        daemon: RehearsedDaemon,
+        rig: Rig,
+        say: Callable[[str], None],
+        language: Language = Language.ENGLISH,
+    ) -> None:
+        self._script, self._daemon, self._rig, self._say, self._language = script, daemon, rig, say, language
         self._observer = Observer(daemon.state_dir)
         self._health: list[str] = []
         self._is_reachable = True
@@ -40,7 +52,7 @@ class Day:
             getattr(self, step.do)(**step.arguments)
             self._look()
         lots = [self._lot(lot["lot"]) for lot in reversed(self._daemon.ask("GET", "/lots")["items"])]
-        raised = (self._daemon.find("/alarms/history") or {"items": []})["items"]
+        raised = self._daemon.ask("GET", f"/alarms/history?limit=1000&language={self._language}")["items"]
         alarms = [{name: alarm[name] for name in OF_ALARMS} for alarm in reversed(raised)]
         self._look()
         return self._observer.expected(self._script.name, lots, alarms, self._health)
@@ -141,6 +153,14 @@ class Day:
         seq, _ = ends_of(self._daemon.state_dir)
         self._daemon.wait_for(f"/particles/{seq}", lambda found: found["files_removed"] is not None)
 
+    def alarm(self, check: str) -> None:
+        """Wait until the alarm of a check is raised."""
+        self._daemon.wait_for("/alarms", lambda now: check in _calling(now))
+
+    def without_alarm(self, check: str) -> None:
+        """Wait until the cause of that alarm is gone for long enough."""
+        self._daemon.wait_for("/alarms", lambda now: check not in _calling(now))
+
     def wait(self, seconds: float) -> None:
         time.sleep(seconds)
 
@@ -170,6 +190,11 @@ class Day:
         figures = self._daemon.ask("GET", f"/lots/{lot}/gradation")
         known = self._daemon.ask("GET", f"/lots/{lot}")
         return {"lot": lot, "state": known["state"], **{name: figures[name] for name in OF_LOTS}}
+
+
+def _calling(alarms: Mapping[str, Any]) -> set[str]:
+    """Return the checks with an alarm whose cause is there."""
+    return {alarm["check"] for alarm in alarms["items"] if alarm["state"] in ACTIVE}
 
 
 def merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from service.alarms.printed import as_text as alarm_as_text
 from service.store.history import DATABASE
 from service.store.schema import connect_reader
 
@@ -44,7 +45,7 @@ class Expected:
     gaps: tuple[Gap, ...]
     outcomes: dict[str, int]  # of what is kept; with the reason where there is one
     lots: tuple[dict[str, Any], ...]
-    alarms: tuple[dict[str, Any], ...]  # that were raised, in their order
+    alarms: tuple[dict[str, Any], ...]  # in the order in which they were raised
     health: tuple[str, ...]  # words of NE 107, in the order in which they were seen
 
     def document(self) -> dict[str, Any]:
@@ -144,11 +145,11 @@ def as_text(expected: Expected) -> str:
         f" rejected + {lot['lost']} lost; {str(lot['verdict']).replace('_', ' ')}"
         for lot in expected.lots
     ]
-    lines += [
-        f"alarm       {alarm['check']} ({alarm['priority']}, {alarm['state']}): {alarm['action']}"
-        for alarm in expected.alarms
-    ]
     lines.append(f"health      {' -> '.join(expected.health)}")
+    lines.append(
+        f"alarms      {f'{len(expected.alarms)}, in the order of time' if expected.alarms else 'none'}"
+    )
+    lines += [alarm_as_text(alarm) for alarm in expected.alarms]
     return "\n".join(lines)
 
 

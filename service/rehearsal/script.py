@@ -38,6 +38,9 @@ class Script:
     )
     has_own_clock: bool = False
     recording: RehearsedRecording = RehearsedRecording.STONES
+    alarms: tuple[
+        str, ...
+    ] = ()  # checks whose alarms it causes, in their order; a busy machine may add its own
     settings: dict[str, Any] = field(default_factory=dict)
 
 

@@ -43,12 +43,13 @@ def test_a_lost_camera_is_an_alarm_until_it_is_back(live: LiveRig):
     assert (alarm["priority"], "switch port" in alarm["action"]) == ("medium", True)
     assert live.status("c02")["ne107"] == "failure"
     assert live.status("c03")["ne107"] == "good"
+    at = alarm["raised_at"].replace("T", " ").partition(".")[0]
     words = ["--acknowledge", str(alarm["id"]), "--language", "de"]
     done = CliRunner().invoke(
         build_app(["alarms"]), ["alarms", *words, "--url", live.daemon.url("").removesuffix("/api/v1")]
     )
     assert done.exit_code == 0, done.output
-    assert f"{alarm['id']}  medium  camera:c02  acknowledged, since {alarm['raised_at']}\n" in done.stdout
+    assert f"{alarm['id']}  medium  camera:c02  acknowledged; raised {at} UTC\n" in done.stdout
     assert "-> Stromversorgung, Kabel und Switch-Port prüfen" in done.stdout
     assert done.stdout.endswith("1 alarms\n")
     live.camera("c02").replug()

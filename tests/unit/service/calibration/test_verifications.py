@@ -113,7 +113,8 @@ async def test_overdue_is_trouble_where_a_verification_is_asked_for(tmp_path: Pa
     await desk.start(PLAN, "rig")
     await let_fall(desk, [15.0, 15.0, 15.0])
     assert desk.trouble("rig", datetime.now(UTC)) is None
-    assert "9 hours ago" in str(desk.trouble("rig", datetime.now(UTC) + timedelta(hours=9)))
+    overdue = str(desk.trouble("rig", datetime.now(UTC) + timedelta(hours=9)))
+    assert overdue == "the last verification was 9 hours ago, and one is due every 8 hours: start one"
 
 
 async def test_the_word_for_results_and_a_verdict_that_is_void(tmp_path: Path):
