@@ -39,3 +39,6 @@ GreyImage = Annotated[NDArray[np.uint8], "(H, W)"]
 """Grey levels, or labels of pixels."""
 FloatImage = Annotated[Singles, "(H, W)"]
 Mask = Annotated[NDArray[np.bool_], "(H, W)"]
+
+Greys = Annotated[NDArray[np.uint8], "(N,)"]
+"""Grey levels of vertices, 0 to 255."""

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from pipeline.arrays import Greys
 from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError, RejectedError, RejectReason
 from pipeline.estimate import BodyEstimate, estimate_body
@@ -16,7 +17,7 @@ from pipeline.measuring.hull_bias import sphere_hull_excess
 from pipeline.measuring.shape import NO_POINTS
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
-from pipeline.refinement import Refinement, refine_body
+from pipeline.refinement import Refinement, photo_views, refine_body, vertex_greys
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
@@ -46,6 +47,12 @@ class BodyParameters:
     """Which body the mesh and the figures of the shape describe; each but the hull is made from the next one."""
 
     kind: BodyKind = "estimate"
+    texture: bool | None = None  # whether each vertex of the mesh has a grey value; None: with "photo"
+
+    @property
+    def is_textured(self) -> bool:
+        """Whether each vertex of the mesh has a grey value."""
+        return self.kind == "photo" if self.texture is None else self.texture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +160,7 @@ class ParticleResult:
     quality: Quality | None = None
     quality_causes: tuple[Cause, ...] = ()  # that keep the quality from being good, the greatest first
     mesh: ParticleMesh | None = None  # of the body that was measured
+    greys: Greys | None = None  # of the mesh's vertices, if that was asked for and a view shows any
     hull: ParticleMesh | None = None
     measurement: ParticleMeasurement | None = None
     rejection: RejectedError | None = None
@@ -218,6 +226,11 @@ def measure_bundle(
             raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
         quality = verdict(measurement.uncertainty, by_number, parameters.quality)
         on_stage("measure")
+        mesh, greys = _measured_mesh(hull_mesh, estimate, refinement), None
+        if parameters.body.is_textured:
+            seen = None if refinement is None else refinement.views
+            greys = vertex_greys(mesh, seen or photo_views(bundle.frames, views, mesh.vertices_mm))
+            on_stage("texture")
     except RejectedError as rejection:
         return ParticleResult(
             silhouettes=silhouettes,
@@ -235,7 +248,8 @@ def measure_bundle(
         consistency=consistency,
         quality=quality.quality,
         quality_causes=quality.causes,
-        mesh=_measured_mesh(hull_mesh, estimate, refinement),
+        mesh=mesh,
+        greys=greys,
         hull=hull_mesh,
         measurement=measurement,
     )

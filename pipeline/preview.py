@@ -6,7 +6,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.arrays import Floats, Indices32, Matrix33, PointsMM, Singles, Values
+from pipeline.arrays import Floats, Greys, Indices32, Matrix33, PointsMM, Singles, Values
 from pipeline.geometry.bounds import bounds
 
 ColorImage = NDArray[np.uint8]
@@ -24,6 +24,8 @@ LIGHTS = (
 AMBIENT = 0.16
 UNSHADED_SHARE = 0.6
 """Share of unshaded light on vertices of individual colours, which shading must not change much."""
+SCREEN_GAMMA = 2.2
+"""Of screens, which cameras do not have: grey levels shown as they are would be too dark."""
 STONE_RGB = (0.80, 0.75, 0.68)
 TOP_RGB, BOTTOM_RGB = (0.965, 0.97, 0.975), (0.87, 0.88, 0.895)
 INK_RGB = (70, 74, 80)
@@ -37,12 +39,14 @@ def render_preview(
     size_px: int = 480,
     *,
     colors_rgb: ArrayLike = STONE_RGB,
+    unshaded_share: float = UNSHADED_SHARE,
     view_direction: tuple[float, float, float] = VIEW_DIRECTION,
 ) -> ColorImage:
     """Return an RGB image (size, size, 3) of a closed mesh with vertices (N, 3) in mm and faces (M, 3).
 
     Parallel projection along `view_direction`, z up, scaled to fill the picture, with a scale bar of 10 mm (1 mm
-    for a tiny body). `colors_rgb`, 0..1, is one colour (3,) or one for each vertex (N, 3).
+    for a tiny body). `colors_rgb`, 0..1, is one colour (3,) or one for each vertex (N, 3), which are shaded but for
+    `unshaded_share`.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def render_preview(
     colors = np.asarray(colors_rgb, dtype=np.float32)
     brightness = _vertex_brightness(points_mm, triangles)[:, None]
     if colors.ndim == 2:
-        brightness = UNSHADED_SHARE + (1 - UNSHADED_SHARE) * brightness
+        brightness = unshaded_share + (1 - unshaded_share) * brightness
     lit_rgb = brightness * colors
     canvas[body] = _shaded(
         points_mm, triangles, lit_rgb, axis_mm[columns], axis_mm[rows], half_depth_mm, canvas[body]
@@ -76,6 +80,12 @@ def render_preview(
     image = np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
     _draw_scale_bar(image, px_per_mm)
     return image
+
+
+def colors_of(greys: Greys) -> Singles:
+    """Return the colours (N, 3), 0..1, that show grey levels of cameras (N,) on a screen."""
+    shown = (greys.astype(np.float32) / 255) ** (1 / SCREEN_GAMMA)
+    return np.asarray(np.repeat(shown[:, None], 3, axis=1))
 
 
 def _picture_frame(view_direction: tuple[float, float, float]) -> Matrix33:
@@ -122,7 +132,7 @@ def _vertex_brightness(points_mm: PointsMM, triangles: Indices32) -> Singles:
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     # half Lambert: soft light from a wide source, no hard terminator
     light = AMBIENT + sum(strength * (0.5 + 0.5 * normals @ toward) ** 2 for toward, strength in LIGHTS)
-    return np.asarray(light ** (1 / 2.2), dtype=np.float32)
+    return np.asarray(light ** (1 / SCREEN_GAMMA), dtype=np.float32)
 
 
 def _draw_scale_bar(image: ColorImage, px_per_mm: float) -> None:

@@ -138,7 +138,7 @@ def _measure(
             rig,
             {},
             lambda frame, _: silhouettes[frame.camera],
-            PipelineParameters(body=BodyParameters(method)),
+            PipelineParameters(body=BodyParameters(method, texture=False)),
         )
         if result.mesh is None or result.measurement is None:
             return str(result.rejection)

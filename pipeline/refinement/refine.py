@@ -62,12 +62,20 @@ class Refinement:
     """The refined body, and how much of its surface the pixels say something about."""
 
     mesh: ParticleMesh  # the estimate's own where nothing was refined
+    views: PhotoViews  # as they were read
     supported_share: float  # of the surface, 0 to 1
     fallback: str | None = None  # why the estimate stays as it is
 
 
 def warm_up() -> Refinement:
     """Refine a made-up ball, which compiles all that the first stone would wait for."""
+    ball, frames, views = made_up_ball()
+    without_crossings(ball.vertices_mm, ball.faces)
+    return refine_body(estimate_body(ball, views), ball, frames, views)
+
+
+def made_up_ball() -> tuple[ParticleMesh, Mapping[CameraId, Frame], PreparedViews]:
+    """Return a ball with frames of noise."""
     rig = nominal_rig()
     directions, faces = icosphere(subdivisions=5)
     ball = ParticleMesh(RADIUS_MM * directions, faces)
@@ -76,9 +84,7 @@ def warm_up() -> Refinement:
         camera.id: Frame(camera=camera.id, image=noise, frame_id=0, device_ns=0, received_ns=0)
         for camera in rig.cameras
     }
-    views = prepare_views(ball_silhouettes(rig), rig)
-    without_crossings(ball.vertices_mm, faces)
-    return refine_body(estimate_body(ball, views), ball, frames, views)
+    return ball, frames, prepare_views(ball_silhouettes(rig), rig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,13 +117,17 @@ def refine_body(
         field = _passed(each, nodes, gate, field, views, estimate.corners_mm, scale, size_mm)
     supported_share = 0.0 if field is None else field.supported_share
     if field is None or supported_share < MIN_SUPPORTED:
-        return Refinement(mesh=estimate.mesh, supported_share=0.0, fallback="no texture that the views share")
+        return Refinement(
+            mesh=estimate.mesh, views=views, supported_share=0.0, fallback="no texture that the views share"
+        )
     shifts_mm = _vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
     moved_mm = without_crossings(vertices_mm + shifts_mm, faces)
     if moved_mm is None:
-        return Refinement(mesh=estimate.mesh, supported_share=0.0, fallback="the surface would cross itself")
+        return Refinement(
+            mesh=estimate.mesh, views=views, supported_share=0.0, fallback="the surface would cross itself"
+        )
     mesh = ParticleMesh(moved_mm, faces)
-    return Refinement(mesh=mesh, supported_share=supported_share)
+    return Refinement(mesh=mesh, views=views, supported_share=supported_share)
 
 
 def _levels(vertices_mm: PointsMM, normals: Floats, scale: float) -> list[tuple[Pass, Nodes, Values]]:

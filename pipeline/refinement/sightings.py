@@ -117,6 +117,12 @@ def depth_maps(views: PhotoViews, points_mm: PointsMM) -> Annotated[Singles, "(V
     return maps
 
 
+@compiled_within
+def hidden_beyond_mm(focal_px: float, depth_mm: float, cosine: float) -> float:
+    """Return how far behind the depth map a point counts as seen; `cosine` of its normal to the line of sight."""
+    return SLACK_MM + (SPLAT + 0.5) * COARSE * depth_mm / focal_px * np.sqrt(1 - cosine * cosine) / cosine
+
+
 @compiled
 def _splat(lenses: Floats, R: Floats, t_mm: PointsMM, points_mm: PointsMM, maps: Singles) -> None:
     for view in range(len(maps)):
@@ -183,10 +189,7 @@ def _sight(
                 continue
             u, v, depth = project_into(lenses[view], R[view], t_mm[view], x, y, z)
             patch_px = reach_mm * lenses[view, 0] / depth
-            slack_mm = (
-                SLACK_MM
-                + (SPLAT + 0.5) * COARSE * depth / lenses[view, 0] * np.sqrt(1 - cosine * cosine) / cosine
-            )
+            slack_mm = hidden_beyond_mm(lenses[view, 0], depth, cosine)
             is_seen = True
             for corner in range(5):
                 du = 0.0 if corner == 4 else (patch_px if corner & 1 else -patch_px)

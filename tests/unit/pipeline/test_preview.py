@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.preview import BODY_SHARE, INK_RGB, render_preview
+from pipeline.preview import BODY_SHARE, INK_RGB, colors_of, render_preview
 from pipeline.synthesis.bodies import cube, sphere
 
 
@@ -65,3 +65,19 @@ def test_colors_of_vertices_survive_the_shade() -> None:
         mesh.vertices, mesh.faces, 120, colors_rgb=colors_rgb, view_direction=(0.5, -0.7, 0.45)
     )
     assert behind[88, 60, 2] > behind[88, 60, 0], "seen from below"
+
+
+def test_greys_of_cameras_are_shown_as_bright_as_they_were_and_shaded() -> None:
+    mesh = sphere().mesh
+    colors_rgb = colors_of(np.where(mesh.vertices[:, 2] > 0, 200, 50).astype(np.uint8))
+    assert np.unique(colors_rgb) == pytest.approx([(50 / 255) ** (1 / 2.2), (200 / 255) ** (1 / 2.2)])
+    flat, shaded = (
+        render_preview(mesh.vertices, mesh.faces, 120, colors_rgb=colors_rgb, unshaded_share=share).astype(
+            int
+        )
+        for share in (1.0, 0.0)
+    )
+    assert flat[30, 60] == pytest.approx(255 * (200 / 255) ** (1 / 2.2), abs=1)
+    assert flat[92, 60] == pytest.approx(255 * (50 / 255) ** (1 / 2.2), abs=1)
+    assert (np.ptp(shaded[30:92, 60], axis=1) == 0).all()
+    assert shaded[92, 60, 0] < 0.9 * flat[92, 60, 0], "its underside is in the shade"
