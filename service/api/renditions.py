@@ -17,8 +17,9 @@ from drivers.files.mesh_file import ply_bytes
 from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
 from drivers.files.silhouette_file import read_silhouettes
+from pipeline.arrays import Greys
 from pipeline.frames import CameraId, Image
-from pipeline.preview import render_preview
+from pipeline.preview import STONE_RGB, colors_of, render_preview
 
 if TYPE_CHECKING:
     import trimesh
@@ -48,7 +49,7 @@ def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
         return exact.read_bytes()
     mesh = _mesh(folder)
     if mesh_format is MeshFormat.PLY:
-        return ply_bytes(mesh.vertices, mesh.faces)
+        return ply_bytes(mesh.vertices, mesh.faces, _greys(mesh))
     if mesh_format is MeshFormat.GLB:
         mesh.vertices = mesh.vertices @ MM_Z_UP_TO_M_Y_UP.T
     exported = BytesIO()
@@ -62,7 +63,14 @@ def preview_png(folder: Path) -> bytes:
     if kept.exists() and (png := kept.read_bytes()).endswith(PNG_END):  # else it was torn by a power cut
         return png
     mesh = _mesh(folder)
-    image_rgb = render_preview(mesh.vertices, mesh.faces, PREVIEW_SIZE_PX)
+    greys = _greys(mesh)
+    image_rgb = render_preview(
+        mesh.vertices,
+        mesh.faces,
+        PREVIEW_SIZE_PX,
+        colors_rgb=STONE_RGB if greys is None else colors_of(greys),
+        unshaded_share=0.0,
+    )
     png = encode_png(image_rgb[..., ::-1])
     with suppress(OSError):  # a full disk costs the next request the same time
         # not flushed: results wait for the same disk, and a picture can be made again
@@ -125,9 +133,21 @@ def _mesh(folder: Path) -> "trimesh.Trimesh":
         else:
             import trimesh  # here: with its dependencies it takes a second
 
-            mesh = trimesh.Trimesh(*read_compact_mesh(path), process=False)
+            vertices_mm, faces, greys = read_compact_mesh(path)
+            colors = None if greys is None else np.repeat(greys[:, None], 3, axis=1)
+            mesh = trimesh.Trimesh(vertices_mm, faces, vertex_colors=colors, process=False)
     except RecordingError as err:
         raise NotKeptError(f"{path.name} {err.problem}") from err
     if mesh.faces.size == 0 or not np.isfinite(mesh.vertices).all():
         raise NotKeptError(f"{path.name} is damaged")
     return mesh
+
+
+def _greys(mesh: "trimesh.Trimesh") -> Greys | None:
+    """Return the grey of each vertex, None where they have none."""
+    from trimesh.visual import ColorVisuals
+
+    visual = mesh.visual
+    if not isinstance(visual, ColorVisuals) or visual.kind != "vertex":
+        return None
+    return np.asarray(visual.vertex_colors[:, 0])

@@ -35,7 +35,7 @@ from pipeline.gradation.curve import PERCENTS
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.sieves import ALL_SIZES
 from pipeline.meshing import Mesher
-from pipeline.particle import BodyParameters, PipelineParameters
+from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from service.commands.lots import curve_table
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
@@ -121,6 +121,13 @@ def command(
         BodyName | None,
         typer.Option(help="Body that mesh and shape describe; default: as configured, else the estimate."),
     ] = None,
+    texture: Annotated[
+        bool | None,
+        typer.Option(
+            "--texture/--no-texture",
+            help="Whether meshes have a grey value at each vertex; default: as configured, else with photo.",
+        ),
+    ] = None,
     mesher: Annotated[
         Mesher,
         typer.Option(
@@ -146,7 +153,9 @@ def command(
     segmentation = settings.segmentation if settings else SegmentationSettings()
     parameters = replace(parameters, mesher=mesher)
     if body is not None:
-        parameters = replace(parameters, body=BodyParameters(body.value))
+        parameters = replace(parameters, body=replace(parameters.body, kind=body.value))
+    if texture is not None:
+        parameters = replace(parameters, body=replace(parameters.body, texture=texture))
     if field is not None:
         parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
     context = WorkerContext(

@@ -26,7 +26,7 @@ from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline import carving, estimate, measuring, meshing, refinement
 from pipeline.frames import CameraId
-from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
@@ -165,6 +165,8 @@ def prepare(context: WorkerContext) -> list[WarmUp]:
     ]
     if context.parameters.body.kind == "photo":
         steps.append(refinement.warm_up)
+    if context.parameters.body.is_textured:
+        steps.append(refinement.warm_up_texture)
     return [partial(compiles, step) for step in steps]
 
 
@@ -223,7 +225,7 @@ def measure(job: MeasureJob) -> MeasuredBundle:
     parameters = worker.context.parameters
     skips_refinement = job.is_rushed and parameters.body.kind == "photo"
     if skips_refinement:
-        parameters = replace(parameters, body=BodyParameters("estimate"))
+        parameters = replace(parameters, body=replace(parameters.body, kind="estimate"))
     with worker_boundary():
         background = worker.background_at(job.background_path)
         rig = worker.rig_in(job.rig_file)
@@ -268,9 +270,11 @@ def view_mapper(n_threads: int) -> Iterator[ViewMapper]:
 
 def _write_files(job: MeasureJob, result: ParticleResult, *, compact_mesh: bool) -> None:
     if result.mesh is not None and compact_mesh:
-        write_compact_mesh(job.out_dir / COMPACT_MESH, result.mesh.vertices_mm, result.mesh.faces)
+        write_compact_mesh(
+            job.out_dir / COMPACT_MESH, result.mesh.vertices_mm, result.mesh.faces, result.greys
+        )
     elif result.mesh is not None:
-        write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces)
+        write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces, result.greys)
     if job.save_silhouettes:
         seen = result.silhouettes
         size_px = next(iter(seen.values())).image_size_px

@@ -7,7 +7,9 @@ from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from pathlib import Path
 
+import cv2
 import httpx
+import numpy as np
 import pytest
 import trimesh
 from support.recordings import make_bundle
@@ -24,6 +26,7 @@ from support.rest import (
 from support.stores import folder_of
 
 from drivers.files.compact_mesh import write_compact_mesh
+from drivers.files.mesh_file import write_mesh
 from drivers.files.recording import open_recording
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.store import Store, holds
@@ -53,6 +56,28 @@ async def test_a_compact_mesh_comes_in_every_format(
         answer = await client.get(f"/particles/1/{name}")
         assert_problem(answer, 404, "not-kept")
         assert "mesh.sfmesh is damaged: its checksum is wrong" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", ["mesh.sfmesh", "mesh.ply"])
+async def test_a_textured_mesh_has_its_greys_in_ply_glb_and_picture(
+    client: httpx.AsyncClient, store: Store, session: int, tmp_path: Path, name: str
+) -> None:
+    body = trimesh.creation.icosphere(subdivisions=3, radius=9.0)
+    greys = np.where(body.vertices[:, 2] > 0, 200, 10).astype(np.uint8)
+    write = write_mesh if name.endswith("ply") else write_compact_mesh
+    write(tmp_path / name, body.vertices, body.faces, greys)
+    await add(store, session, 1, measured(), {name: tmp_path / name})
+    for suffix in ("ply", "glb"):
+        content = (await client.get(f"/particles/1/mesh.{suffix}")).content
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=suffix, process=False)
+        assert isinstance(mesh.visual, trimesh.visual.ColorVisuals)
+        np.testing.assert_array_equal(mesh.visual.vertex_colors[:, :3], np.repeat(greys[:, None], 3, axis=1))
+    assert (await client.get("/particles/1/mesh.stl")).status_code == 200
+    answer = await client.get("/particles/1/preview.png")
+    image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    assert np.ptp(image[240, 240]) == 0, "grey, as the cameras are"
+    assert image[120, 240].mean() > 2 * image[400, 240].mean()
 
 
 async def test_files_that_were_removed_are_gone_and_say_why(

@@ -35,7 +35,7 @@ def main() -> None:
             ply_ms, ply_bytes = _ms(lambda v=vertices, f=faces: write_mesh(path, v, f)), path.stat().st_size
             write_ms = _ms(lambda v=vertices, f=faces: write_compact_mesh(path, v, f))
             read_ms = _ms(lambda: read_compact_mesh(path))
-            read_vertices, read_faces = read_compact_mesh(path)
+            read_vertices, read_faces, _ = read_compact_mesh(path)
             volume = solid_of(vertices, faces).volume_mm3
             deviation = solid_of(read_vertices, read_faces).volume_mm3 / volume - 1
             table.add_row(

@@ -71,7 +71,7 @@ def test_daemon_equals_offline(
             if exact_meshes == "true":
                 assert (folder / "mesh.ply").read_bytes() == exact.read_bytes()
                 continue
-            vertices_mm, faces = read_compact_mesh(folder / "mesh.sfmesh")
+            vertices_mm, faces, _ = read_compact_mesh(folder / "mesh.sfmesh")
             mesh = parse_mesh(exact)
             np.testing.assert_array_equal(faces, mesh.faces)
             np.testing.assert_allclose(vertices_mm, mesh.vertices, rtol=0, atol=0.51 * STEP_MM)

@@ -115,6 +115,27 @@ def test_the_body_can_be_refined_by_its_pixels_or_it_is_said_why_not(recording: 
         assert trimesh.load(tmp_path / record["mesh"], process=False).is_watertight
 
 
+@pytest.mark.parametrize(
+    ("arguments", "is_textured"),
+    [
+        (("--body", "photo"), True),
+        (("--body", "photo", "--no-texture"), False),
+        (("--texture",), True),
+        ((), False),
+    ],
+)
+def test_meshes_are_textured_where_that_is_asked_for(
+    recording: Path, tmp_path: Path, arguments: tuple[str, ...], is_textured: bool
+) -> None:
+    run(recording, "--out", tmp_path, "--workers", 1, *arguments)
+    for record in records(tmp_path):
+        assert ("texture" in record["timings_ms"]) == is_textured
+        mesh = trimesh.load(tmp_path / record["mesh"], process=False)
+        assert (mesh.visual.kind == "vertex") == is_textured
+        if is_textured:
+            assert 30 < mesh.visual.vertex_colors[:, 0].mean() < 90, "spheres of grey level 60"
+
+
 def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_path: Path) -> None:
     config = tmp_path / "stonefall.toml"
     config.write_text(

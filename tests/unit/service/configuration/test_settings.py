@@ -275,6 +275,23 @@ def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
     )
 
 
+@pytest.mark.parametrize(
+    ("section", "is_textured"),
+    [
+        ("", False),
+        ('kind = "photo"', True),
+        ('kind = "photo"\ntexture = false', False),
+        ("texture = true", True),
+    ],
+)
+def test_meshes_are_textured_with_photo_unless_the_file_says_otherwise(
+    tmp_path: Path, section: str, is_textured: bool
+):
+    assert settings_of(tmp_path, f"{MINIMAL}[body]\n{section}").pipeline.body.is_textured == is_textured
+    with pytest.raises(SettingsError, match=r"body\.texture: .* boolean"):
+        settings_of(tmp_path, f'{MINIMAL}[body]\ntexture = "much"')
+
+
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path):
     write_tiny_recording(tmp_path / "recording")
     settings = settings_of(tmp_path, MINIMAL.replace("/var/lib/somewhere", "/proc/stonefall"))
@@ -391,7 +408,7 @@ def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, t
     text = (DEPLOY / name).read_text()
     settings = settings_of(tmp_path, text)
     told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
-    examples = ("density_g_cm3", "volume_model", "[[api.keys]]", "name", "sha256", "scopes")
+    examples = ("density_g_cm3", "volume_model", "texture", "[[api.keys]]", "name", "sha256", "scopes")
     examples += ("url", "secret_files", "events", "ca_file")  # of [[webhooks.endpoints]]
     examples += ('dir = "/mnt', "formats", "language", "must_be_mounted")  # of [file_drop]
     spelled_out = "\n".join(line for line in told if not line.startswith(examples))

@@ -1,0 +1,52 @@
+"""What a job of a worker leaves out when other stones wait."""
+
+from pathlib import Path
+
+import pytest
+import trimesh
+from support import rendered
+
+from drivers.files.bundle_file import write_bundle
+from drivers.files.rig_file import write_rig
+from pipeline.particle import BodyParameters, PipelineParameters
+from service.processing import measure_job
+from service.processing.background_files import write_background
+from service.processing.measure_job import MESH, RUSH, MeasureJob, RigFile, Worker, WorkerContext, measure
+from service.processing.segmenters import CLASSICAL, build_segmenter
+
+
+@pytest.mark.parametrize(
+    ("texture", "is_rushed", "is_textured"),
+    [(None, False, True), (None, True, False), (True, True, True), (False, False, False)],
+)
+def test_under_a_rush_a_stone_is_neither_refined_nor_textured_unless_texture_is_asked_for(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    texture: bool | None,
+    is_rushed: bool,
+    is_textured: bool,
+) -> None:
+    parameters = PipelineParameters(body=BodyParameters("photo", texture))
+    worker = Worker(
+        context=WorkerContext(parameters=parameters, is_simulated=True),
+        segmenter=build_segmenter(CLASSICAL, parameters.segmentation),
+    )
+    monkeypatch.setattr(measure_job, "_worker", worker)
+    rig, bundle = rendered.rig(), rendered.sphere_bundle()
+    write_rig(tmp_path / "rig.json", rig)
+    write_background(tmp_path / "background", rendered.background())
+    write_bundle(tmp_path / "bundle.tiff", bundle, rig.camera_ids, compression="none")
+    job = MeasureJob(
+        bundle_path=tmp_path / "bundle.tiff",
+        camera_ids=rig.camera_ids,
+        rig_file=RigFile(tmp_path / "rig.json", rig.calibration_id),
+        background_path=tmp_path / "background",
+        out_dir=tmp_path / "out",
+        is_rushed=is_rushed,
+    )
+    record = measure(job).record
+    assert ("refine" in record["timings_ms"]) != is_rushed
+    assert (record["refinement_fallback"] == RUSH) == is_rushed
+    assert ("texture" in record["timings_ms"]) == is_textured
+    mesh = trimesh.load_mesh(tmp_path / "out" / MESH, process=False)
+    assert (mesh.visual.kind == "vertex") == is_textured
