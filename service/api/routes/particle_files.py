@@ -49,7 +49,10 @@ MESH: Responses = {
     "/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(404, 406, 410)}
 )
 async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up."""
+    """Return the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up.
+
+    Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
+    """
     formats = list(MEDIA_TYPES)
     choice = best_match(request.headers.get("accept"), list(MEDIA_TYPES.values()))
     if choice is None:
@@ -73,13 +76,16 @@ async def mesh_file(
     particle_id: ParticleKey,
     mesh_format: Annotated[MeshFormat, Path(description="Format of the file")],
 ) -> Response:
-    """Return the mesh in the format of the suffix: PLY or STL in mm with z up, or GLB in metres with y up."""
+    """Return the mesh in the format of the suffix: PLY or STL in mm with z up, or GLB in metres with y up.
+
+    Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
+    """
     return await _mesh_response(context, request, particle_id, mesh_format)
 
 
 @router.get("/{particle_id}/preview.png", response_class=Response, responses=IMAGE)
 async def preview(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return a rendered picture of the mesh."""
+    """Return a rendered picture of the mesh, in the grey of its vertices if they have any."""
     record = await find_record(context, particle_id)
     return await _file(
         context, request, record, "preview", "image/png", preview_png, is_fixed=particle_id.isdecimal()
