@@ -8,6 +8,7 @@ import pytest
 from support.daemon_process import DaemonProcess
 from support.small_recording import write_small_recording
 from support.stores import folder_of
+from trimesh.visual import ColorVisuals
 from typer.testing import CliRunner
 
 from drivers.files.compact_mesh import STEP_MM, read_compact_mesh
@@ -20,6 +21,7 @@ COMPARED = (
     "dropped_views", "segmenters", "segmentation_flags", *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
     "view_residuals_px", "calibration_id", "algorithm_version", "is_simulated",
 )  # fmt: skip
+TEXTURE = "texture = true"
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
     """What `stonefall measure` makes of it with two workers."""
     folder = tmp_path_factory.mktemp("offline")
-    config = DaemonProcess(folder, recording).config_path
+    config = DaemonProcess(folder, recording, texture=TEXTURE).config_path
     arguments = ["measure", str(recording), "--out", str(folder / "out"), "--workers", "2"]
     result = CliRunner().invoke(build_app(), [*arguments, "--config", str(config)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
@@ -52,7 +54,8 @@ def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
 def test_daemon_equals_offline(
     tmp_path: Path, recording: Path, offline: Path, slots: int, exact_meshes: str
 ) -> None:
-    with DaemonProcess(tmp_path, recording, slots=slots, store=f"exact_meshes = {exact_meshes}") as daemon:
+    store = f"exact_meshes = {exact_meshes}"
+    with DaemonProcess(tmp_path, recording, slots=slots, store=store, texture=TEXTURE) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda counts: counts["triggers"] == 5 and not counts["in_progress"])
         live = daemon.get("/results?after=0")["items"]
@@ -71,8 +74,10 @@ def test_daemon_equals_offline(
             if exact_meshes == "true":
                 assert (folder / "mesh.ply").read_bytes() == exact.read_bytes()
                 continue
-            vertices_mm, faces, _ = read_compact_mesh(folder / "mesh.sfmesh")
+            vertices_mm, faces, greys = read_compact_mesh(folder / "mesh.sfmesh")
             mesh = parse_mesh(exact)
             np.testing.assert_array_equal(faces, mesh.faces)
+            assert isinstance(mesh.visual, ColorVisuals)
+            np.testing.assert_array_equal(greys, mesh.visual.vertex_colors[:, 0])
             np.testing.assert_allclose(vertices_mm, mesh.vertices, rtol=0, atol=0.51 * STEP_MM)
             assert 4 * (folder / "mesh.sfmesh").stat().st_size < exact.stat().st_size

@@ -40,6 +40,7 @@ reserve_gb = 0.1
 n = {voxels}
 [body]
 kind = "{body}"
+{texture}
 [workers]
 slots = {slots}
 [api]
@@ -61,6 +62,7 @@ class DaemonProcess:
         spool: str = "spool",
         voxels: int = 64,
         body: str = "estimate",
+        texture: str = "",
         slots: int = 2,
         port: int = 0,
         max_bundles: int = 100,
@@ -81,6 +83,7 @@ class DaemonProcess:
                 spool=spool,
                 voxels=voxels,
                 body=body,
+                texture=texture,
                 slots=slots,
                 port=port,
                 max_bundles=max_bundles,
