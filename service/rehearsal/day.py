@@ -52,8 +52,7 @@ class Day:
             getattr(self, step.do)(**step.arguments)
             self._look()
         lots = [self._lot(lot["lot"]) for lot in reversed(self._daemon.ask("GET", "/lots")["items"])]
-        raised = self._daemon.ask("GET", f"/alarms/history?limit=1000&language={self._language}")["items"]
-        alarms = [{name: alarm[name] for name in OF_ALARMS} for alarm in reversed(raised)]
+        alarms = [{name: alarm[name] for name in OF_ALARMS} for alarm in self._alarms()]
         self._look()
         return self._observer.expected(self._script.name, lots, alarms, self._health)
 
@@ -185,6 +184,15 @@ class Day:
 
     def _wait_for_ends(self, is_enough: Callable[[int, int], bool]) -> None:
         self._daemon.wait_for("/health/live", lambda _: is_enough(*ends_of(self._daemon.state_dir)))
+
+    def _alarms(self) -> list[dict[str, Any]]:
+        """Return all alarms of the day, oldest first, once the store has those that are known."""
+        known = {alarm["id"] for listed in self._daemon.ask("GET", "/alarms").values() for alarm in listed}
+        history = self._daemon.wait_for(
+            f"/alarms/history?limit=1000&language={self._language}",
+            lambda found: known <= {alarm["id"] for alarm in found["items"]},
+        )
+        return list(reversed(history["items"]))
 
     def _lot(self, lot: str) -> dict[str, Any]:
         figures = self._daemon.ask("GET", f"/lots/{lot}/gradation")
