@@ -92,6 +92,6 @@ def fetch(
 def _refusal(error: urllib.error.HTTPError) -> DaemonError:
     try:
         problem = json.load(error)
-        return DaemonError(f"refused: {problem['detail']}", str(problem["type"]).rpartition(":")[2])
-    except (ValueError, KeyError, TypeError):
+        return DaemonError(f"refused: {problem['detail']}", str(problem.get("type", "")).rpartition(":")[2])
+    except (ValueError, KeyError, TypeError, AttributeError):
         return DaemonError(f"refused: {error.code} {error.reason}")
