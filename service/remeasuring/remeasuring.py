@@ -3,7 +3,8 @@
 A process of its own with the lowest priority does it; it is started when it is asked for and ends when nobody asks any
 more. Frames come from the archive, the calibration is the one that the result names, algorithm and parameters are
 today's, and so is the background: versions of it are not archived. What is measured with today's algorithm already is
-not measured again, so whoever asks for all stones of a lot may be killed and ask again.
+not measured again, unless its refinement was left out in a rush: whoever asks for all stones of a lot may be killed and
+ask again.
 """
 
 import asyncio
@@ -24,6 +25,7 @@ from service.errors import ServiceError
 from service.processing import measure_job
 from service.processing.measure_job import (
     RESULT_FILES,
+    RUSH,
     MeasuredBundle,
     MeasureJob,
     RigFile,
@@ -136,7 +138,7 @@ class Remeasuring:
         self._is_closed = False
 
     async def measure(self, name: str, who: str) -> bool:
-        """Revise the stone with this id; return False if its newest result is of today's algorithm already.
+        """Revise the stone with this id; return False if its newest result is all that today's algorithm can say.
 
         Raises
         ------
@@ -147,7 +149,7 @@ class Remeasuring:
             record = await self._store.particle(name)
             if record is None or record["outcome"] == Outcome.LOST:
                 raise RemeasureError(Hindrance.NO_FRAMES, f"{name} never had frames")
-            if record.get("algorithm_version") == ALGORITHM_VERSION:
+            if record.get("algorithm_version") == ALGORITHM_VERSION and not _was_rushed(record):
                 return False
             try:
                 job = await self._job_for(record)
@@ -271,6 +273,11 @@ class Remeasuring:
         if self._pool is not None:
             self._pool.close()
             self._pool = None
+
+
+def _was_rushed(record: Record) -> bool:
+    """Return whether other stones waited, so that its body was not refined."""
+    return record.get("refinement_fallback") == RUSH
 
 
 def _require_sound(before: Record, after: Record) -> None:

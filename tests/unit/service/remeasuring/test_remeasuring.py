@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from support.calibration_desk import open_desk
 from support.remeasuring import AgainPool, add_old, remeasuring_of
-from support.rest import add, measured
+from support.rest import add, measured, particle_files
 
 from drivers.errors import RecordingError
 from service.calibration.calibrations import Calibrations
-from service.processing.measure_job import MeasureJob
+from service.processing.measure_job import RUSH, MeasureJob
 from service.processing.worker_pool import JobLostError
 from service.remeasuring import remeasuring as module
 from service.remeasuring.remeasuring import Hindrance, RemeasureError, Remeasuring
@@ -53,6 +53,20 @@ async def test_a_stone_is_measured_once_more_and_not_twice(
     assert newest["algorithm_version"] == ALGORITHM_VERSION
     assert (await store.folder(2) / "mesh.ply").is_file()
     assert pool.n_started == 1
+
+
+async def test_a_stone_whose_refinement_was_left_out_in_a_rush_is_refined_afterwards(
+    store: Store, session: int, desk: Calibrations, again: Remeasuring, tmp_path: Path
+) -> None:
+    record = measured(
+        calibration_id=desk.rig_file.calibration_id,
+        algorithm_version=ALGORITHM_VERSION,
+        refinement_fallback=RUSH,
+    )
+    await add(store, session, 1, record, particle_files(tmp_path / "out"))
+    first = await store.particle(1)
+    assert first is not None
+    assert [await again.measure(first["id"], "anna") for _ in range(2)] == [True, False]
 
 
 async def assert_hindered(again: Remeasuring, store: Store, name: str, why: Hindrance) -> None:
