@@ -132,9 +132,10 @@ def delete(folder: Path) -> None:
 def kill_fork_server(daemon: DaemonProcess) -> None:
     """Kill it, and a worker so that it is missed at once."""
     for pid in descendants_of(daemon.process.pid):
-        command = Path(f"/proc/{pid}/cmdline").read_bytes()
-        if b"forkserver" in command and pid not in daemon.worker_pids():
-            os.kill(pid, signal.SIGKILL)
+        with suppress(FileNotFoundError, ProcessLookupError):  # it may end meanwhile
+            command = Path(f"/proc/{pid}/cmdline").read_bytes()
+            if b"forkserver" in command and pid not in daemon.worker_pids():
+                os.kill(pid, signal.SIGKILL)
 
 
 def is_full_and_lost(queue: dict[str, Any]) -> bool:

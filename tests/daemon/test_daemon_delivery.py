@@ -82,11 +82,11 @@ def test_lots_are_told_and_written_over_kills(tmp_path: Path, mes: Mes) -> None:
         daemon.post("/lots", {"lot": "L1", "product": "basalt"})
         times = {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}
         assert daemon.post("/lots/L1/assign", times)["n_assigned"] == N_STONES
-        eventually(lambda: len(mes.requests) == 2, 60)
+        eventually(lambda: len(mes.requests) == 2)
         mes.is_hanging.set()
         drop.rename(tmp_path / "unmounted")
         daemon.post("/lots/L1/close", {})
-        eventually(lambda: len(mes.requests) == 3, 60)  # it was sent and nothing is noted
+        eventually(lambda: len(mes.requests) >= 3)  # it was sent and nothing is noted
         check = daemon.wait_for("/health", lambda found: found["checks"]["file_drop"]["status"] == "warn")
         assert "there is no such folder" in check["checks"]["file_drop"]["detail"]
         assert check["ne107"] != "failure"
@@ -100,13 +100,15 @@ def test_lots_are_told_and_written_over_kills(tmp_path: Path, mes: Mes) -> None:
             "/webhooks", lambda found: found["items"][0]["last_taken_at"] and not found["items"][0]["waiting"]
         )["items"]
         assert (endpoint["last_problem"], "secret" in str(endpoint)) == (None, False)
-        eventually(lambda: {path.name for path in drop.iterdir()} == {"L1-1.csv", "L1-1.json"}, 60)
+        eventually(lambda: {path.name for path in drop.iterdir()} == {"L1-1.csv", "L1-1.json"})
         assert '"measured":4' in (drop / "L1-1.json").read_text()
         assert daemon.stop() == 0
     assert "Traceback" not in daemon.log
     kinds = [kind for _, kind in mes.told()]
-    assert kinds == ["lot.opened", "lot.assigned", "lot.closed", "lot.closed"]
-    assert mes.requests[2].id == mes.requests[3].id
-    assert mes.requests[2].body == mes.requests[3].body
+    assert kinds[:2] == ["lot.opened", "lot.assigned"]
+    assert kinds[2:] == ["lot.closed"] * max(
+        2, len(kinds) - 2
+    )  # a slow machine tries again before the kill, too
+    assert len({(each.id, each.body) for each in mes.requests[2:]}) == 1
     assert all(is_signed(each.headers, each.body, KEY) for each in mes.requests)
     assert SECRET not in daemon.log

@@ -35,6 +35,8 @@ DAEMON_SHARE = 0.5
 UNREADY_SHARE = 0.2
 """Share of the daemons that are killed at any moment of their start; the others measure before."""
 START_S, LIFE_S = 3.0, 1.0
+DRAIN_S = 600.0
+"""Longest time for what waits in the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +99,7 @@ def all_in_the_end(daemon: DaemonProcess) -> list[dict[str, Any]]:
     """Let no more stones fall, and return all results."""
     daemon.put("/acquisition", {"state": "disarmed"})
     daemon.wait_for("/acquisition", lambda now: now["state"] == "disarmed")
-    counts = daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+    counts = daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=DRAIN_S)
     results = all_results(daemon)
     assert counts["is_balanced"]
     assert counts["triggers"] == len(results)

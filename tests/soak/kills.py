@@ -37,6 +37,8 @@ UNARMED_SHARE = 0.2
 START_S = 6.0
 LIFE_S = 4.0
 JAM_SHARE = 0.5
+DRAIN_S = 600.0
+"""Longest time for what waits in the end."""
 JAM_S = 2.0
 QUIET_S = 2.0
 
@@ -100,7 +102,7 @@ def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0, number: in
             eventually(lambda: rig.gate.counters.edges > fallen)
             rig.belt.stop()
             daemon.wait_for("/acquisition", lambda now: (now["last_stone_age_s"] or 0) > QUIET_S)
-            daemon.wait_for("/accounting", lambda counts: counts["in_progress"] == 0)
+            daemon.wait_for("/accounting", lambda counts: counts["in_progress"] == 0, timeout_s=DRAIN_S)
             balance = Balance(rig.gate.counters.edges, len(spooled), all_results(daemon))
             assert daemon.get("/accounting")["is_balanced"]
             assert daemon.stop() == 0
