@@ -46,7 +46,7 @@ BodyKind = Literal["photo", "estimate", "hull"]
 class BodyParameters:
     """Which body the mesh and the figures of the shape describe; each but the hull is made from the next one."""
 
-    kind: BodyKind = "estimate"
+    kind: BodyKind = "photo"
     texture: bool | None = None  # whether each vertex of the mesh has a grey value; None: with "photo"
 
     @property

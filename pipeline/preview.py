@@ -25,7 +25,7 @@ AMBIENT = 0.16
 UNSHADED_SHARE = 0.6
 """Share of unshaded light on vertices of individual colours, which shading must not change much."""
 SCREEN_GAMMA = 2.2
-"""Of screens, which cameras do not have: grey levels shown as they are would be too dark."""
+"""Exponent by which screens darken grey levels; cameras have none, so their greys are brightened for a picture."""
 STONE_RGB = (0.80, 0.75, 0.68)
 TOP_RGB, BOTTOM_RGB = (0.965, 0.97, 0.975), (0.87, 0.88, 0.895)
 INK_RGB = (70, 74, 80)

@@ -31,7 +31,7 @@ SLACK_MM = 0.004
 a ray would otherwise cut it anywhere, by the noise of the outlines."""
 LEAST_SLOPE = 0.002
 """Sine of the angle between a ray and a plane below which the plane does not end the ray: along a face that two views
-see nearly edge-on a hundredth of a millimetre between their planes would move that end by centimetres."""
+see nearly edge-on a hundredth of a millimetre between their planes would move that end by 5 mm and more."""
 SEEN_POINTS = 10
 """Points to either side of the one that touches at which the edge must have been seen: closer to a gap it may be the
 noise of the outline that has the tangent touch there, and not beyond."""

@@ -35,8 +35,8 @@ from pipeline.refinement.sightings import (
 
 SPACING_MM = 0.8
 """Spacing of the nodes: they choose views, the grey is each vertex's own."""
-EACH = 4
-"""Of as many vertices one may be a node: they are far closer than nodes."""
+VERTEX_STEP = 4
+"""Step through the vertices, which are far closer than nodes: the others need not be looked at to choose nodes."""
 MAX_VIEWS = 3
 """Views whose mean a vertex is: more blur its texture, as none lies quite right."""
 LEAST_GREY, MOST_GREY = 2.0, 250.0
@@ -57,9 +57,11 @@ def vertex_greys(mesh: ParticleMesh, views: PhotoViews) -> Greys | None:
     A vertex that no view shows has the grey of the nearest that one does.
     """
     normals = vertex_normals(mesh.vertices_mm, mesh.faces)
-    some_mm, some_normals = (np.ascontiguousarray(each[::EACH]) for each in (mesh.vertices_mm, normals))
+    some_mm, some_normals = (
+        np.ascontiguousarray(each[::VERTEX_STEP]) for each in (mesh.vertices_mm, normals)
+    )
     nodes = spread_nodes(some_mm, some_normals, SPACING_MM)
-    at_nodes = EACH * nodes.chosen
+    at_nodes = VERTEX_STEP * nodes.chosen
     maps = depth_maps(views, nodes.points_mm)
     chosen, _ = sightings(views, maps, nodes.points_mm, nodes.normals, 0.0, MAX_VIEWS)
     seen_by = chosen[_nearest(mesh.faces, at_nodes, len(normals))]

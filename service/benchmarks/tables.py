@@ -9,27 +9,33 @@ from service.benchmarks.performance import N_RUNS, SizeTimes
 from service.benchmarks.scaling import N_BUNDLES, Scaling
 
 
-def stage_table(times: Sequence[SizeTimes], seed: int) -> Table:
-    """Return the times of all stages, with a row for each size of stones."""
-    table = Table(
+def performance_tables(times: Sequence[SizeTimes], seed: int) -> list[Table]:
+    """Return the times of all stages, and those of the three kinds of body, with a row for each size of stones."""
+    stages = Table(
         title=f"ms of processor time a stone on one thread, quickest of {N_RUNS} runs, medians of {times[0].n} stones a"
         f" size, seed {seed}; {_machine()}",
-        caption="all: frames to all measures; hull: the same with the hull as the body; silhouettes to mesh: the hull,"
-        " with integrals; file to result: a bundle on disk to its durable result, by the clock as well;"
+        caption="all: frames to all measures of the estimated body; silhouettes to mesh: the hull, with integrals;"
         " GFLOP/s: of the processor meanwhile (product of matrices), 97 to 100 where the goals were found",
     )
+    for heading in ("stone mm", *times[0].stages_ms, "all", "p95", "silhouettes to mesh", "GFLOP/s"):
+        stages.add_column(heading, justify="right")
+    bodies = Table(
+        title="the same with each kind of body",
+        caption="file to result: a bundle on disk to its durable result with the refined and textured body, photo",
+    )
     for heading in (
-        "stone mm", *times[0].stages_ms, "all", "p95", "hull", "silhouettes to mesh", "file to result", "by the clock",
-        "p95", "GFLOP/s",
+        "stone mm", "hull", "estimate", "photo", "refinement", "texture", "file to result", "by the clock", "p95",
     ):  # fmt: skip
-        table.add_column(heading, justify="right")
+        bodies.add_column(heading, justify="right")
     for row in times:
-        figures_ms = (
-            *row.stages_ms.values(), row.cpu_ms, row.cpu_p95_ms, row.hull_ms, row.mesh_ms, row.way_cpu_ms, row.way_ms,
-            row.way_p95_ms, row.gflops,
+        figures = (*row.stages_ms.values(), row.cpu_ms, row.cpu_p95_ms, row.mesh_ms, row.gflops)
+        stages.add_row(f"{row.size_mm:g}", *(f"{figure:.1f}" for figure in figures))
+        figures = (
+            row.hull_ms, row.cpu_ms, row.photo_ms, row.refine_ms, row.texture_ms, row.way_cpu_ms, row.way_ms,
+            row.way_p95_ms,
         )  # fmt: skip
-        table.add_row(f"{row.size_mm:g}", *(f"{ms:.1f}" for ms in figures_ms))
-    return table
+        bodies.add_row(f"{row.size_mm:g}", *(f"{figure:.1f}" for figure in figures))
+    return [stages, bodies]
 
 
 def scaling_tables(scaling: Scaling, seed: int) -> list[Table]:

@@ -32,7 +32,7 @@ from service.benchmarks.accuracy import (
 )
 from service.benchmarks.performance import run_performance_bench
 from service.benchmarks.scaling import run_scaling_bench
-from service.benchmarks.tables import scaling_tables, stage_table
+from service.benchmarks.tables import performance_tables, scaling_tables
 from service.commands.shape import read_mesh
 from service.errors import UsageError
 
@@ -130,7 +130,7 @@ def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None
     else:
         times = _with_progress("timing", lambda on_progress: run_performance_bench(poses, seed, on_progress))
         document = [asdict(row) for row in times]
-        tables = [stage_table(times, seed)]
+        tables = performance_tables(times, seed)
     if as_json:
         typer.echo(json.dumps(document, indent=2))
         return

@@ -119,7 +119,7 @@ def command(
     ] = None,
     body: Annotated[
         BodyName | None,
-        typer.Option(help="Body that mesh and shape describe; default: as configured, else the estimate."),
+        typer.Option(help="Body that mesh and shape describe; default: as configured, else photo."),
     ] = None,
     texture: Annotated[
         bool | None,

@@ -11,7 +11,7 @@ import logging
 import shutil
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -41,8 +41,8 @@ log = logging.getLogger(__name__)
 SHUTDOWN = Loss(reason=LossReason.SHUTDOWN, detail="the daemon was stopped before this bundle was measured")
 
 
-RUSH_SHARE = 2
-"""Bundles in the workers' hands and before them, for each worker, beyond which bodies are not refined."""
+RUSH_SHARE = 0.5
+"""Bundles that wait, for each worker, beyond which the next body is not refined."""
 MAX_TURNS = 1000
 """Most bundles that wait for their commit, more than slots; behind them, losses wait in the spool."""
 
@@ -365,12 +365,15 @@ class Processing:
             save_silhouettes=self._context.save_silhouettes,
             checked=self._context.checked,
             threads=self._pool.threads_per_job,
-            is_rushed=self._context.can_rush and len(self._jobs) > RUSH_SHARE * self._pool.size,
         )
-        measured = await self._pool.run(measure, job)
+        measured = await self._pool.run_when_idle(measure, lambda: replace(job, is_rushed=self._is_rush()))
         collector = inputs.collector
         keep_drop = None if collector is None else await collector.observe(self._pool, job)
         return _Measured(measured, folder, keep_drop)
+
+    def _is_rush(self) -> bool:
+        """Return whether so many bundles wait that the next body is not refined."""
+        return self._context.can_rush and self._pool.n_waiting > RUSH_SHARE * self._pool.size
 
 
 def _complete(learning: Path, learnt: Path) -> Path:

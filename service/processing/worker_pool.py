@@ -87,6 +87,7 @@ class WorkerPool:
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
         self._n_jobs = 0
+        self.n_waiting = 0  # jobs for which no slot is idle
         self.restarts = 0
         self._last_failure = ""
         self._last_failure_s = -RECENT_S
@@ -122,7 +123,11 @@ class WorkerPool:
             self._idle.put_nowait(slot)
 
     async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
-        """Return `function(job)`, computed in the first idle slot; a `WorkerFailure` counts as a crash.
+        """Return `function(job)`, computed in the first idle slot; raise what `run_when_idle` raises."""
+        return await self.run_when_idle(function, lambda: job)
+
+    async def run_when_idle(self, function: Callable[[Job], Result], make_job: Callable[[], Job]) -> Result:
+        """Return `function(make_job())`, the job made once a slot is idle; a `WorkerFailure` counts as a crash.
 
         Raises
         ------
@@ -132,10 +137,14 @@ class WorkerPool:
             The slot could not be rebuilt.
         """
         self._n_jobs += 1
-        slot = await self._idle.get()
+        self.n_waiting += 1
+        try:
+            slot = await self._idle.get()
+        finally:
+            self.n_waiting -= 1
         try:
             async with slot.busy:
-                return await self._run_in(slot, function, job)
+                return await self._run_in(slot, function, make_job())
         finally:
             self._idle.put_nowait(slot)
 

@@ -220,7 +220,8 @@ class Result(BaseModel):
         " pi^(1/3) (6 V)^(2/3) / A, 0..1; 1: a sphere"
     )
     convexity: Number = _measured(
-        "Volume of the mesh by volume of its convex hull, 0..1; an upper bound, as silhouettes show no dents"
+        "Volume of the mesh by volume of its convex hull, 0..1; an upper bound unless `body` is `photo`, as silhouettes"
+        " show no dents"
     )
     elongation_ratio: Number = _measured(
         "Zingg's elongation ratio b / a, of the edges a >= b >= c in `min_box_mm`, 0..1; 1: as wide as long"

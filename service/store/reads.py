@@ -46,12 +46,12 @@ STATE = (
 FIRST = f"SELECT results.seq, results.record, removed, pins.reason, triggers.lot FROM results{STATE}"  # noqa: S608 - constants, as below
 """Results as they first were."""
 LATER = (
-    "SELECT revisions.seq, revisions.record, removed, pins.reason, triggers.lot"  # noqa: S608
+    "SELECT revisions.seq, revisions.record, removed, pins.reason, triggers.lot"  # noqa: S608 - as above
     f" FROM revisions JOIN results ON results.seq = revisions.first{STATE}"
 )
 """Their revisions."""
 NEWEST = (
-    "SELECT results.seq, coalesce(revisions.record, results.record), removed, pins.reason, triggers.lot"  # noqa: S608
+    "SELECT results.seq, coalesce(revisions.record, results.record), removed, pins.reason, triggers.lot"  # noqa: S608 - as above
     f" FROM results{STATE} LEFT JOIN revised ON revised.first = results.seq"
     " LEFT JOIN revisions ON revisions.seq = revised.seq"
 )

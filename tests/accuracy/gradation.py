@@ -155,7 +155,7 @@ def main() -> int:
     parser.add_argument("--stones", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
-    parser.add_argument("--body", choices=get_args(BodyKind), default="estimate")
+    parser.add_argument("--body", choices=get_args(BodyKind), default="photo")
     parser.add_argument("--out", type=Path, help="JSON of all stones, true and measured")
     parser.add_argument("--json", action="store_true", help="print the comparisons as JSON")
     arguments = parser.parse_args()

@@ -112,7 +112,7 @@ def main() -> int:
     parser.add_argument("--stones", type=int, default=20, help="number of different stones")
     parser.add_argument("--keep-raw", type=int, default=200, help="number of stones whose frames are kept")
     parser.add_argument("--record", type=int, default=0, help="number of bundles to record live")
-    parser.add_argument("--body", default="estimate", help="hull, estimate or photo")
+    parser.add_argument("--body", default="photo", help="hull, estimate or photo")
     parser.add_argument("--slots", type=int, default=2)
     parser.add_argument("--queue", type=int, default=100, help="bundles that may wait")
     parser.add_argument("--recording", type=Path)

@@ -37,10 +37,10 @@ UNARMED_SHARE = 0.2
 START_S = 6.0
 LIFE_S = 4.0
 JAM_SHARE = 0.5
-DRAIN_S = 600.0
-"""Longest time for what waits in the end."""
 JAM_S = 2.0
 QUIET_S = 2.0
+DRAIN_S = 600.0
+"""Longest time for what waits in the end."""
 
 
 @dataclass(frozen=True, slots=True)

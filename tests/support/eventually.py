@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from inspect import isawaitable
 
 PATIENCE_S = 100.0
-"""Nothing takes so long, but on a machine that is busy with other things."""
+"""Longest wait; nothing takes as long unless the machine is busy with other things."""
 
 
 def eventually(is_so: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:

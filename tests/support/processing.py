@@ -42,14 +42,24 @@ class ScriptedPool:
     """Answers at once, or when the test says so."""
 
     size = threads_per_job = 1
+    n_waiting = 0
 
-    def __init__(self, failures: Mapping[str, Exception] | None = None, is_gated: bool = False) -> None:
+    def __init__(
+        self, failures: Mapping[str, Exception] | None = None, *, is_gated: bool = False, slots: int = 100
+    ) -> None:
         self.failures = failures or {}
+        self.slots = asyncio.Semaphore(slots)
         self.unseen: dict[str, Exception] = {}
         self.jobs: list[MeasureJob | LearnJob] = []
         self.gates: dict[str, asyncio.Event] = {}
         self.is_gated = is_gated
         self.has_job = asyncio.Event()
+
+    async def run_when_idle(self, function: Callable[[Any], Any], make_job: Callable[[], MeasureJob]) -> Any:
+        self.n_waiting += 1
+        async with self.slots:
+            self.n_waiting -= 1
+            return await self.run(function, make_job())
 
     async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob | ObserveJob) -> Any:
         name = job.bundle_path.stem

@@ -150,7 +150,7 @@ def measured_rows(
     n_jobs: int,
     pairs: Sequence[Pair],
     out: Path | None = None,
-    kind: BodyKind = "estimate",
+    kind: BodyKind = "photo",
 ) -> list[Row]:
     """Render and measure a lot; the same stones whatever the number of processes."""
     jobs = [

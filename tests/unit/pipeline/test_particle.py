@@ -200,7 +200,9 @@ def test_stages_are_reported_in_their_order() -> None:
     measure_bundle(
         rendered.sphere_bundle(), RIG, rendered.background(), BackgroundSegmenter(), PARAMETERS, stages.append
     )
-    assert stages == ["segment", "optics", "check", "carve", "mesh", "estimate", "measure"]
+    assert stages == [
+        "segment", "optics", "check", "carve", "mesh", "estimate", "refine", "measure", "texture",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("wrong", [{"min": 1}, {"reduced": 15}, {"max_unusable": -1}])

@@ -127,6 +127,7 @@ def test_times_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(row["stages_ms"]) == {"segment", "optics", "check", "carve", "mesh", "estimate", "measure"}
     assert row["cpu_ms"] == pytest.approx(sum(row["stages_ms"].values()))
     assert 0 < row["mesh_ms"] < row["hull_ms"]
+    assert row["refine_ms"] + row["texture_ms"] < row["photo_ms"]
     assert row["stages_ms"]["segment"] < row["way_cpu_ms"]
 
 

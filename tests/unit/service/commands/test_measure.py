@@ -105,7 +105,7 @@ def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> No
 
 
 def test_the_body_can_be_refined_by_its_pixels_or_it_is_said_why_not(recording: Path, tmp_path: Path) -> None:
-    run(recording, "--out", tmp_path, "--workers", 1, "--body", "photo")
+    run(recording, "--out", tmp_path, "--workers", 1)
     for record in records(tmp_path):
         assert record["outcome"] == "measured"
         assert "refine" in record["timings_ms"]
@@ -118,10 +118,10 @@ def test_the_body_can_be_refined_by_its_pixels_or_it_is_said_why_not(recording: 
 @pytest.mark.parametrize(
     ("arguments", "is_textured"),
     [
-        (("--body", "photo"), True),
-        (("--body", "photo", "--no-texture"), False),
-        (("--texture",), True),
-        ((), False),
+        ((), True),
+        (("--no-texture",), False),
+        (("--body", "estimate", "--texture"), True),
+        (("--body", "estimate"), False),
     ],
 )
 def test_meshes_are_textured_where_that_is_asked_for(

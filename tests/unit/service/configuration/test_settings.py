@@ -278,10 +278,10 @@ def test_a_volume_model_that_cannot_be_used_is_named(tmp_path: Path):
 @pytest.mark.parametrize(
     ("section", "is_textured"),
     [
-        ("", False),
-        ('kind = "photo"', True),
-        ('kind = "photo"\ntexture = false', False),
-        ("texture = true", True),
+        ("", True),
+        ("texture = false", False),
+        ('kind = "estimate"', False),
+        ('kind = "estimate"\ntexture = true', True),
     ],
 )
 def test_meshes_are_textured_with_photo_unless_the_file_says_otherwise(
