@@ -66,6 +66,8 @@ class ReplayBelt:
         What is played.
     gate, cameras
         The outlets that replay devices plug their sinks into.
+    pace
+        When it delivers what.
     """
 
     def __init__(
@@ -76,7 +78,7 @@ class ReplayBelt:
         self.recording = recording
         self.gate = Outlet()
         self.cameras = {camera: Outlet() for camera in recording.camera_ids}
-        self._pace = pace
+        self.pace = pace
         self._speed = speed if pace == "recorded" else 1.0
         self._headers = playback_order(recording)
         self._unreadable = unreadable_triggers(recording)
@@ -164,7 +166,7 @@ class ReplayBelt:
             return self._idle()
         at_ns = min(times_ns)
         self._hold(at_ns)
-        if self._pace != "recorded":
+        if self.pace != "recorded":
             self._clock = (at_ns, time.monotonic_ns(), at_ns)
         elif (wait_ns := at_ns - self.clock()) > 0:
             self._changed.wait(wait_ns / self._speed / 1e9)
@@ -178,7 +180,7 @@ class ReplayBelt:
 
     def _next_start_ns(self) -> int | None:
         """Return when the next trigger is due; None without a bundle, a plugged gate or a permit."""
-        is_permitted = self._pace == "recorded" or self._permits > 0
+        is_permitted = self.pace == "recorded" or self._permits > 0
         if self._next is None or not self.gate.is_plugged or not is_permitted:
             return None
         if self._last is None:

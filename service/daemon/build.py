@@ -138,7 +138,8 @@ async def build(settings: Settings, store: Store) -> Daemon:
             save_silhouettes=settings.store.save_silhouettes,
             folder=folder,
             checked=False,  # this process has just written the pixels
-            can_rush=True,
+            # without real time the belt waits for each bundle, and a replay gives equal results each time
+            can_rush=devices.belt is None or devices.belt.pace == "recorded",
         ),
         spool=spool,
         pool=pool,

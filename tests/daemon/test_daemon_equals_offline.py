@@ -21,7 +21,6 @@ COMPARED = (
     "dropped_views", "segmenters", "segmentation_flags", *MEASURED_FIELDS, "gate_extent_mm", "gate_extent_is_plausible",
     "view_residuals_px", "calibration_id", "algorithm_version", "is_simulated",
 )  # fmt: skip
-TEXTURE = "texture = true"
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +42,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
     """What `stonefall measure` makes of it with two workers."""
     folder = tmp_path_factory.mktemp("offline")
-    config = DaemonProcess(folder, recording, texture=TEXTURE).config_path
+    config = DaemonProcess(folder, recording, body="photo").config_path
     arguments = ["measure", str(recording), "--out", str(folder / "out"), "--workers", "2"]
     result = CliRunner().invoke(build_app(), [*arguments, "--config", str(config)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
@@ -55,7 +54,7 @@ def test_daemon_equals_offline(
     tmp_path: Path, recording: Path, offline: Path, slots: int, exact_meshes: str
 ) -> None:
     store = f"exact_meshes = {exact_meshes}"
-    with DaemonProcess(tmp_path, recording, slots=slots, store=store, texture=TEXTURE) as daemon:
+    with DaemonProcess(tmp_path, recording, slots=slots, store=store, body="photo") as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda counts: counts["triggers"] == 5 and not counts["in_progress"])
         live = daemon.get("/results?after=0")["items"]

@@ -40,7 +40,6 @@ reserve_gb = 0.1
 n = {voxels}
 [body]
 kind = "{body}"
-{texture}
 [workers]
 slots = {slots}
 [api]
@@ -62,7 +61,6 @@ class DaemonProcess:
         spool: str = "spool",
         voxels: int = 64,
         body: str = "estimate",
-        texture: str = "",
         slots: int = 2,
         port: int = 0,
         max_bundles: int = 100,
@@ -83,7 +81,6 @@ class DaemonProcess:
                 spool=spool,
                 voxels=voxels,
                 body=body,
-                texture=texture,
                 slots=slots,
                 port=port,
                 max_bundles=max_bundles,
