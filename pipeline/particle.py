@@ -340,6 +340,7 @@ def _measure(
         hull_mm3=hull.volume_mm3,
         is_estimated=body != "hull",
         supported_share=supported_share,
+        relief_mm=0.0 if refinement is None else refinement.relief_mm,
         length_sd_percent=length_sd_percent,
     )
     density = parameters.density_g_cm3

@@ -64,6 +64,9 @@ class Refinement:
     mesh: ParticleMesh  # the estimate's own where nothing was refined
     views: PhotoViews  # as they were read
     supported_share: float  # of the surface, 0 to 1
+    relief_mm: float = (
+        0.0  # rms by which the last pass still shifted what is supported: finer relief is as deep
+    )
     fallback: str | None = None  # why the estimate stays as it is
 
 
@@ -95,6 +98,7 @@ class _Field:
     shifts_mm: Values  # (K,)
     weights: Values  # (K,) of the pixels and of the silhouettes
     supported_share: float  # of the nodes
+    found_mm: float  # rms of what this pass added to the shifts of these nodes
 
 
 def refine_body(
@@ -127,7 +131,7 @@ def refine_body(
             mesh=estimate.mesh, views=views, supported_share=0.0, fallback="the surface would cross itself"
         )
     mesh = ParticleMesh(moved_mm, faces)
-    return Refinement(mesh=mesh, views=views, supported_share=supported_share)
+    return Refinement(mesh=mesh, views=views, supported_share=supported_share, relief_mm=field.found_mm)
 
 
 def _levels(vertices_mm: PointsMM, normals: Floats, scale: float) -> list[tuple[Pass, Nodes, Values]]:
@@ -188,15 +192,23 @@ def _passed(
         stiffness * TRUNCATED_MM,
     )
     found_mm, sure = depths_of(beliefs, scores, depths_mm, nodes, gate)
+    is_supported = sure > 0
+    rms_mm = float(np.sqrt(np.mean(found_mm[is_supported] ** 2))) if is_supported.any() else 0.0
     if each is PASSES[-1]:
         found_mm = found_mm + patch_sagittas(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
-    shifts_mm, weights = base_mm + np.where(sure > 0, found_mm, 0.0), sure
+    shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
     if each is PASSES[-1]:
         anchors = np.maximum(touches**4, 1 - gate)  # at the very points
         shifts_mm, weights = anchored(shifts_mm, sure, anchors, nodes)
-    return _Field(nodes=nodes, shifts_mm=shifts_mm, weights=weights, supported_share=float((sure > 0).mean()))
+    return _Field(
+        nodes=nodes,
+        shifts_mm=shifts_mm,
+        weights=weights,
+        supported_share=float(is_supported.mean()),
+        found_mm=rms_mm,
+    )
 
 
 def _carried_over(field: _Field, nodes: Nodes) -> Values:

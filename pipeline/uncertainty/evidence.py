@@ -54,6 +54,7 @@ class Evidence:
     is_estimated: bool  # False: the body is the hull
     length_sd_percent: float
     supported_share: float = 0.0  # of the surface, where the pixels inside the outlines show how deep it lies
+    relief_mm: float = 0.0  # rms of the finest relief that they show there
 
 
 def evidence_of(
@@ -67,6 +68,7 @@ def evidence_of(
     is_estimated: bool,
     length_sd_percent: float | None = None,
     supported_share: float = 0.0,
+    relief_mm: float = 0.0,
 ) -> Evidence:
     """Collect what is known of the views that carved a stone, and of the volumes that they leave."""
     motion_px = _motion_sigma_px(views.silhouettes)
@@ -98,6 +100,7 @@ def evidence_of(
         is_estimated=is_estimated,
         length_sd_percent=LENGTH_SD_PERCENT if length_sd_percent is None else length_sd_percent,
         supported_share=supported_share,
+        relief_mm=relief_mm,
     )
 
 

@@ -39,14 +39,16 @@ TEXTURE_SHARE = 0.15
 """Standard deviation of a stone's texture, as a share of the wall's level."""
 HIDDEN_PERCENT = 2.5
 """Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
-our bodies, up to 6 % of scanned stones."""
+our bodies, up to 6 % of scanned stones. Dents lie here and there: their variance grows with the surface that may have
+them."""
 REFINED_MM = 0.015
-"""Standard deviation of the surface where pixels inside the outlines show how deep it lies: a third of a pixel."""
+"""Standard deviation of the surface where pixels inside the outlines show how deep it lies: a third of a pixel. Relief
+finer than the patches, which no pixel shows, is taken to be as deep as the finest that they show."""
 COMMON_SHARE = 0.5
 """Share of a surface's error that has the same sign all around, and so changes the volume."""
-ALL_COMMON = (Cause.UNSEEN, Cause.CONTRAST, Cause.CALIBRATION, Cause.HIDDEN)
+ALL_COMMON = (Cause.UNSEEN, Cause.CONTRAST, Cause.CALIBRATION)
 """Causes whose whole error has the same sign all around: what is unknown is not carved, what looks like the wall is; a
-wrong scale; dents."""
+wrong scale. So have dents, but not what is left where pixels show them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +81,8 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
     radius_mm = 3 * volume_mm3 / area_mm2  # of a sphere with this ratio
     scale_mm = evidence.length_sd_percent / 100 * radius_mm
     hidden_share = 1 - evidence.supported_share
+    dents_mm = sqrt(hidden_share) * HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2
+    refined_mm = sqrt(evidence.supported_share) * hypot(REFINED_MM, evidence.relief_mm)
     surface_mm = {
         Cause.PIXELS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * SHARP_SIGMA_PX),
         Cause.FOCUS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * _defocus_px(view)),
@@ -96,15 +100,14 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         * hidden_share,
         Cause.DISAGREEMENT: _disagreement_mm(evidence),
         Cause.CALIBRATION: hypot(scale_mm, _rms_mm(evidence, lambda view: view.calibration_px)),
-        Cause.HIDDEN: hypot(
-            hidden_share * HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2, evidence.supported_share * REFINED_MM
-        ),
+        Cause.HIDDEN: hypot(dents_mm, refined_mm),
     }
     percent_per_mm = 100 * area_mm2 / volume_mm3
     volume_percent = {
         cause: percent_per_mm * sd_mm * (1.0 if cause in ALL_COMMON else COMMON_SHARE)
         for cause, sd_mm in surface_mm.items()
     }
+    volume_percent[Cause.HIDDEN] = percent_per_mm * hypot(dents_mm, COMMON_SHARE * refined_mm)
     return Uncertainty(surface_mm=surface_mm, volume_percent=volume_percent)
 
 

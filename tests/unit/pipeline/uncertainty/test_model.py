@@ -58,6 +58,8 @@ EVIDENCE = st.builds(
     hull_mm3=st.floats(10, 2e5),
     is_estimated=st.booleans(),
     length_sd_percent=st.floats(0, 5),
+    supported_share=st.floats(0, 1),
+    relief_mm=st.floats(0, 0.2),
 )
 
 
@@ -126,6 +128,16 @@ def test_a_wrong_scale_moves_the_surface_as_it_does_a_sphere() -> None:
     found = uncertainty(replace(seen(calibration_px=0.0), length_sd_percent=1.0))
     assert found.surface_mm[Cause.CALIBRATION] == pytest.approx(0.075)
     assert found.volume_percent[Cause.CALIBRATION] == pytest.approx(3)
+
+
+def test_pixels_leave_dents_where_they_support_nothing_and_relief_where_they_do() -> None:
+    none, half, most = (uncertainty(replace(seen(), supported_share=share)) for share in (0.0, 0.5, 1.0))
+    for sds in ("surface_mm", "volume_percent"):
+        assert getattr(half, sds)[Cause.HIDDEN] > 0.7 * getattr(none, sds)[Cause.HIDDEN]
+        assert getattr(most, sds)[Cause.HIDDEN] < 0.3 * getattr(none, sds)[Cause.HIDDEN]
+    rough = uncertainty(replace(seen(), supported_share=1.0, relief_mm=0.05))
+    assert rough.surface_mm[Cause.HIDDEN] > 0.05
+    assert rough.volume_percent[Cause.HIDDEN] < 100 * 0.05 * seen().area_mm2 / seen().volume_mm3
 
 
 def test_an_opening_that_no_view_decides_about_is_volume() -> None:
