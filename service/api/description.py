@@ -71,6 +71,18 @@ def complete(document: dict[str, Any]) -> None:
             for media_type, content in answer.get("content", {}).items():
                 if not content.get("schema"):
                     content["schema"] = {"type": "object"} if media_type.endswith("json") else BINARY
+    _widen_integers(document)
+
+
+def _widen_integers(part: Any) -> None:
+    """Give each integer its width: without one, clients in Java and C# take 32 bits, too few for bytes and ns."""
+    if isinstance(part, dict):
+        if part.get("type") == "integer":
+            part["format"] = "int64"
+        part = list(part.values())
+    if isinstance(part, list):
+        for inner in part:
+            _widen_integers(inner)
 
 
 def _operations(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

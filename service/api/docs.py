@@ -99,7 +99,8 @@ def _type(schema: dict[str, Any]) -> str:
     limits = [
         f"{sign} {schema[key]:g}" for key, sign in (("minimum", "≥"), ("maximum", "≤")) if key in schema
     ]
-    words = [schema.get("format", schema.get("type", "any")), *limits]
+    kind = schema.get("type", "any")
+    words = [kind if kind == "integer" else schema.get("format", kind), *limits]
     if "default" in schema:
         words.append(f"(default {schema['default']})")
     return escape(" ".join(words))

@@ -1,15 +1,21 @@
-"""Generate a Python client from `deploy/openapi.json`, and make its calls on a served store.
+"""Generate a client from `deploy/openapi.json`, in Python or in Java, and make its calls on a served store.
 
-The generator pins an older typer than we use, so it has an environment of its own:
+The generators are no requirement of ours, so they have an environment of their own:
 
-    python3 -m venv /tmp/generator && /tmp/generator/bin/pip install openapi-python-client
-    .venv/bin/python tests/benchmarks/generated_client.py /tmp/generator/bin/openapi-python-client
+    python3 -m venv /tmp/generator && /tmp/generator/bin/pip install openapi-python-client openapi-generator-cli
+    .venv/bin/python tests/benchmarks/generated_client.py python /tmp/generator/bin/openapi-python-client
+    .venv/bin/python tests/benchmarks/generated_client.py java \\
+        /tmp/generator/lib/python3.11/site-packages/openapi_generator_cli/openapi-generator.jar
+
+Java needs a JDK 17; the generator's jar has the JSON library that the client needs.
 """
 
 import argparse
-import asyncio
+import subprocess
 import sys
 import tempfile
+from asyncio import create_subprocess_exec, run
+from enum import StrEnum
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -24,7 +30,13 @@ from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import open_store
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
-CALLS = """
+JAVA_CALLS = Path(__file__).with_name("Calls.java")
+ANNOTATION = """
+package javax.annotation;
+public @interface Generated { String[] value(); String date(); String comments(); }
+"""
+"""What the client marks its classes with; the JDK has it no more, a project has it of jakarta.annotation-api 1.3."""
+PYTHON_CALLS = """
 import sys
 from stonefall_client import Client
 from stonefall_client.api.lots import get_lot, list_lots, post_close, post_lot, report_file
@@ -59,17 +71,52 @@ print("all calls were answered as described")
 """
 
 
-async def try_client(generator: Path, folder: Path) -> int:
-    """Generate a client into `folder`, let it ask a served store, and return its exit status."""
-    generating = await asyncio.create_subprocess_exec(
-        *(str(generator), "generate", "--path", str(DEPLOY / "openapi.json")),
-        *("--config", str(DEPLOY / "openapi-python-client.yaml"), "--meta", "none"),
-        *("--output-path", str(folder / "stonefall_client")),
+class Language(StrEnum):
+    """Languages of clients that are tried."""
+
+    PYTHON = "python"
+    JAVA = "java"
+
+
+def python_client(generator: Path, folder: Path) -> list[str]:
+    """Generate a client in Python, and return the command that makes its calls; it lacks the address."""
+    subprocess.run(
+        [
+            *(str(generator), "generate", "--path", str(DEPLOY / "openapi.json")),
+            *("--config", str(DEPLOY / "openapi-python-client.yaml"), "--meta", "none"),
+            *("--output-path", str(folder / "stonefall_client")),
+        ],
+        check=True,
     )
-    if await generating.wait() != 0:
-        return 1
-    calls = folder / "calls.py"
-    calls.write_text(CALLS, encoding="utf-8")
+    calls = folder / "calls.py"  # beside the package that it imports
+    calls.write_text(PYTHON_CALLS, encoding="utf-8")
+    return [str(generator.parent / "python"), str(calls)]
+
+
+def java_client(generator: Path, folder: Path) -> list[str]:
+    """Generate a client in Java, compile it, and return the command that makes its calls; it lacks the address."""
+    subprocess.run(
+        [
+            *("java", "-jar", str(generator), "generate", "-i", str(DEPLOY / "openapi.json"), "-g", "java"),
+            *("-c", str(DEPLOY / "openapi-generator-java.yaml"), "-o", str(folder / "client")),
+        ],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    (folder / "Generated.java").write_text(ANNOTATION, encoding="utf-8")
+    sources = [*folder.glob("client/src/main/**/*.java"), folder / "Generated.java", JAVA_CALLS]
+    listed, classes = folder / "sources", folder / "classes"
+    listed.write_text("\n".join(map(str, sources)), encoding="utf-8")
+    subprocess.run(["javac", "-d", str(classes), "-cp", str(generator), f"@{listed}"], check=True)
+    return ["java", "-enableassertions", "-cp", f"{classes}:{generator}", "Calls"]
+
+
+CLIENTS = {Language.PYTHON: python_client, Language.JAVA: java_client}
+
+
+async def try_client(language: Language, generator: Path, folder: Path) -> int:
+    """Generate a client into `folder`, let it ask a served store, and return its exit status."""
+    command = CLIENTS[language](generator, folder)
     with open_store(folder / "store") as store:
         session = await store.begin_session({"calibration_id": "0123", "is_simulated": True})
         await fill(store, session, folder / "out")
@@ -77,13 +124,13 @@ async def try_client(generator: Path, folder: Path) -> int:
         recordings = open_recordings(folder / "recordings", SOURCE, settings, {"command": "test"})
         control = FakeControl(recordings, calibrations=open_desk(folder / "desk"))
         async with served_by(app_of(store, control)) as served:
-            address = f"http://127.0.0.1:{served.port}"
-            python = str(generator.parent / "python")
-            return await (await asyncio.create_subprocess_exec(python, str(calls), address)).wait()
+            return await (await create_subprocess_exec(*command, f"http://127.0.0.1:{served.port}")).wait()
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("generator", type=Path, help="openapi-python-client in an environment of its own")
+    parser.add_argument("language", type=Language, choices=list(Language))
+    parser.add_argument("generator", type=Path, help="openapi-python-client, or openapi-generator.jar")
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        sys.exit(asyncio.run(try_client(parser.parse_args().generator, Path(folder))))
+        sys.exit(run(try_client(arguments.language, arguments.generator.absolute(), Path(folder))))

@@ -1,18 +1,15 @@
 """Counts of triggers and of their outcomes."""
 
 from dataclasses import asdict
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from service.api.context import Context
-from service.api.feeds import MAX_SEQ
 from service.api.problems import problem_responses
 
 router = APIRouter(prefix="/accounting", tags=["accounting"])
-
-SessionNumber = Annotated[int, Query(ge=1, le=MAX_SEQ)]
 
 
 class AccountingDocument(BaseModel):
@@ -34,11 +31,14 @@ class AccountingDocument(BaseModel):
 async def accounting(
     context: Context,
     session: Annotated[
-        SessionNumber | Literal["current"] | None,
-        Query(description="Count one session (run of the daemon); all when absent"),
+        str | None,
+        Query(
+            pattern="^(current|[1-9][0-9]{0,14})$",
+            description="Number of the session (run of the daemon) to count, or `current`; all when absent",
+        ),
     ] = None,
 ) -> dict[str, Any]:
     """Count triggers and their outcomes; every trigger is in exactly one of the four."""
-    number = context.store.session if session == "current" else session
+    number = context.store.session if session == "current" else None if session is None else int(session)
     counts = await context.store.accounting(number)
     return {**asdict(counts), "is_balanced": counts.is_balanced, "session": number}

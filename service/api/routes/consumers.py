@@ -14,8 +14,7 @@ from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
 from service.results.fields import TIME
-from service.store.holds import Consumer as Parked
-from service.store.holds import CursorError, TooManyConsumersError, consumers, forget, park
+from service.store.holds import Consumer, CursorError, TooManyConsumersError, consumers, forget, park
 
 router = APIRouter(prefix="/consumers", tags=["results"])
 
@@ -32,7 +31,7 @@ class ParkedCursor(BaseModel):
     moved_at: str = Field(description="When the cursor was parked, RFC 3339 UTC", json_schema_extra=TIME)
 
 
-class Consumer(ParkedCursor):
+class ConsumerDocument(ParkedCursor):
     """A named reader of the feed, and its place there."""
 
     unread: int = Field(description="Results since")
@@ -44,7 +43,7 @@ class Consumer(ParkedCursor):
 class Consumers(BaseModel):
     """All consumers, by name."""
 
-    items: list[Consumer] = Field(description="By name")
+    items: list[ConsumerDocument] = Field(description="By name")
 
 
 class Cursor(BaseModel):
@@ -78,7 +77,7 @@ async def parked_cursor(context: Context, request: Request, response: Response, 
 
 @router.put(
     "/{name}/cursor",
-    response_model=Consumer,
+    response_model=ConsumerDocument,
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(409, 410, 412),
 )
@@ -121,10 +120,10 @@ async def delete_consumer(context: Context, name: ConsumerName, asking: Who) -> 
     existing(is_forgotten or None, "consumer", repr(name))
 
 
-def _find(connection: sqlite3.Connection, name: str) -> Parked | None:
+def _find(connection: sqlite3.Connection, name: str) -> Consumer | None:
     return next((consumer for consumer in consumers(connection) if consumer.name == name), None)
 
 
-def _tag(parked: Parked) -> str:
+def _tag(parked: Consumer) -> str:
     """Return the version of a cursor; results that come meanwhile are no change of it."""
     return etag(parked.name, parked.after, parked.moved_at)

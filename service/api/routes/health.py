@@ -45,7 +45,7 @@ class Live(BaseModel):
 class Ready(BaseModel):
     """Stones can be measured."""
 
-    ready: Literal[True] = Field(
+    ready: bool = Field(
         default=True, description="Always true; otherwise the answer is the problem `not-ready`"
     )
 

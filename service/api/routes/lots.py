@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
+from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.products import Text
 from service.api.routes.results import Time
@@ -52,7 +53,9 @@ class LotRequest(BaseModel):
 
     lot: Id = Field(description="Material lot")
     product: Id = Field(description="Material definition")
-    product_version: int | None = Field(default=None, ge=1, strict=True, description="The newest when absent")
+    product_version: int | None = Field(
+        default=None, ge=1, le=MAX_SEQ, strict=True, description="The newest when absent"
+    )
     equipment: Text | None = Field(default=None, description="The crusher or belt that it comes from")
     sublot: Text | None = Field(default=None, description="Material sublot, ISA-95")
     sample_id: Text | None = Field(

@@ -6,11 +6,12 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi import Request as HttpRequest
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
+from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
 from service.lots.products import (
@@ -39,6 +40,12 @@ Text = Annotated[str, Field(min_length=1, max_length=200)]
 ApertureMm = Annotated[float, Field(gt=0, le=1000)]
 
 
+class Apertures(RootModel[list[ApertureMm]]):
+    """Sieves of the site's own by their apertures, mm."""
+
+    root: list[ApertureMm] = Field(min_length=1, max_length=100)
+
+
 class OwnSpecification(BaseModel):
     """Limits of the site's own."""
 
@@ -61,8 +68,11 @@ class ProductRequest(BaseModel):
     density_kg_m3: float = Field(gt=0, le=20_000, description="Of the particles, EN 1097-6, kg/m³")
     lower_mm: ApertureMm | None = Field(default=None, description="d of a product d/D, mm")
     upper_mm: ApertureMm | None = Field(default=None, description="D of it, mm")
-    sieve_set: Text | Annotated[list[ApertureMm], Field(min_length=1, max_length=100)] = Field(
-        default="en-basic-2", description="Name of a set, see `/products/standards`; or apertures, mm"
+    sieve_set: Text | Apertures = Field(
+        default_factory=lambda: (
+            "en-basic-2"
+        ),  # not in the document: generators write it as a name, not a text
+        description="Name of a set, see `/products/standards`; or apertures, mm. `en-basic-2` when absent",
     )
     specification: Text | OwnSpecification | None = Field(
         default=None,
@@ -171,7 +181,7 @@ async def product(
     request: HttpRequest,
     response: Response,
     product: ProductName,
-    version: Annotated[int | None, Query(ge=1, description="The newest when absent")] = None,
+    version: Annotated[int | None, Query(ge=1, le=MAX_SEQ, description="The newest when absent")] = None,
 ) -> Any:
     """Return a version of a product; its `ETag` is for `If-Match` of a change."""
     found = existing(await context.store.read(find_product, product, version), "product", product)
