@@ -81,6 +81,9 @@ class Connection(H11Protocol):
         self._read_all_s = self.loop.time()
         super().resume_writing()
 
+    def _unsupported_upgrade_warning(self) -> None:
+        """Say nothing: clients in Java offer HTTP/2 with each request, and are content with HTTP/1.1."""
+
     @property
     def address(self) -> str | None:
         """Return the address of the client, None if it is gone already."""

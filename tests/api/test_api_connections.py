@@ -74,6 +74,15 @@ async def test_a_request_that_does_not_come_ends_the_connection(
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
+async def test_an_offer_of_http_2_is_not_taken_and_fills_no_log(
+    served: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    offer = b"Connection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAEAAEAAAAIAAAAA\r\n\r\n"
+    client = await served.connect(LIVE[:-2] + offer)
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
+    assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
+
+
 async def test_the_server_looks_after_them_itself(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "REQUEST_S", 0.0)
     client = await served.connect(HALF)
