@@ -9,7 +9,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from drivers.files.times import utc_now
@@ -79,7 +79,11 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
             )
         request.state.who = f"key {key.name}"
 
-    async def admit(request: Request, context: Context, credentials: Credentials) -> None:
+    async def admit(
+        request: Request,
+        context: Context,
+        credentials: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=[scope])],
+    ) -> None:
         await check(request, context, credentials)
         await begin_attempt(request)
 

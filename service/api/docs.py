@@ -57,9 +57,11 @@ def _operation(path: str, method: str, operation: dict[str, Any]) -> str:
         (status, ", ".join(_contents(answer)), answer.get("description", ""))
         for status, answer in operation["responses"].items()
     ]
+    scopes = ", ".join(scope for each in operation.get("security", ()) for scope in each["key"])
+    key = f"Needs a key with the scope `{scopes}`." if scopes else "Needs no key."
     return (
         f'<details><summary><b class="method {method}">{method}</b> <code>{escape(path)}</code></summary>'
-        f"<div><p>{_prose(description)}</p>{_table(parameters)}{_table(answers)}</div></details>"
+        f"<div><p>{_prose(description)}</p><p>{_prose(key)}</p>{_table(parameters)}{_table(answers)}</div></details>"
     )
 
 

@@ -16,7 +16,8 @@ from service.api.openapi import openapi_text
 from service.api.settings import ApiSettings
 from service.results.fields import ALWAYS
 
-COMMITTED = Path(__file__).parents[2] / "deploy" / "openapi.json"
+ROOT = Path(__file__).parents[2]
+COMMITTED = ROOT / "deploy" / "openapi.json"
 
 
 def test_the_committed_description_is_the_programs() -> None:
@@ -98,6 +99,26 @@ def test_every_post_may_be_repeated_with_a_key() -> None:
         names = {each["name"] for each in operation.get("parameters", ())}
         assert ("Idempotency-Key" in names) == (method == "post"), path
         assert "security" in operation or method == "get", path  # the key is looked at with the scope
+
+
+def test_each_operation_names_its_scope() -> None:
+    scopes = {(method, path): it["security"] for path, method, it in operations() if "security" in it}
+    for (method, path), (required,) in scopes.items():
+        (scope,) = required["key"]
+        assert scope in ({"read", "configure"} if method == "get" else {"operate", "configure"}), (
+            method,
+            path,
+        )
+    assert scopes["post", "/api/v1/lots"] == [{"key": ["operate"]}]
+    assert scopes["get", "/api/v1/config"] == [{"key": ["configure"]}]
+
+
+def test_the_guide_names_each_resource() -> None:
+    guide = (ROOT / "service" / "api" / "README.md").read_text(encoding="utf-8")
+    table = guide[guide.index("## Resources") : guide.index("## Generated clients")]
+    resources = {path.removeprefix("/api/v1").split("{")[0].rstrip("/") for path, _, _ in operations()}
+    assert len(resources) > 20
+    assert {each for each in resources if f"`{each}`" not in table and f"`{each}/{{" not in table} == set()
 
 
 def schemas(part: Any) -> Iterator[dict[str, Any]]:
