@@ -6,6 +6,7 @@ mesh that is passed in. Curved bodies are fine enough (facets within 0.002 mm of
 """
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 import trimesh
@@ -19,6 +20,15 @@ PITCH_MM = 0.5
 """Longest edge of flat faces, which are subdivided to carry the texture."""
 
 
+class SurfaceKind(StrEnum):
+    """What the grey of a body's surface is like."""
+
+    MOTTLED = "mottled"  # spots on three scales, and speckles as large as the faces of the mesh
+    GRANITE = "granite"  # crystals of three minerals
+    BANDED = "banded"  # folded light and dark bands, as gneiss
+    PLAIN = "plain"  # even, without any texture
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Body:
     """A closed surface and how it looks."""
@@ -28,7 +38,11 @@ class Body:
     kind: BundleKind = BundleKind.PARTICLE
     grey: float = 60.0  # mean grey level on a background of about 205
     contrast: float = 0.22  # of its texture, relative sd
+    surface: SurfaceKind = SurfaceKind.MOTTLED
     gloss: float = 0.0  # 0 matte, 1 wet
+    is_interreflecting: bool = (
+        False  # whether its faces light each other, and are mirrored where it is glossy
+    )
 
     @property
     def radius_mm(self) -> float:

@@ -11,16 +11,17 @@ import numpy as np
 import trimesh
 from embreex.rtcore_scene import EmbreeScene
 
-from pipeline.arrays import Directions, FloatImage, Matrix33, PointsMM, Values, Vector
+from pipeline.arrays import Directions, FloatImage, Indices, Matrix33, PointsMM, Values, Vector
 from pipeline.frames import CameraId, Image
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis import pixel_coverage, shading
 from pipeline.synthesis.background import Background, build_wall, render_backgrounds
-from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.bodies import Body, SurfaceKind
 from pipeline.synthesis.defocused_coverage import defocused_coverage
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
 from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, blurred, expose
 from pipeline.synthesis.pixel_coverage import Window
+from pipeline.synthesis.rock_patterns import rock_pattern
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,25 +83,48 @@ class LitSurface:
     edges: pixel_coverage.Edges
     scene: EmbreeScene
     face_radiance: Values  # diffuse, of each face
+    grain: shading.Grain | None  # what texture finer than faces adds to it
     gloss: float
+    is_interreflecting: bool
     lamps: Directions  # to the lamps that a glossy surface mirrors
 
 
 def illuminate(placed: PlacedBody, rng: np.random.Generator) -> LitSurface:
     """Return the body's surface in the light of one exposure."""
-    mesh = placed.world_mesh
+    body, mesh = placed.body, placed.world_mesh
     scene = shading.embree_scene(mesh)
-    face_radiance = shading.texture(placed.body, rng) * shading.irradiance(mesh, scene, rng)
+    greys = shading.texture(body, rng)
+    if body.surface is SurfaceKind.MOTTLED and not body.is_interreflecting:
+        light = shading.irradiance(mesh, scene, rng)
+    else:
+        light = shading.even_irradiance(mesh, scene)
+    if body.is_interreflecting:
+        light = shading.even_irradiance(mesh, scene, greys * light)
+    face_radiance = greys * light
     return LitSurface(
         mesh=mesh,
         center_mm=placed.offset_mm[None, :],
         edges=pixel_coverage.mesh_edges(mesh.faces),
         scene=scene,
         face_radiance=face_radiance,
-        gloss=placed.body.gloss,
+        grain=_grain(placed, face_radiance, rng),
+        gloss=body.gloss,
+        is_interreflecting=body.is_interreflecting,
         # drawn for wet bodies only: the images of known seeds depend on all that is drawn
-        lamps=shading.lamps(rng) if placed.body.gloss > 0 else np.empty((0, 3)),
+        lamps=shading.lamps(rng) if body.gloss > 0 else np.empty((0, 3)),
     )
+
+
+def _grain(placed: PlacedBody, face_radiance: Values, rng: np.random.Generator) -> shading.Grain | None:
+    pattern, contrast = rock_pattern(placed.body, rng), placed.body.contrast
+    if pattern is None:
+        return None
+
+    def grain(faces: Indices, points_mm: PointsMM) -> Values:
+        relative = 1 + contrast * pattern((points_mm - placed.offset_mm) @ placed.R)
+        return np.asarray(face_radiance[faces] * (np.clip(relative, *shading.RELATIVE_GREYS) - 1))
+
+    return grain
 
 
 def _flash(sd: float, rng: np.random.Generator) -> float:
@@ -203,10 +227,16 @@ def _layer(
     face_radiance = surface.face_radiance
     if surface.gloss > 0:
         face_radiance = face_radiance + surface.gloss * shading.reflection(
-            surface.mesh, surface.lamps, camera
+            surface.mesh,
+            surface.scene,
+            surface.lamps,
+            camera,
+            surface.face_radiance if surface.is_interreflecting else None,
         )
     face_disc_px = None if lens is None else disc_px[surface.mesh.faces].mean(axis=1)
-    shown = shading.surface_image(surface.scene, face_radiance * gain, camera, window, face_disc_px)
+    shown = shading.surface_image(
+        surface.scene, face_radiance, camera, window, face_disc_px, surface.grain, gain
+    )
     covered, shown = blurred(covered, kernel), blurred(shown, kernel)
 
     inside = pixel_coverage.intersection(window, Window(0, 0, width, height))

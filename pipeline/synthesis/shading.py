@@ -2,8 +2,11 @@
 
 A matte surface looks equally bright from everywhere, so each face's radiance is computed once an
 exposure: its texture times the part of the dome that it sees. Rays (embree) find what occludes it, and
-which face a pixel shows. A wet surface is darker, and mirrors the dome and its lamps.
+which face a pixel shows. A wet surface is darker, and mirrors the dome and its lamps. Faces light each
+other if that is asked for, by light that they reflect once.
 """
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -11,18 +14,23 @@ import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from pipeline.arrays import Directions, FloatImage, Values
+from pipeline.arrays import Directions, FloatImage, Indices, PointsMM, Values
+from pipeline.geometry.icosphere import icosphere
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.background import WALL_GREY
-from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.bodies import Body, SurfaceKind
 from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.stones import wave_noise
 from pipeline.synthesis.thin_lens import disc_kernel
 
 TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
+RELATIVE_GREYS = (0.4, 1.7)
+"""Limits of a texture, relative to the mean grey."""
 DOME_GRADIENT = 0.3
 """Share by which the dome is brighter above than at its horizon, and darker below."""
 RAYS_PER_FACE = 12
+DIRECTION_SUBDIVISIONS = 3
+"""Of the sphere of directions from which even light comes: 642, each one 0.6 % of a face's light at most."""
 WET_DARKENING = 0.4
 """Share by which a wet stone scatters less light (Lekner and Dorf 1988: a third to a half)."""
 NORMAL_REFLECTANCE = 0.02  # of water
@@ -33,6 +41,9 @@ LAMP_LEVEL = 40.0
 STEP_PX = 2
 """Pixel step on which texture is looked up; the lens blurs over more than that."""
 
+Grain = Callable[[Indices, PointsMM], Values]
+"""Radiance (N,) that a texture finer than the faces adds at points (N, 3), each on a face (N,)."""
+
 
 def embree_scene(mesh: trimesh.Trimesh) -> EmbreeScene:
     """Return the mesh ready for ray casting (float32: within 2e-6 mm on a body of 40 mm)."""
@@ -42,13 +53,15 @@ def embree_scene(mesh: trimesh.Trimesh) -> EmbreeScene:
 
 
 def texture(body: Body, rng: np.random.Generator) -> Values:
-    """Return the grey level of each face (F,) under full light: mottled on three scales, with speckles."""
+    """Return the grey level of each face (F,) under full light; of a mottled body on three scales, with speckles."""
+    matte = body.grey * (1 - WET_DARKENING * body.gloss)
+    if body.surface is not SurfaceKind.MOTTLED:
+        return np.full(len(body.mesh.faces), matte)
     centers_mm = body.mesh.triangles_center
     mottles = sum(wave_noise(centers_mm, wavelength, 12, rng) for wavelength in TEXTURE_WAVELENGTHS_MM)
     speckles = rng.normal(size=len(centers_mm))
     relative = body.contrast * (0.5 * mottles + 0.5 * speckles)
-    matte = body.grey * (1 - WET_DARKENING * body.gloss)
-    return np.asarray(matte * np.clip(1 + relative, 0.4, 1.7))
+    return np.asarray(matte * np.clip(1 + relative, *RELATIVE_GREYS))
 
 
 def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generator) -> Values:
@@ -67,21 +80,53 @@ def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generat
     return np.asarray(received.reshape(-1, RAYS_PER_FACE).mean(axis=1))
 
 
+def even_irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, face_radiance: Values | float = 0.0) -> Values:
+    """Return the light (F,) as `irradiance` does, from the same directions for all faces: without any noise of its own.
+
+    What occludes the dome sends the radiance of its faces (F,) instead, in grey levels.
+    """
+    radiance = np.broadcast_to(face_radiance, len(mesh.faces)) / WALL_GREY
+    origins_mm = mesh.triangles_center + 1e-3 * mesh.face_normals
+    received, weights = np.zeros((2, len(mesh.faces)))
+    for direction in icosphere(DIRECTION_SUBDIVISIONS)[0]:
+        cosines = mesh.face_normals @ direction
+        lit = np.flatnonzero(cosines > 0)
+        rays = np.tile(direction.astype(np.float32), (len(lit), 1))
+        hits = scene.run(origins_mm[lit].astype(np.float32), rays)
+        received[lit] += cosines[lit] * np.where(hits < 0, 1 + DOME_GRADIENT * direction[2], radiance[hits])
+        weights[lit] += cosines[lit]
+    return received / weights
+
+
 def lamps(rng: np.random.Generator) -> Directions:
     """Return random directions (N_LAMPS, 3) to the dome's lamps."""
     directions = rng.normal(size=(N_LAMPS, 3))
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-def reflection(mesh: trimesh.Trimesh, lamps: Directions, camera: CameraCalibration) -> Values:
-    """Return the radiance (F,) that wet faces mirror to the camera, all of the wall's at grazing angles (Schlick)."""
+def reflection(
+    mesh: trimesh.Trimesh,
+    scene: EmbreeScene,
+    lamps: Directions,
+    camera: CameraCalibration,
+    face_radiance: Values | None = None,
+) -> Values:
+    """Return the radiance (F,) that wet faces mirror to the camera, all of the wall's at grazing angles (Schlick 1994).
+
+    Where faces of the body hide the wall, their radiance (F,) is mirrored, if it is given.
+    """
     toward_camera = camera.center_mm - mesh.triangles_center
     toward_camera /= np.linalg.norm(toward_camera, axis=1, keepdims=True)
     cosines = np.clip((mesh.face_normals * toward_camera).sum(axis=1), 0, 1)
     mirrored = 2 * cosines[:, None] * mesh.face_normals - toward_camera
     lobes = np.exp(LAMP_SHARPNESS * (mirrored @ lamps.T - 1)).sum(axis=1)
     reflectance = NORMAL_REFLECTANCE + (1 - NORMAL_REFLECTANCE) * (1 - cosines) ** 5
-    return np.asarray(reflectance * WALL_GREY * (1 + LAMP_LEVEL * lobes))
+    mirrored_radiance = WALL_GREY * (1 + LAMP_LEVEL * lobes)
+    if face_radiance is not None:
+        origins_mm = mesh.triangles_center + 1e-3 * mesh.face_normals
+        hits = scene.run(origins_mm.astype(np.float32), mirrored.astype(np.float32))
+        mirrored_radiance = np.where(hits < 0, mirrored_radiance, face_radiance[hits])
+    return np.asarray(reflectance * mirrored_radiance)
 
 
 def surface_image(
@@ -90,17 +135,21 @@ def surface_image(
     camera: CameraCalibration,
     window: Window,
     face_disc_px: Values | None = None,
+    grain: Grain | None = None,
+    gain: float = 1.0,
 ) -> FloatImage:
     """Return the radiance (height, width) of the surface in a window, extrapolated smoothly beyond the outline.
 
-    Each face (F,) is blurred by its disc, where their diameters are given.
+    Each face (F,) is blurred by its disc, where their diameters are given. `grain` adds to what the faces radiate,
+    and the camera's gain multiplies both.
     """
     u = window.left + (np.arange(-(-window.width // STEP_PX)) + 0.5) * STEP_PX - 0.5
     v = window.top + (np.arange(-(-window.height // STEP_PX)) + 0.5) * STEP_PX - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     rays = camera.rays(grid_uv).astype(np.float32)
     origins = np.broadcast_to(camera.center_mm.astype(np.float32), rays.shape)
-    faces = scene.run(np.ascontiguousarray(origins), rays).reshape(len(v), len(u))
+    hits = scene.run(np.ascontiguousarray(origins), rays, output=True)
+    faces = hits["primID"].reshape(len(v), len(u))
     is_hit = (faces >= 0).astype(np.float32)
     near = cv2.GaussianBlur(is_hit, (0, 0), 3.0)
 
@@ -112,7 +161,11 @@ def surface_image(
         continued = (smooth + 1e-4 * mean) / (near + 1e-4)
         return np.where(faces >= 0, values, continued).astype(np.float32)
 
-    radiance = on_grid(face_radiance)
+    radiance = on_grid(face_radiance * gain)
+    if grain is not None:
+        hit = np.flatnonzero(faces >= 0)
+        points_mm = camera.center_mm + hits["tfar"][hit, None] * rays[hit]
+        radiance.flat[hit] += gain * grain(faces.flat[hit], points_mm)
     if face_disc_px is not None:
         radiance = _blurred_by_own_disc(radiance, on_grid(face_disc_px / STEP_PX))
     fine = cv2.resize(radiance, (len(u) * STEP_PX, len(v) * STEP_PX), interpolation=cv2.INTER_LINEAR)
