@@ -5,7 +5,7 @@ mesh that is passed in. Curved bodies are fine enough (facets within 0.002 mm of
 15 mm) and scaled to the ideal volume, so that a mesh measures like its formula.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -48,6 +48,22 @@ class Body:
     def radius_mm(self) -> float:
         """The largest distance of the surface from the centre of mass."""
         return float(np.linalg.norm(self.mesh.vertices, axis=1).max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looks:
+    """How the bodies of a recording or a bench look, one after another."""
+
+    surfaces: tuple[SurfaceKind, ...] = (SurfaceKind.MOTTLED,)
+    gloss: float = 0.0
+    is_interreflecting: bool = False
+
+    def of(self, body: Body, number: int) -> Body:
+        """Return the body with the look of number `number`; a calibration ball stays matte."""
+        if body.kind is BundleKind.BALL:
+            return body
+        surface = self.surfaces[number % len(self.surfaces)]
+        return replace(body, surface=surface, gloss=self.gloss, is_interreflecting=self.is_interreflecting)
 
 
 def ball(diameter_mm: float = 10.0) -> Body:

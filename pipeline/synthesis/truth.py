@@ -33,7 +33,7 @@ def truth_of(placed: PlacedBody, bundle: FrameBundle, shape: ShapeMeasurement) -
 
 
 def truth_to_document(truth: TruthRecord) -> dict[str, Any]:
-    """Return a line of `truth.jsonl`: what the result record measures, under the same names, and the pose.
+    """Return a line of `truth.jsonl`: what the result record measures, under the same names, its look and pose.
 
     `x_world = R @ x_body + center_mm`; `extents_mm` are the body's along its own axes.
     """
@@ -43,6 +43,9 @@ def truth_to_document(truth: TruthRecord) -> dict[str, Any]:
         "sequence": truth.sequence,
         "kind": body.kind.value,
         "body": body.name,
+        "surface": body.surface.value,
+        "gloss": body.gloss,
+        "interreflection": body.is_interreflecting,
         **asdict(truth.shape),
         "center_mm": truth.placed.offset_mm.tolist(),
         "extents_mm": body.mesh.extents.tolist(),

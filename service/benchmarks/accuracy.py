@@ -28,7 +28,7 @@ from pipeline.evaluation.surface_distances import Surface
 from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_body, try_body
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body
+from pipeline.synthesis.bodies import Body, Looks
 from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
 
 RigName = Literal["true", "paper", "ours"]
@@ -47,6 +47,7 @@ class BenchPlan:
 
     poses: Mapping[str, int]  # by body; of a random body the number of bodies
     own_bodies: Mapping[str, Body] = field(default_factory=dict)  # from mesh files, by name in `poses`
+    looks: Mapping[str, Looks] = field(default_factory=dict)  # of a body's poses in turn; else as it is
     seed: int = 1
     lens: LensPreset = LensPreset.F2  # as published
     methods: Mapping[RigName, tuple[Method, ...]] = field(
@@ -94,9 +95,14 @@ class Summary:
 
 
 def run_accuracy_bench(
-    plan: BenchPlan, on_progress: Callable[[int, int], None] = lambda done, total: None
+    plan: BenchPlan,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    n_processes: int | None = None,
 ) -> BenchResult:
-    """Calibrate the rigs and measure the bodies of the plan; call `on_progress` with the steps done and in total."""
+    """Calibrate the rigs and measure the bodies of the plan; call `on_progress` with the steps done and in total.
+
+    There are as many processes as processors, or so many.
+    """
     calibrations = {rig: CALIBRATIONS[rig] for rig in plan.methods if rig in CALIBRATIONS}
     n_drops = max((count for _, count in calibrations.values()), default=0)
     total = n_drops + len(calibrations) + sum(plan.poses.values())
@@ -110,7 +116,9 @@ def run_accuracy_bench(
             on_progress(done, total)
 
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=context, initializer=_use_one_thread) as pool:
+    with ProcessPoolExecutor(
+        n_processes or os.cpu_count(), mp_context=context, initializer=_use_one_thread
+    ) as pool:
         try:
             dropped = [pool.submit(_drop, plan.seed, plan.lens, number) for number in range(n_drops)]
             finished(dropped)
@@ -217,6 +225,8 @@ def _calibrate(drops: Sequence[BallDrop], method: Literal["paper", "bundle"]) ->
 
 def _try(plan: BenchPlan, name: str, number: int, rigs: Mapping[RigName, RigCalibration]) -> list[Trial]:
     body = plan.own_bodies.get(name) or random_body(name, number, plan.seed)
+    if name in plan.looks:
+        body = plan.looks[name].of(body, number)
 
     def picture(trial: Trial, measured: Measured, truth: trimesh.Trimesh) -> None:
         if plan.pictures is None or number > 0 or trial.distances is None:

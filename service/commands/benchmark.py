@@ -16,7 +16,7 @@ from pipeline.errors import MeshError
 from pipeline.evaluation.scene import rig_error
 from pipeline.evaluation.trials import METHODS, STANDARDS
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, body_from_mesh
+from pipeline.synthesis.bodies import Body, SurfaceKind, body_from_mesh
 from pipeline.synthesis.exposure import LensPreset
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
@@ -33,6 +33,7 @@ from service.benchmarks.accuracy import (
 from service.benchmarks.performance import run_performance_bench
 from service.benchmarks.scaling import run_scaling_bench
 from service.benchmarks.tables import performance_tables, scaling_tables
+from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
 from service.commands.shape import read_mesh
 from service.errors import UsageError
 
@@ -88,6 +89,9 @@ def command(
     lens: Annotated[
         LensPreset, typer.Option(help="Lens of the images of --accuracy; f2 as published.")
     ] = LensPreset.F2,
+    surfaces: SurfacesOption = SurfaceKind.MOTTLED.value,
+    gloss: GlossOption = 0.0,
+    interreflection: InterreflectionOption = False,
     pictures: Annotated[
         Path | None,
         typer.Option(help="Folder for pictures of each body's first pose, coloured by distance."),
@@ -106,6 +110,7 @@ def command(
     plan = BenchPlan(
         poses=dict.fromkeys(names, poses),
         own_bodies=own_bodies,
+        looks=dict.fromkeys(names, looks_of(surfaces, gloss, interreflection)),
         seed=seed,
         lens=lens,
         methods=dict.fromkeys(_rigs(rigs), METHODS),
@@ -269,6 +274,7 @@ def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
     return {
         "seed": plan.seed,
         "poses": dict(plan.poses),
+        "looks": {name: asdict(looks) for name, looks in plan.looks.items()},
         "rigs": {
             name: {
                 "rms_mm": error.rms_mm,

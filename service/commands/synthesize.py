@@ -18,13 +18,14 @@ from pipeline.fall import GRAVITY_MM_S2, Fall
 from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, ball, body_from_mesh, cube, cylinder, sphere
+from pipeline.synthesis.bodies import Body, SurfaceKind, ball, body_from_mesh, cube, cylinder, sphere
 from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
 from pipeline.synthesis.exposure import BLUR_PX, LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
+from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
 from service.commands.shape import read_mesh
 from service.errors import UsageError
 
@@ -105,6 +106,9 @@ def command(
             help="Balls are exposed up to this much early or late, ms, and so higher or lower.",
         ),
     ] = 0.0,
+    surfaces: SurfacesOption = SurfaceKind.MOTTLED.value,
+    gloss: GlossOption = 0.0,
+    interreflection: InterreflectionOption = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Render a recording of known bodies as the cameras would see them, with their true shapes beside it."""
@@ -114,6 +118,7 @@ def command(
         raise typer.BadParameter(
             f"{spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
         )
+    looks = looks_of(surfaces, gloss, interreflection)
     exposure = replace(LENS_PRESETS[lens], exposure_us=exposure_us)
     if blur_px is not None:
         exposure = replace(exposure, blur_px=blur_px)
@@ -134,6 +139,7 @@ def command(
             "count": count,
             "seed": seed,
             "size_mm": size_mm,
+            "looks": asdict(looks),
             "spread_mm": list(spread_mm),
             "fall_jitter_ms": fall_jitter_ms,
             "exposure": {"preset": lens.value, **asdict(exposure)},
@@ -161,6 +167,7 @@ def command(
                 source, round_number = sources[index % len(sources)], index // len(sources)
                 rng = stream(seed, PARTICLE, index)
                 body, shape = source(round_number, rng)
+                body = looks.of(body, round_number)
                 if body.kind is BundleKind.BALL:
                     late_ms = fall_jitter_ms * float(rng.uniform(-1, 1))
                     placed = drop_across(body, true_rig, rng, spread_mm, _fallen_mm(late_ms))

@@ -66,6 +66,7 @@ def test_a_mesh_file_through_all_methods(wedge: Path, tmp_path: Path) -> None:
         (["--bodies", "marble"], "neither a mesh file nor one of sphere"),
         (["--bodies", " ,"], "names no body"),
         (["--rigs", "nominal"], "none of true, paper, ours"),
+        (["--surface", "marble"], "none of mottled, granite"),
     ],
 )
 def test_wrong_usage(arguments: list[str], message: str) -> None:

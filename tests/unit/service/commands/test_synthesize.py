@@ -99,6 +99,26 @@ def test_a_lens_changes_the_images_and_not_what_is_in_them(tmp_path: Path, rig_p
     )
 
 
+def test_bodies_take_their_surfaces_in_turn_and_balls_keep_theirs(tmp_path: Path, rig_path: Path) -> None:
+    def render(name: str, **looks: Any) -> tuple[list[FrameBundle], list[dict[str, Any]]]:
+        out = tmp_path / name
+        command(out, bodies="sphere,ball", count=4, seed=7, rig=rig_path, backgrounds=0, **looks)
+        return bundles_of(out), truths_of(out)
+
+    plain, _ = render("plain")
+    other, truths = render("other", surfaces="mottled,granite", gloss=0.5, interreflection=True)
+    look = ("surface", "gloss", "interreflection")
+    assert [tuple(truth[key] for key in look) for truth in truths] == [
+        ("mottled", 0.5, True),
+        ("mottled", 0.0, False),
+        ("granite", 0.5, True),
+        ("mottled", 0.0, False),
+    ]
+    assert [same_pixels(a, b) for a, b in zip(plain, other, strict=True)] == [False, True, False, True]
+    with pytest.raises(typer.BadParameter, match="'marble' is none of mottled, granite"):
+        render("marble", surfaces="granite, marble")
+
+
 def test_a_bundle_depends_on_the_seed_and_not_on_the_others(tmp_path: Path, rig_path: Path) -> None:
     def render(name: str, count: int, seed: int, backgrounds: int) -> list[FrameBundle]:
         command(
