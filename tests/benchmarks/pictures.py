@@ -3,7 +3,7 @@
 Run: .venv/bin/python tests/benchmarks/pictures.py [--form angular] [--size-mm 24] [--seed 3] [--camera c05]
      [--out FOLDER]
 
-The stone is rendered, segmented, carved and estimated as everywhere else, so the pictures follow from the arguments
+The stone is rendered and measured as everywhere else, so the pictures follow from the arguments
 alone. The mesh is seen from the direction of the camera whose view is shown.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pipeline.evaluation.scene import BODY, build_scene
 from pipeline.frames import CameraId
 from pipeline.particle import PipelineParameters, measure_bundle
-from pipeline.preview import render_preview
+from pipeline.preview import STONE_RGB, colors_of, render_preview
 from pipeline.segmentation.silhouette import Silhouette, is_beside_gap
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bundles import stream
@@ -66,7 +66,12 @@ def main() -> int:
     corner_uv, side_px = crop_around(silhouette)
     x, y, z = -camera.center_mm
     mesh_rgb = render_preview(
-        result.mesh.vertices_mm, result.mesh.faces, EDGE_PX, view_direction=(float(x), float(y), float(z))
+        result.mesh.vertices_mm,
+        result.mesh.faces,
+        EDGE_PX,
+        colors_rgb=STONE_RGB if result.greys is None else colors_of(result.greys),
+        unshaded_share=0.0,
+        view_direction=(float(x), float(y), float(z)),
     )
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name, picture in {
