@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import re
 import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import closing
@@ -11,11 +12,23 @@ import httpx
 import pytest
 from support.rest import FakeControl, add, app_of, assert_problem, client_of, measured
 
+from service.api.problems import TITLES
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.status import Health
 from service.store import Store
 
+ROOT = Path(__file__).parents[2]
 ARM = {"state": "armed"}
+
+
+def test_each_kind_has_a_title_and_stands_in_the_guide() -> None:
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "service" / "api").rglob("*.py"))
+    kinds = set(re.findall(r'Problem\(\s*\d{3},\s*"([a-z-]+)"', sources))
+    kinds |= {f"unknown-{kind}" for kind in re.findall(r'existing\([^"]+"([a-z]+)", ', sources)}
+    assert {"cursor-ahead", "unknown-lot", "unknown-sample"} <= kinds <= set(TITLES)
+    guide = (ROOT / "service" / "api" / "README.md").read_text(encoding="utf-8")
+    unknown = {kind for kind in TITLES if f"`{kind}`" not in guide}
+    assert {kind for kind in unknown if f"`{kind.removeprefix('unknown')}`" not in guide} == set()
 
 
 async def test_unknown_paths_and_methods(client: httpx.AsyncClient) -> None:
