@@ -95,7 +95,7 @@ def even_irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, face_radiance: Va
         hits = scene.run(origins_mm[lit].astype(np.float32), rays)
         received[lit] += cosines[lit] * np.where(hits < 0, 1 + DOME_GRADIENT * direction[2], radiance[hits])
         weights[lit] += cosines[lit]
-    return received / weights
+    return received / np.maximum(weights, 1e-12)  # a face without area has no normal
 
 
 def lamps(rng: np.random.Generator) -> Directions:

@@ -3,6 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 from support.synthetic_rigs import QUIET, rig_of, upright
 
@@ -35,6 +36,14 @@ def test_even_light_is_that_of_random_rays_without_their_noise(dented: Body) -> 
     light = shading.even_irradiance(ball, shading.embree_scene(ball))
     # of a convex body: linear in the height of the normal
     np.testing.assert_allclose(light, 1 + 2 / 3 * shading.DOME_GRADIENT * ball.face_normals[:, 2], atol=0.01)
+
+
+def test_a_face_without_area_is_dark() -> None:
+    ball = sphere().mesh
+    flat = trimesh.Trimesh(ball.vertices, np.vstack([ball.faces, [[0, 0, 1]]]), process=False)
+    light = shading.even_irradiance(flat, shading.embree_scene(flat))
+    assert light[-1] == 0
+    assert light[:-1].min() > 0.7
 
 
 def test_faces_that_hide_the_dome_send_their_own_light(dented: Body) -> None:
