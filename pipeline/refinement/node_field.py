@@ -80,6 +80,18 @@ def depths_of(
     return depths_mm[best] + part * (depths_mm[1] - depths_mm[0]), np.maximum(sure, DOUBTFUL) * region
 
 
+def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:
+    """Return shifts (K,) of which none is further than `most_mm` from the median of its neighbours.
+
+    A patch that reaches over an edge, or takes one of many equal crystals for another, is wrong alone.
+    """
+    has = nodes.neighbours >= 0
+    around_mm = np.where(has, shifts_mm[nodes.neighbours], np.nan)
+    around_mm[~has.any(axis=1), 0] = 0.0
+    median_mm = np.nanmedian(around_mm, axis=1)
+    return np.asarray(np.clip(shifts_mm, median_mm - most_mm, median_mm + most_mm))
+
+
 def anchored(shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes) -> tuple[Values, Values]:
     """Return shifts (K,) and their weights with what the silhouettes say: `anchors` (K,) hold the estimate, 0 to 1.
 

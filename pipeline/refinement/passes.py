@@ -1,6 +1,7 @@
 """The passes over the surface, from coarse to fine, and what counts as evidence."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,22 +19,31 @@ class Pass:
     staying: float  # cost of a millimetre away from the estimate
     n_samples: int  # along an edge of a patch
     max_views: int
+    pairs_share: float  # of the pairs of views, those most alike, that count
+    spike_slope: (
+        float  # distance of a node from the median of its neighbours, per spacing, that is believed at most
+    )
 
 
+COARSE = Pass(
+    spacing_mm=0.8,
+    half_mm=0.55,
+    scale=0.5,
+    outward_mm=0.17,
+    inward_mm=2.6,
+    deepest_share=0.17,  # most dents are 0.15 of the cube root of the volume deep, some twice that: the next pass
+    n_depths=16,
+    stiffness=0.0525,
+    staying=0.06,
+    n_samples=5,
+    max_views=5,
+    pairs_share=0.5,
+    spike_slope=inf,
+)
 PASSES = (
-    Pass(
-        spacing_mm=0.8,
-        half_mm=0.55,
-        scale=0.5,
-        outward_mm=0.17,
-        inward_mm=2.6,
-        deepest_share=0.17,  # dents are at most about 0.15 of the cube root of the volume
-        n_depths=16,
-        stiffness=0.0525,
-        staying=0.06,
-        n_samples=5,
-        max_views=5,
-    ),
+    COARSE,
+    # again from there: which views see the bottom of a dent is known once it is found in part
+    replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0),
     Pass(
         spacing_mm=0.6,
         half_mm=0.45,
@@ -46,6 +56,8 @@ PASSES = (
         staying=0.0,
         n_samples=5,
         max_views=5,
+        pairs_share=1.0,
+        spike_slope=0.4,
     ),
     Pass(
         spacing_mm=0.45,
@@ -59,6 +71,8 @@ PASSES = (
         staying=0.0,
         n_samples=6,
         max_views=4,
+        pairs_share=1.0,
+        spike_slope=0.4,
     ),
 )
 FULL_SIZE_MM = 9.0

@@ -31,10 +31,11 @@ def patch_scores(
     half_mm: float,
     n_samples: int,
     noise_grey: float,
+    pairs_share: float,
 ) -> Annotated[Singles, "(K, L)"]:
     """Return the score of each node at each depth along `inward`: mean ZNCC over pairs of views, 0 to 1.
 
-    `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
+    Only the `pairs_share` of pairs that are most alike count: deep in a dent some views see its rim instead. `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
     """
     gains, steps = patch_samples(n_samples)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -54,6 +55,7 @@ def patch_scores(
         (half_mm * offsets).astype(np.float32),
         (weights / weights.sum()).astype(np.float32),
         np.float32(noise_grey**2),
+        np.float32(pairs_share),
         scores,
     )
     return scores
@@ -75,6 +77,7 @@ def _score(
     offsets_mm: Singles,
     gains: Singles,
     noise2: np.float32,
+    pairs_share: np.float32,
     scores: Singles,
 ) -> None:
     most, n_samples, n_depths = seen_by.shape[1], len(offsets_mm), len(depths_mm)
@@ -85,6 +88,8 @@ def _score(
     at_u, at_v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
     sums, totals = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
     is_used = np.empty(most, np.bool_)
+    pairs = np.empty((most * (most - 1) // 2, n_depths), np.float32)
+    pair_weights = np.empty(len(pairs), np.float32)
     shift = (1 - scale) / 2  # centres of pixels are on integers in both sizes
     low_mm, high_mm = depths_mm[0], depths_mm[-1]
     middle_mm = (low_mm + high_mm) / 2
@@ -161,12 +166,14 @@ def _score(
                 inverse_sd[k, depth] = np.float32(1) / np.sqrt(totals[depth])
         if n_used < 2:
             continue
+        n_pairs = 0
         total_weight = np.float32(0)
         for k in range(most):
             for m in range(k):
                 if not (is_used[k] and is_used[m]):
                     continue
                 weight = weights[i, k] * weights[i, m]
+                pair_weights[n_pairs] = weight
                 total_weight += weight
                 sums[:] = 0
                 one, other = greys[k], greys[m]
@@ -176,6 +183,15 @@ def _score(
                         sums[depth] += gain * one[q, depth] * other[q, depth]
                 for depth in range(n_depths):
                     alike = sums[depth] * inverse_sd[k, depth] * inverse_sd[m, depth]
-                    scores[i, depth] += weight * max(alike, np.float32(0))
+                    pairs[n_pairs, depth] = max(alike, np.float32(0))
+                n_pairs += 1
+        counted = pairs_share * total_weight
         for depth in range(n_depths):
-            scores[i, depth] /= total_weight
+            left = counted
+            for _ in range(n_pairs):
+                best = np.argmax(pairs[:n_pairs, depth])
+                weight = min(pair_weights[best], left)
+                scores[i, depth] += weight * pairs[best, depth]
+                pairs[best, depth] = -1
+                left -= weight
+            scores[i, depth] /= counted

@@ -25,6 +25,7 @@ from pipeline.refinement.node_field import (
     patch_sagittas,
     tangent_axes,
     touch_weights,
+    without_spikes,
 )
 from pipeline.refinement.nodes import (
     Nodes,
@@ -179,6 +180,7 @@ def _passed(
         half_mm,
         each.n_samples,
         NOISE_GREY,
+        each.pairs_share,
     )
     touches = touch_weights(nodes.points_mm, touches_mm)
     pins = PIN * np.maximum(touches, 1 - gate)
@@ -199,6 +201,7 @@ def _passed(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
     shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
+    shifts_mm = without_spikes(shifts_mm, nodes, each.spike_slope * nodes.spacing_mm)
     if each is PASSES[-1]:
         anchors = np.maximum(touches**4, 1 - gate)  # at the very points
         shifts_mm, weights = anchored(shifts_mm, sure, anchors, nodes)

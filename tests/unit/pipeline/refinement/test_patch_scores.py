@@ -1,0 +1,39 @@
+"""Scores of patches over pairs of views, of which some see something else."""
+
+import numpy as np
+import pytest
+
+from pipeline.refinement.node_field import tangent_axes
+from pipeline.refinement.patch_scores import patch_scores
+from pipeline.refinement.refine import made_up_ball
+from pipeline.refinement.sightings import PhotoViews, photo_views
+
+N_VIEWS = 5
+
+
+def views(n_strange: int) -> PhotoViews:
+    """Return one view five times, some of them with another noise."""
+    ball, frames, prepared = made_up_ball()
+    seen = photo_views(frames, prepared, ball.vertices_mm)
+    regions = np.repeat(seen.regions[:1], N_VIEWS, axis=0)
+    regions[:n_strange] = np.random.default_rng(1).integers(0, 255, regions[:n_strange].shape)
+    own = {name: np.repeat(getattr(seen, name)[:1], N_VIEWS, axis=0) for name in ("lenses", "R", "t_mm")}
+    return seen._replace(regions=regions, **own)
+
+
+@pytest.mark.parametrize(
+    ("pairs_share", "least", "most"), [(1.0, 0.3, 0.5), (0.5, 0.6, 0.8), (0.3, 0.95, 1.0)]
+)
+def test_pairs_that_are_not_alike_count_less_where_fewer_do(pairs_share: float, least: float, most: float):
+    assert least < score(views(n_strange=2), pairs_share) < most
+    assert score(views(n_strange=0), pairs_share) > 0.95
+
+
+def score(seen: PhotoViews, pairs_share: float) -> float:
+    inward = -seen.R[:1, 2]  # towards the camera
+    chosen, weights = np.arange(N_VIEWS, dtype=np.int32)[None], np.ones((1, N_VIEWS), np.float32)
+    found = patch_scores(
+        seen, 1.0, np.zeros((1, 3)), inward, tangent_axes(inward), (chosen, weights), np.zeros(8), 0.35, 6, 1.3,
+        pairs_share,
+    )  # fmt: skip
+    return float(found[0, 0])
