@@ -150,6 +150,10 @@ def show(
         f"{figures['triggers']} stones fell = {figures['measured']} measured + {figures['rejected']} rejected"
         f" + {figures['lost']} lost"
     )
+    for title, counts in (("body", figures["by_body"]), ("not refined", figures["not_refined"])):
+        if counts:
+            words = (f"{n} {word.replace('_', ' ')}" for word, n in counts.items())
+            console.print(f"{title}: {', '.join(words)}")
     if figures["verdict"] is not None:
         partly = " (partly measured)" if figures["is_partial"] else ""
         console.print(

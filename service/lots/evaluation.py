@@ -100,6 +100,8 @@ def figures_of(
         rejected=fates[Fate.REJECTED],
         lost=fates[Fate.LOST],
         by_quality={word: n for (fate, word), n in lot.counts.items() if fate is Fate.MEASURED},
+        by_body=stones.by_body,
+        not_refined=stones.not_refined,
         mass_kg=None if definition is None else gradation.volume_mm3 * 1e-9 * definition.density_kg_m3,
         n_effective=gradation.n_effective,
         sieve_set=yardstick.sieves.name,

@@ -186,6 +186,14 @@ class LotFigures(Report):
     rejected: int = Field(description="Stones whose views were found unfit")
     lost: int = Field(description="Stones whose views were never looked at")
     by_quality: Mapping[str, int] = Field(description="Measured stones by quality")
+    by_body: Mapping[str, int] = Field(
+        description="Measured stones by the body that was measured, `photo`, `estimate` or `hull`; results of earlier"
+        " versions that were removed are not among them"
+    )
+    not_refined: Mapping[str, int] = Field(
+        description="Estimates that pixels did not refine although `[body] kind` is `photo`: `rush`, other stones were"
+        " waiting (they can be measured again); `no_evidence`, the pixels showed nothing that could be used"
+    )
     mass_kg: float | None = Field(description="Of the measured stones; null without a density")
     n_effective: float = Field(description="So many stones of equal mass would tell as much")
     sieve_set: str = Field(description="Sieves that were used")

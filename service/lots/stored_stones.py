@@ -1,19 +1,24 @@
 """The stones of a lot, or of a time, as the gradation takes them."""
 
 import sqlite3
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
 from service.lots.stones import stone_of
+from service.results.refinement import why_not_refined
 
 COLUMNS = (
     "captured_at", "outcome", "reason", "quality", "volume_mm3", "sieve_size_mm", "max_feret_mm", "min_feret_mm",
     "length_mm", "width_mm", "thickness_mm", "volume_sd_percent", "surface_sd_mm", "calibration_id",
-    "algorithm_version", "is_simulated", "is_replay",
+    "algorithm_version", "is_simulated", "is_replay", "body", "refinement_fallback",
 )  # fmt: skip
+SIZES = itemgetter(*COLUMNS[4:11])
+BODY = itemgetter("body", "refinement_fallback")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,6 +26,8 @@ class Stones:
     """Stones with what is known of them together."""
 
     stones: Sequence[Stone | UnmeasuredStone]
+    by_body: Mapping[str, int]  # how many of the measured ones, as far as it is known
+    not_refined: Mapping[str, int]  # how many of the estimates among them, by `NotRefined`
     since: str | None  # captured, the first of them
     until: str | None  # the last
     calibration_ids: tuple[str, ...]
@@ -91,8 +98,19 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
     """Return the stones of records, or of rows with the same names; balls are none."""
     records = [record for record in records if record.get("kind") != BundleKind.BALL]
     times = [record["captured_at"] for record in records if record["captured_at"] is not None]
+    stones = [_stone(record) for record in records]
+    measured = [record for record, stone in zip(records, stones, strict=True) if isinstance(stone, Stone)]
+    by_body: Counter[str] = Counter()
+    whys: Counter[str] = Counter()
+    for (body, fallback), n_stones in Counter(map(BODY, measured)).items():
+        if body is not None:
+            by_body[body] += n_stones
+        if body == "estimate" and fallback is not None:
+            whys[why_not_refined(fallback)] += n_stones
     return Stones(
-        stones=[_stone(record) for record in records],
+        stones=stones,
+        by_body=dict(by_body.most_common()),
+        not_refined=dict(whys.most_common()),
         since=min(times, default=None),
         until=max(times, default=None),
         calibration_ids=_different(records, "calibration_id"),
@@ -103,7 +121,7 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
 
 
 def _stone(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
-    if record["outcome"] == Fate.MEASURED and None in (record[name] for name in COLUMNS[4:11]):
+    if record["outcome"] == Fate.MEASURED and None in SIZES(record):
         return UnmeasuredStone(fate=Fate.REJECTED, reason="incomplete")  # of a version that measured less
     return stone_of(record)
 

@@ -41,11 +41,10 @@ from service.processing.process_memory import keep_freed_memory
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.processing.worker_process import WarmUp, worker_boundary
 from service.results.record import optics_record, result_record
+from service.results.refinement import RUSH
 
 MESH, COMPACT_MESH, SILHOUETTES = RESULT_FILES = ("mesh.ply", "mesh.sfmesh", "silhouettes.tiff")
 """Files of a result; a worker that crashed may have left others."""
-RUSH = "other stones were waiting"
-"""Why a stone was not refined under a rush."""
 GC_THRESHOLD = 20_000
 """New objects between two garbage collections: with Python's default, they take 9 % of the compiler's time."""
 

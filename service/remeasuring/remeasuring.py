@@ -25,7 +25,6 @@ from service.errors import ServiceError
 from service.processing import measure_job
 from service.processing.measure_job import (
     RESULT_FILES,
-    RUSH,
     MeasuredBundle,
     MeasureJob,
     RigFile,
@@ -36,6 +35,7 @@ from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStart
 from service.processing.worker_process import WarmUp
 from service.remeasuring.revising import revise
 from service.results.fields import Outcome
+from service.results.refinement import RUSH
 from service.results.version import ALGORITHM_VERSION
 from service.store import Record, Store
 from service.store.particle_files import RAW, first_seq
@@ -149,7 +149,8 @@ class Remeasuring:
             record = await self._store.particle(name)
             if record is None or record["outcome"] == Outcome.LOST:
                 raise RemeasureError(Hindrance.NO_FRAMES, f"{name} never had frames")
-            if record.get("algorithm_version") == ALGORITHM_VERSION and not _was_rushed(record):
+            was_rushed = record.get("refinement_fallback") == RUSH
+            if record.get("algorithm_version") == ALGORITHM_VERSION and not was_rushed:
                 return False
             try:
                 job = await self._job_for(record)
@@ -273,11 +274,6 @@ class Remeasuring:
         if self._pool is not None:
             self._pool.close()
             self._pool = None
-
-
-def _was_rushed(record: Record) -> bool:
-    """Return whether other stones waited, so that its body was not refined."""
-    return record.get("refinement_fallback") == RUSH
 
 
 def _require_sound(before: Record, after: Record) -> None:

@@ -1,6 +1,6 @@
 """What a report rests on: accounting, calibration, uncertainty, pictures, versions."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from service.lots.figures import LotFigures
 from service.reports.document import DASH, Card, Cards, Column, Facts, Note, Section, Table
@@ -26,6 +26,7 @@ def accounting(figures: LotFigures, say: Words) -> Section:
         (
             (say("accounting.triggers"), say.number(figures.triggers, 0)),
             (say("accounting.measured"), measured),
+            *_bodies(figures, say),
             (say("accounting.rejected"), say.number(figures.rejected, 0)),
             (say("accounting.lost"), say.number(figures.lost, 0)),
             (say("accounting.n_effective"), say.number(figures.n_effective, 0)),
@@ -51,6 +52,25 @@ def accounting(figures: LotFigures, say: Words) -> Section:
         )
     )
     return Section(say("accounting.title"), (facts, Note(say("accounting.missing")), table, Note(bound)))
+
+
+def _bodies(figures: LotFigures, say: Words) -> Iterator[tuple[str, str]]:
+    """Yield what the measured bodies were made from, and why some were only estimated."""
+    n_known = sum(figures.by_body.values())
+    shares = (
+        say(
+            "accounting.share",
+            name=say.known("body", body),
+            n=say.number(n, 0),
+            percent=say.number(100 * n / n_known, 1),
+        )
+        for body, n in figures.by_body.items()
+    )
+    whys = (f"{say.known('not_refined', why)} {say.number(n, 0)}" for why, n in figures.not_refined.items())
+    if figures.by_body:
+        yield say("accounting.body"), ", ".join(shares)
+    if figures.not_refined:
+        yield say("accounting.not_refined"), ", ".join(whys)
 
 
 def _mass(mass_kg: float | None, say: Words) -> str:

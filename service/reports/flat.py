@@ -104,6 +104,10 @@ def accounting_rows(data: ReportData) -> Iterator[Row]:
         yield Row(section="accounting", name=name, value=getattr(figures, name), unit="stones")
     for quality, n in figures.by_quality.items():
         yield Row(section="accounting", name=f"measured: {quality}", value=n, unit="stones")
+    for body, n in figures.by_body.items():
+        yield Row(section="accounting", name=f"body: {body}", value=n, unit="stones")
+    for why, n in figures.not_refined.items():
+        yield Row(section="accounting", name=f"not_refined: {why}", value=n, unit="stones")
     for reason, n in figures.unmeasured.by_reason.items():
         yield Row(section="accounting", name=reason, value=n, unit="stones")
     missing = figures.unmeasured

@@ -226,11 +226,12 @@ def _accounting(sheets: _Sheets, data: ReportData, say: Words) -> None:
 
 
 def _accounting_name(name: str, say: Words) -> str:
-    outcome, separator, reason = name.partition(": ")
-    if separator:
-        known = say.known("quality" if outcome == "measured" else "reason", reason)
-        return f"{say.known('outcome', outcome)}: {known}"
-    return say.known("accounting", name)
+    group, separator, word = name.partition(": ")
+    if not separator:
+        return say.known("accounting", name)
+    if group in ("body", "not_refined"):
+        return f"{say.known('accounting', group)}: {say.known(group, word)}"
+    return f"{say.known('outcome', group)}: {say.known('quality' if group == 'measured' else 'reason', word)}"
 
 
 def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:

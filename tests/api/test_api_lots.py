@@ -20,6 +20,7 @@ from support.rest import (
 
 from pipeline.frames import BundleKind
 from service.api.settings import ApiKey, ApiSettings, Scope
+from service.results.refinement import RUSH
 from service.store import Store
 
 PRODUCT = {
@@ -58,16 +59,17 @@ async def test_a_lot_has_what_falls_while_it_is_open(
     assert answer.status_code == 201
     assert answer.headers["Location"] == "/api/v1/lots/L1"
     assert (await opened(client, sampler="A. Miller", tonnage_t=20.0)).json() == answer.json()
-    await add(store, session, 2, stone(11.0))
+    await add(store, session, 2, stone(11.0, body="photo"))
     await add(store, session, 3, rejected("clipped"))
     await store.record_triggers(session, {"00000004": trigger(4)})  # falls now, is measured after the end
     closed = (await client.post("/lots/L1/close", json={"tonnage_t": 21.5})).json()
     assert (closed["state"], closed["tonnage_t"], closed["sampler"]) == ("closed", 21.5, "A. Miller")
-    await store.finish(session, "00000004", stone(12.0))
+    await store.finish(session, "00000004", stone(12.0, body="estimate", refinement_fallback=RUSH))
     await add(store, session, 5, stone(13.0))
     figures = (await client.get("/lots/L1/gradation")).json()
     assert (figures["triggers"], figures["measured"], figures["rejected"]) == (3, 2, 1)
     assert figures["unmeasured"]["by_reason"] == {"rejected: clipped": 1}
+    assert (figures["by_body"], figures["not_refined"]) == ({"photo": 1, "estimate": 1}, {"rush": 1})
     assert figures["lot"]["n_stones"] == 3
     assert figures["product"]["specification"] == "GC85-20 8/16"
     assert figures["mass_kg"] == pytest.approx(2700e-9 * 0.6 * (11**3 + 12**3))

@@ -170,6 +170,8 @@ def lot_figures(**changes: Any) -> LotFigures:
         "rejected": 21,
         "lost": 4,
         "by_quality": {"good": 951, "reduced": 30, "degraded": 6},
+        "by_body": {"photo": 901, "estimate": 84, "hull": 2},
+        "not_refined": {"rush": 71, "no_evidence": 13},
         "mass_kg": 3.12,
         "n_effective": 640.2,
         "sieve_set": "EN 933-1 + set 2",

@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 from service.cli import build_app
 from service.errors import ServiceError, UsageError
 from service.results.fields import EMPTY
+from service.results.refinement import RUSH
 
 STONE = {
     "outcome": "measured", "kind": "particle", "quality": "good", "captured_at": "2026-03-01T10:00:00Z",
@@ -31,7 +32,8 @@ def report(*words: str | Path) -> Result:
 def test_results_become_a_report_in_every_format(tmp_path: Path) -> None:
     ball = {**STONE, "kind": "ball", "volume_mm3": 1e6}
     lost = {"kind": "particle", "outcome": "lost", "reason": "no_frames"}
-    folder = results(tmp_path / "out", [STONE] * 60 + [ball, lost])
+    rushed = {**STONE, "body": "estimate", "refinement_fallback": RUSH}
+    folder = results(tmp_path / "out", [{**STONE, "body": "photo"}] * 59 + [rushed, ball, lost])
     words = ("--lower-mm", "8", "--upper-mm", "16", "--specification", "GC85-20", "--language", "de")
     done = report(folder, "--out", tmp_path / "report", *words)
     assert done.exit_code == 0, done.output
@@ -41,6 +43,8 @@ def test_results_become_a_report_in_every_format(tmp_path: Path) -> None:
     }  # fmt: skip
     table = (tmp_path / "report/report.csv").read_text()
     assert "no_frames" in table
+    assert "accounting,body: photo,,59,stones" in table
+    assert "accounting,not_refined: rush,,1,stones" in table
     assert "GC85-20 8/16" in table
 
 

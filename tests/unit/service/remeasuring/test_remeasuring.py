@@ -12,11 +12,12 @@ from support.rest import add, measured, particle_files
 
 from drivers.errors import RecordingError
 from service.calibration.calibrations import Calibrations
-from service.processing.measure_job import RUSH, MeasureJob
+from service.processing.measure_job import MeasureJob
 from service.processing.worker_pool import JobLostError
 from service.remeasuring import remeasuring as module
 from service.remeasuring.remeasuring import Hindrance, RemeasureError, Remeasuring
 from service.results.fields import LossReason
+from service.results.refinement import RUSH
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 

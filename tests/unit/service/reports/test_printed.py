@@ -112,6 +112,7 @@ def hostile(text: str) -> ReportData:
             n_stones=1, by_reason={f"rejected: {text}": 1, text: 2}, expected_percent=1.0, at_most_percent=2.0
         ),
         "by_quality": {text: 3},
+        "by_body": {text: 3},
     }
     stone = GalleryStone(
         id=text, reasons=(GalleryReason.LARGEST,), sieve_size_mm=9, volume_mm3=400, quality=text
@@ -131,6 +132,8 @@ def test_a_report_says_all_that_is_signed_for() -> None:
         "Flakiness index FI, % (EN 933-3) 12.4 9.8 – 15.0 0 – 20 conforms",
         "D50 11.38 11.18 – 11.58 11.40",
         "Stones that fell 1 012",
+        "Measured body refined by the pixels 901 (91.3 %), estimated from the outlines 84 (8.5 %), visual hull 2",
+        "Not refined other stones were waiting 71, the pixels showed nothing 13",
         "reached: 3.12 kg of at least 2.60 kg",
         "rejected: more than one stone 12",
         "These 25 stones are 2.5 % of the measured mass",
@@ -158,6 +161,7 @@ def test_german_has_commas_umlauts_and_no_english_word() -> None:
     text = page(data).text
     assert "Korngrößenverteilung der Charge 2026-04711" in text
     assert "94,2 92,2 – 96,2" in text
+    assert "Nicht verfeinert andere Körner warteten 71, die Pixel zeigten nichts 13" in text
     assert not re.search(r"\b(measured|stones|sieve|conforms|undecided|passing)\b", text, re.IGNORECASE)
     assert "Korngrößenverteilung" in pdf_text(data)
 
@@ -286,6 +290,8 @@ def test_a_window_without_lot_product_and_specification_has_a_report() -> None:
         "shape_decision": None,
         "mass_kg": None,
         "least_portion_kg": None,
+        "by_body": {},
+        "not_refined": {},
         "calibration_ids": [],
         "algorithm_versions": [],
         "unmeasured": Unmeasured(n_stones=0, by_reason={}, expected_percent=None, at_most_percent=None),
@@ -294,6 +300,8 @@ def test_a_window_without_lot_product_and_specification_has_a_report() -> None:
     text = page(data).text
     assert "No specification, no verdict" in text
     assert "Every stone that fell was measured" in text
+    assert "Measured body" not in text
+    assert "Not refined" not in text
     for report_format in ReportFormat:
         assert render(data, report_format)
 

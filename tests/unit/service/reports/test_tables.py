@@ -70,6 +70,8 @@ def test_csv_has_one_figure_a_row_with_all_that_is_known_of_it() -> None:
     by_name = {(row["section"], row["name"]): row["value"] for row in rows}
     assert by_name["lot", "lot"] == "2026-04711"
     assert by_name["accounting", "rejected: multiple"] == "12"
+    assert by_name["accounting", "body: photo"] == "901"
+    assert by_name["accounting", "not_refined: rush"] == "71"
     assert by_name["verdict", "verdict"] == "undecided"
     assert by_name["d4791", "1:3 flat_percent by mass"] == "10.0"
     assert by_name["d4791 12.5 to 14 mm", "1:3 flat_percent by mass"] == "10.0"
@@ -127,12 +129,16 @@ def test_a_workbook_has_its_sheets_with_numbers_as_numbers() -> None:
     assert indices["Flakiness index FI, % (EN 933-3)"][1] == 12.4
     assert indices["Fineness modulus (ASTM C136)"][1::7] == [None, "not measured"]
     assert ["rejected: more than one stone", 12.0] in found["Accounting"]
+    assert ["Measured body: estimated from the outlines", 84.0] in found["Accounting"]
+    assert ["Not refined: other stones were waiting", 71.0] in found["Accounting"]
     assert found["Stones"][3][:3] == ["3f1c-000002", "measured", "good"]
     assert any("SIMULATED" in str(row[0]) for row in sheets(report_data({"is_simulated": True}))["About"])
 
 
 def test_a_german_workbook_has_german_sheets() -> None:
-    assert list(sheets(report_data(language=Language.GERMAN)))[:2] == ["Kurve", "Kennzahlen"]
+    found = sheets(report_data(language=Language.GERMAN))
+    assert list(found)[:2] == ["Kurve", "Kennzahlen"]
+    assert ["Gemessener Körper: visuelle Hülle", 2.0] in found["Bilanz"]
 
 
 def test_what_is_no_number_leaves_its_cell_empty() -> None:

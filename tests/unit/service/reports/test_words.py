@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from string import Formatter
+from typing import get_args
 
 import pytest
 from support.lot_figures import NOT_MEASURED, measured
@@ -11,12 +12,14 @@ from support.lot_figures import NOT_MEASURED, measured
 from pipeline.errors import RejectReason
 from pipeline.gradation.estimates import State
 from pipeline.gradation.specification import Verdict
+from pipeline.particle import BodyKind
 from pipeline.views.quality import Quality
 from service.language import Language
 from service.lots.lots import LotState
 from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.words import words
 from service.results.fields import LossReason, Outcome
+from service.results.refinement import NotRefined
 
 SOURCES = Path(__file__).parents[4] / "service" / "reports"
 FAMILIES = {
@@ -26,6 +29,8 @@ FAMILIES = {
     "outcome": list(Outcome),
     "reason": [*RejectReason, *LossReason],
     "quality": list(Quality),
+    "body": list(get_args(BodyKind)),
+    "not_refined": list(NotRefined),
     "verification": list(VerificationOutcome),
     "gallery_reason": list(GalleryReason),
     "counted": ["mass", "number"],

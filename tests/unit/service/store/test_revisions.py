@@ -3,6 +3,7 @@
 import asyncio
 import shutil
 import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from pathlib import Path
@@ -17,6 +18,7 @@ from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_l
 from service.lots.products import ProductDefinition, save_product
 from service.lots.stored_stones import stones_between, stones_of_lot
 from service.remeasuring.revising import revise
+from service.results.refinement import RUSH
 from service.store import ParticleFilter, Store, open_store
 from service.store.audit import entries
 from service.store.backups import restore
@@ -54,6 +56,11 @@ def write_mesh(folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
     trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "mesh.ply")
     return folder / "mesh.ply"
+
+
+def migrations() -> list[str]:
+    scripts = [entry for entry in files("service.store").iterdir() if entry.name.endswith(".sql")]
+    return [script.read_text(encoding="utf-8") for script in sorted(scripts, key=lambda entry: entry.name)]
 
 
 def size_of(folder: Path) -> int:
@@ -126,6 +133,63 @@ async def test_stones_windows_and_lists_are_of_the_newest_revision(filled: Store
     assert await listed(outcome="rejected") == [5]
     assert await listed(quality="good") == [3, 1]
     assert [each["seq"] for each in await filled.particles(ParticleFilter(), 2, 10)] == [1]
+
+
+async def test_a_stone_that_is_refined_afterwards_counts_as_refined(
+    store: Store, session: int, tmp_path: Path
+) -> None:
+    rushed = stone(10.0, body="estimate", refinement_fallback=RUSH)
+    plain = stone(10.0, body="estimate", refinement_fallback="no texture that the views share")
+    for number, record in enumerate((rushed, rushed, plain, stone(10.0, body="photo"), stone(9.0)), 1):
+        await add(store, session, number, record, particle_files(tmp_path / "out"))
+    before = await store.read(stones_between, *EVER)
+    assert before.by_body == {"estimate": 3, "photo": 1}  # of the last one it is not known
+    assert before.not_refined == {"rush": 2, "no_evidence": 1}
+    await revised(store, 1, stone(10.0, body="photo", refinement_fallback=None), tmp_path / "again")
+    after = await store.read(stones_between, *EVER)
+    assert (after.by_body, after.not_refined) == (
+        {"photo": 2, "estimate": 2},
+        {"rush": 1, "no_evidence": 1},
+    )
+
+
+async def test_stones_of_an_earlier_schema_tell_their_bodies_as_far_as_their_records_are_there(
+    state_dir: Path, tmp_path: Path
+) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        for number in (1, 2, 3, 4):
+            rushed = stone(10.0, body="estimate", refinement_fallback=RUSH)
+            await add(store, session, number, rushed, particle_files(tmp_path / "out"))
+        await revised(store, 2, stone(10.0, body="photo", refinement_fallback=None), tmp_path / "again")
+        await store.write(save_product, "basalt", ProductDefinition(title="8/16", density_kg_m3=2700), "anna")
+        await store.write(open_lot, LotDefinition(lot="L1"), "basalt", None, "anna")
+        await store.write(assign, "L1", *EVER, "anna")
+    database = state_dir / "results.sqlite"
+    database.rename(state_dir / "today.sqlite")
+    with closing(sqlite3.connect(database)) as old:
+        for script in migrations()[:9]:
+            old.executescript(script)
+        old.execute("ATTACH ? AS today", (str(state_dir / "today.sqlite"),))
+        old.executescript(
+            """INSERT INTO store SELECT * FROM today.store;
+            INSERT INTO sessions SELECT * FROM today.sessions;
+            INSERT INTO products SELECT * FROM today.products;
+            INSERT INTO lots SELECT * FROM today.lots;
+            INSERT INTO triggers SELECT * FROM today.triggers;
+            INSERT INTO results (seq, id, trigger, session, record)
+                SELECT seq, id, trigger, session, record FROM today.results;
+            INSERT INTO revisions SELECT * FROM today.revisions;
+            DELETE FROM results WHERE seq = 3;
+            PRAGMA user_version = 9"""
+        )
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        stones = await store.read(stones_of_lot, "L1")
+        assert (len(stones.stones), stones.by_body, stones.not_refined) == (
+            4,
+            {"estimate": 2, "photo": 1},
+            {"rush": 2},
+        )
 
 
 async def test_a_closed_lot_gets_a_revision_and_an_event(filled: Store, tmp_path: Path) -> None:
@@ -256,9 +320,8 @@ def test_the_feed_is_read_from_its_cursor_on_without_looking_at_all_of_it(tmp_pa
     from service.store.reads import FIRST, LATER
 
     base = sqlite3.connect(tmp_path / "empty.sqlite")
-    for script in sorted(files("service.store").iterdir(), key=lambda entry: entry.name):
-        if script.name.endswith(".sql"):
-            base.executescript(script.read_text(encoding="utf-8"))
+    for script in migrations():
+        base.executescript(script)
     query = f"{FIRST} WHERE results.seq > 5 UNION ALL {LATER} WHERE revisions.seq > 5 ORDER BY 1 LIMIT 9"
     plan = "\n".join(row[3] for row in base.execute(f"EXPLAIN QUERY PLAN {query}"))
     base.close()
