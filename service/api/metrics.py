@@ -146,6 +146,9 @@ def _machine(facts: Facts) -> Iterator[Metric]:
     yield _gauge("workers_configured", "Processes that should", _alone(facts.slots))
     yield _counter("worker_restarts", "Processes that were replaced", _alone(facts.worker_restarts))
     yield _counter("archive_left_out", "Results whose frames were not archived", _alone(facts.left_out))
+    seen = facts.refinement
+    yield _gauge("refinement_supported_ratio", "Surface that pixels tell of", _alone(seen.supported_share))
+    yield _gauge("refinement_rushed_ratio", "Stones left out in a rush", _alone(seen.rushed_share))
     yield _gauge("loop_delay_seconds", "Longest within a minute", _alone(facts.loop_ms / 1e3))
     yield _gauge("disk_free_bytes", "Of the disk of the store", _alone(facts.free_bytes))
     retention = facts.retention

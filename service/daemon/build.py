@@ -31,6 +31,7 @@ from service.daemon.running_daemon import Daemon, Watches
 from service.delivery.file_drop import open_file_drop
 from service.delivery.webhooks import open_webhooks
 from service.health.optical_watch import OpticalWatch
+from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.background_keeping import KeptBackground
@@ -90,6 +91,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         rig=RigWatch(found.rig, source.fall),
         optics=OpticalWatch(configured, settings.optics),
         segmentation=SegmentationWatch(segmentation),
+        refinement=RefinementWatch(),
     )
     recordings = await asyncio.to_thread(_open_recordings, settings, store, source, session)
     events = EventLog(store)
@@ -143,7 +145,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(store, watches.rig, watches.optics),
+        results=WatchedResults(store, watches.rig, watches.optics, watches.refinement),
         calibration=calibrations,
         kept_background=_kept_background(settings, configured),
         quarantine=quarantine,

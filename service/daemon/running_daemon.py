@@ -27,6 +27,7 @@ from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts, assess
 from service.health.device_words import camera_ne107
 from service.health.optical_watch import OpticalWatch
+from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.lots.shifts import LotsSettings
@@ -46,12 +47,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watches:
-    """The observers of the loop, of the rig's geometry and optics, and of the segmentation network."""
+    """The observers of the loop, of the rig's geometry and optics, of segmentation and refinement."""
 
     loop: LoopWatch
     rig: RigWatch
     optics: OpticalWatch
     segmentation: SegmentationWatch
+    refinement: RefinementWatch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,6 +163,7 @@ class Daemon:
             file_drop_trouble=self.file_drop.trouble,
             suspicions=self.watches.rig.suspicions(),
             optical_findings=self.watches.optics.findings(),
+            refinement=self.watches.refinement.trend,
         )
 
     def late(self) -> list[Part]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pipeline.views.quality import ViewsParameters
 from service.health.device_words import gate_ne107, rig_ne107
 from service.health.optical_watch import OpticalFinding, Severity
+from service.health.refinement_watch import RefinementTrend
 from service.health.retention_checks import disk_days, retention
 from service.health.rig_watch import Suspicion
 from service.status import (
@@ -63,6 +64,7 @@ class Facts:
     calibration: CalibrationFacts
     suspicions: Sequence[Suspicion] = ()  # cameras that contradict their calibration, see `rig_watch`
     optical_findings: Sequence[OpticalFinding] = ()  # windows, lenses and light to clean or repair
+    refinement: RefinementTrend  # what the pixels inside the outlines say of the stones
 
     last_seq: int  # the newest durable result
     store_trouble: str | None = None  # why nothing can be written now, with the remedy
@@ -364,6 +366,17 @@ def _optics(facts: Facts) -> HealthCheck:
     )
 
 
+def _refinement(facts: Facts) -> HealthCheck:
+    """Check whether there is time to look for dents, and whether pixels show as much as they did."""
+    trend = facts.refinement
+    return HealthCheck(
+        status=_status(warn=trend.warning is not None),
+        observed_value=None if trend.supported_share is None else round(trend.supported_share, 3),
+        observed_unit="share",
+        detail=trend.warning,
+    )
+
+
 def _status(*, warn: bool = False, fail: bool = False) -> CheckStatus:
     if fail:
         return CheckStatus.FAIL
@@ -396,5 +409,6 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "file_drop": _file_drop,
     "rig": _rig,
     "optics": _optics,
+    "refinement": _refinement,
 }
 """All checks but those of single cameras, by name, in the order in which they are reported."""

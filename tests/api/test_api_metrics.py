@@ -113,6 +113,8 @@ async def test_what_health_says_is_there_with_labels(client: httpx.AsyncClient, 
     assert found["stonefall_ne107_state"]["failure",] == 1  # three cameras are too few
     assert found["stonefall_ready"] == {(): 0}
     assert found["stonefall_health_check"]["disk",] == 0
+    assert found["stonefall_refinement_supported_ratio"] == {(): 0.8}
+    assert found["stonefall_refinement_rushed_ratio"] == {(): 0.25}
     assert found["stonefall_verification_state"]["never",] == 1
     assert found["stonefall_calibration_activated_timestamp_seconds"][()] > 1.7e9
     buckets = found["stonefall_result_delay_seconds_bucket"]

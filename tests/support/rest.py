@@ -26,6 +26,7 @@ from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
 from service.health.assessment import Facts
+from service.health.refinement_watch import RefinementTrend
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
@@ -110,6 +111,7 @@ class FakeControl:
             clock_step_s=None,
             has_background=True,
             calibration=self.calibrations.facts(),
+            refinement=RefinementTrend(supported_share=0.8, rushed_share=0.25),
             last_seq=0,
             free_bytes=10**10,
         )

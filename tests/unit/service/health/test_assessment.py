@@ -6,6 +6,7 @@ from pipeline.frames import CameraId
 from pipeline.views.quality import ViewsParameters
 from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
 from service.health.optical_watch import OpticalFinding, Severity
+from service.health.refinement_watch import RefinementTrend
 from service.health.rig_watch import Suspicion
 from service.status import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
 from service.store.disk_use import RetentionFacts, StoreUse
@@ -43,6 +44,7 @@ HEALTHY = Facts(
     calibration=CalibrationFacts(
         calibration_id="rig", method="bundle", used_since="2026-11-21T04:00:00.000Z"
     ),
+    refinement=RefinementTrend(),
     last_seq=7,
     free_bytes=100 * LOW_DISK_BYTES,
 )
@@ -77,6 +79,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "file_drop",
         "rig",
         "optics",
+        "refinement",
     }
     assert health.checks.keys() == checks | {f"camera:c{number:02d}" for number in range(1, 17)}
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
@@ -284,6 +287,28 @@ def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Sever
     assert assess(replace(HEALTHY, optical_findings=(weak,))).reasons == (
         "optics: all: look at the strobes' supply",
     )
+
+
+def test_dents_that_are_not_seen_ask_for_maintenance_and_stones_are_measured_on():
+    seen = RefinementTrend(supported_share=0.6123, reference_share=0.8, rushed_share=0.1)
+    health = assess(replace(HEALTHY, refinement=seen))
+    check = health.checks["refinement"]
+    assert (health.ne107, check.detail) == (Ne107.GOOD, None)
+    assert (check.observed_value, check.observed_unit) == (0.612, "share")
+    for trend, said in (
+        (
+            replace(seen, rushed_share=0.7, is_rushed=True),
+            "70% of the latest stones were not refined because",
+        ),
+        (
+            replace(seen, supported_share=0.3, has_fallen=True),
+            "pixels support 30% of the surface, 80% at the",
+        ),
+    ):
+        health = assess(replace(HEALTHY, refinement=trend))
+        assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
+        (reason,) = health.reasons
+        assert reason.startswith(f"refinement: {said}")
 
 
 def test_a_held_store_is_a_failure_with_the_remedy():
