@@ -35,7 +35,8 @@ def patch_scores(
 ) -> Annotated[Singles, "(K, L)"]:
     """Return the score of each node at each depth along `inward`: mean ZNCC over pairs of views, 0 to 1.
 
-    Only the `pairs_share` of pairs that are most alike count: deep in a dent some views see its rim instead. `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
+    Only the `pairs_share` of pairs that are most alike count: deep in a dent some views see its rim instead.
+    `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
     """
     gains, steps = patch_samples(n_samples)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
