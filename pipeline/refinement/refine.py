@@ -53,6 +53,8 @@ from pipeline.views.prepared import PreparedViews, prepare_views
 
 SPREAD = 0.6
 """Standard deviation of the interpolation between nodes, in their spacing."""
+OUTWARD_MM = 0.02
+"""Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
 LEAST_WEIGHT = 1e-3
 MIN_SUPPORTED = 0.05
 """Share of the surface below which the estimate stays as it is: so few patches are alike by chance."""
@@ -244,5 +246,5 @@ def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, ro
     inward_mm, outward = found[:, 0], found[:, 1:]
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
     lengths_mm = np.linalg.norm(room_mm, axis=1)
-    share = np.clip(-inward_mm / np.maximum(lengths_mm, 1e-12), 0, 1)
+    share = np.clip((-inward_mm - OUTWARD_MM) / np.maximum(lengths_mm, 1e-12), 0, 1)
     return np.asarray(share[:, None] * room_mm - np.maximum(inward_mm, 0.0)[:, None] * outward)

@@ -19,7 +19,7 @@ from drivers.files.recording import open_recording, playback_order
 from drivers.files.rig_file import read_rig
 from pipeline.carving import CarvingParameters
 from pipeline.frames import BundleKind
-from pipeline.particle import PipelineParameters
+from pipeline.particle import BodyParameters, PipelineParameters
 from service.processing.measure_job import (
     COMPACT_MESH,
     LearnJob,
@@ -57,7 +57,7 @@ def is_through(accounting: dict[str, Any]) -> bool:
 def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
     recording = open_recording(path)
     context = WorkerContext(
-        parameters=PipelineParameters(carving=CarvingParameters(n=64)),
+        parameters=PipelineParameters(carving=CarvingParameters(n=64), body=BodyParameters("estimate")),
         is_simulated=True,
         compact_meshes=True,
     )
