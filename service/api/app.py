@@ -16,6 +16,7 @@ from service.api.gzipped import GzippedJson
 from service.api.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
 from service.api.key_ring import KeyRing
 from service.api.pace import PacedRequests
+from service.api.pieces import Piecewise
 from service.api.problems import install_handlers
 from service.api.reader_process import Reading
 from service.api.request_ids import RequestIds
@@ -64,6 +65,7 @@ def create_app(
     app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(PacedRequests)
+    app.add_middleware(Piecewise)
     app.add_middleware(RequestIds)  # the outermost: every answer has one
     return app
 

@@ -10,8 +10,10 @@ from asyncio import Transport
 from collections.abc import Iterable
 from functools import cache
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from service.api.pieces import UNSENT
 from service.api.problems import RETRY_AFTER_S, Problem, problem_document
 from service.api.version import BASE
 
@@ -19,6 +21,8 @@ REQUEST_S = 10.0
 """Longest time for a whole request, body included, from its first byte; of the first one from connecting."""
 READING_S = 30.0
 """Longest time in which a client may leave unread what it was sent."""
+IN_VAIN_BYTES_S = 8_000_000
+"""Rate at which the rest of all bodies is read whose requests are refused already; their clients get to the answer."""
 MAX_UNREAD_BYTES = 64_000_000
 """Answers that all clients together may leave unread: pages of the feed have megabytes."""
 MAX_CONNECTIONS = 256
@@ -72,6 +76,12 @@ class Connection(H11Protocol):
         if self.timeout_keep_alive_task is not None:  # this is the first of another request
             self._began_s = self.loop.time()
         super().data_received(data)
+        if self.is_sending_in_vain:
+            n_such = sum(
+                isinstance(each, Connection) and each.is_sending_in_vain for each in self.connections
+            )
+            self.flow.pause_reading()
+            self.loop.call_later(len(data) * n_such / IN_VAIN_BYTES_S, self.flow.resume_reading)
 
     def on_response_complete(self) -> None:
         self._began_s = self.loop.time()
@@ -95,9 +105,15 @@ class Connection(H11Protocol):
         return self.cycle is not None and not (self.cycle.more_body or self.cycle.response_complete)
 
     @property
+    def is_sending_in_vain(self) -> bool:
+        """Return whether the request is answered although its body still comes."""
+        return self.conn.our_state is h11.DONE and self.conn.their_state is h11.SEND_BODY
+
+    @property
     def n_unread(self) -> int:
         """Return how many bytes of the answer wait for the client, beyond those in the kernel's buffers."""
-        return self.transport.get_write_buffer_size()
+        n_unsent = 0 if self.cycle is None else self.cycle.scope["state"].get(UNSENT, 0)
+        return int(self.transport.get_write_buffer_size() + n_unsent)
 
     def is_overdue(self, now_s: float) -> bool:
         """Return whether the client has not sent its request, or not read its answer, in time; to be asked often."""

@@ -18,7 +18,7 @@ MAX_SEQ = 10**15
 MAX_SMALL = 20
 """Results of a page that the daemon itself makes, in 3 ms; bigger ones are made beside it."""
 KEEP_S = 1.0
-"""Time for which a small page is the answer to all who ask for it."""
+"""Time for which a small page, or a full one, is the answer to all who ask for it."""
 
 PageQuery = Callable[..., FeedPage]
 """Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
@@ -99,8 +99,10 @@ async def page_now(context: ApiContext, feed: Feed, after: int, limit: int) -> F
             return await context.reading.run(read, store.path, feed.query, store.instance_id, *wanted)
         return await store.read(feed.query, store.instance_id, *wanted)
 
-    is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
-    return await context.shared.get((feed.query, *wanted, last), make, keep_s=0 if is_big else KEEP_S)
+    is_big, is_full = feed.is_large and min(limit, last - after) > MAX_SMALL, after + limit <= last
+    # what follows a full page changes nothing on it
+    question = (feed.query, *wanted, None if is_full else last)
+    return await context.shared.get(question, make, keep_s=KEEP_S if is_full or not is_big else 0)
 
 
 def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:

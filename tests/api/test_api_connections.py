@@ -15,6 +15,7 @@ from support.served import PATIENCE_S, Served, served_by
 
 from service.api import connections
 from service.api.connections import READING_S, REQUEST_S, max_connections
+from service.api.pieces import PIECE_BYTES
 from service.api.settings import ApiSettings
 from service.store import Store
 
@@ -99,6 +100,33 @@ async def test_a_reader_that_does_not_read_ends_its_connection(served: Served) -
     served.pass_time(1.1 * READING_S)
     assert len(served.connections) == 1
     assert 0 < len(await slow.rest()) < N_LARGE
+
+
+async def test_what_a_reader_does_not_read_is_not_copied_for_it(served: Served) -> None:
+    await served.connect(LARGE)
+    await served.until(lambda: any(each.n_unread > 0 for each in served.connections))
+    (connection,) = served.connections
+    assert connection.n_unread > N_LARGE / 2
+    assert connection.transport.get_write_buffer_size() <= PIECE_BYTES
+
+
+async def test_the_rest_of_a_refused_body_is_read_slowly_and_its_client_gets_the_answer(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "IN_VAIN_BYTES_S", 1)
+    client = await served.connect(PUT + b"Content-Length: 100000000\r\n\r\n" + bytes(1_000_000))
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 413")
+    await served.until(lambda: any(each.flow.read_paused for each in served.connections))
+    served.pass_time(1.1 * REQUEST_S)
+    assert not served.connections
+
+
+async def test_a_connection_serves_the_next_request_after_a_refused_body(served: Served) -> None:
+    client = await served.connect(PUT + b"Content-Length: 2000000\r\n\r\n" + bytes(2_000_000))
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 413")
+    await client.reader.readuntil(b"}")
+    client.send(LIVE)
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
 
 
 async def test_what_is_unread_is_bounded_and_the_slowest_goes_first(

@@ -76,6 +76,22 @@ async def test_files_and_big_pages_are_made_beside_the_daemon(
     assert beside.n_runs == number
 
 
+async def test_readers_far_behind_share_full_pages_although_stones_fall(
+    store: Store, control: FakeControl, session: int
+) -> None:
+    for number in range(1, MAX_SMALL + 3):
+        await add(store, session, number, rejected("empty"))
+    beside = CountingThread()
+    async with client_of(app_of(store, control, reading=beside)) as client:
+        full = f"/results?limit={MAX_SMALL + 1}"
+        first = (await client.get(full)).json()
+        await add(store, session, MAX_SMALL + 3, rejected("empty"))
+        assert (await client.get(full)).json()["items"] == first["items"]
+        assert beside.n_runs == 1
+        assert len((await client.get("/results")).json()["items"]) == MAX_SMALL + 3  # not full: made anew
+        assert beside.n_runs == 2
+
+
 async def test_the_process_answers_what_a_thread_answers(
     store: Store, control: FakeControl, session: int, tmp_path: Path, reading: ReaderProcess
 ) -> None:
