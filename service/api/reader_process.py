@@ -1,7 +1,7 @@
 """What clients ask for and takes long is made in a process of its own, with a lower priority than the workers.
 
-It starts with the first such request. When it dies, the request is tried once more in a new one; the daemon, its loop
-and its interpreter's lock have no part in it but to pass on the bytes.
+It starts with the daemon, as its imports would compete with several stones. When it dies, a request is tried once more
+in a new one; the daemon, its loop and its interpreter's lock have no part in it but to pass on the bytes.
 """
 
 import asyncio
@@ -45,7 +45,15 @@ def lower_priority(context: None) -> tuple[WarmUp, ...]:
     Of the class SCHED_IDLE it would get nothing on a machine that is busy for long, and clients no answer.
     """
     os.nice(19)
-    return ()
+    return (import_answers,)
+
+
+def import_answers() -> bool:
+    """Import what makes pages, meshes and pictures; nothing is compiled."""
+    import service.api.pages  # here: only this process needs them
+    import service.api.renditions  # noqa: F401
+
+    return False
 
 
 class ReaderProcess:
@@ -55,6 +63,14 @@ class ReaderProcess:
         self._pool = _pool()
         self._turn = asyncio.Lock()
         self._n_waiting = 0
+
+    async def start(self) -> None:
+        """Start the process; one that fails to is tried again with the first request."""
+        async with self._turn:
+            try:
+                await self._pool.start()
+            except WorkerStartError as err:
+                log.error("the process that answers requests did not start: %s", err)
 
     async def run(self, function: Callable[..., T], *arguments: object) -> T:
         """Return `function(*arguments)`.

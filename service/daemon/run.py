@@ -116,12 +116,13 @@ def _end_of_spool(daemon: Daemon) -> Callable[..., Awaitable[None]]:
     return remove
 
 
-async def _warmed_up(daemon: Daemon, reading: Reading, manager: ServiceManager) -> RestServer:
-    """Start the workers and return the REST server, with everything prepared that would hold the loop for 0.3 s."""
+async def _warmed_up(daemon: Daemon, reading: ReaderProcess, manager: ServiceManager) -> RestServer:
+    """Start all processes and return the REST server, with everything prepared that would hold the loop for 0.3 s."""
     app = create_app(daemon.store, daemon, daemon.settings.api, reading, daemon.keys)
     manager.notify("STATUS=warming up the workers")
     await asyncio.gather(
         daemon.pool.start(),
+        reading.start(),
         asyncio.to_thread(app.openapi),  # FastAPI's routes and their description
         asyncio.to_thread(daemon.calibrations.rig.cameras[0].rays, [[0, 0]]),  # numba's tables
     )

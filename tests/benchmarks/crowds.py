@@ -1,11 +1,10 @@
-"""Clients that ask a daemon in a closed loop: the crowds of `readers.py`, in a process of the lowest priority.
+"""Clients that ask a daemon in a closed loop: the crowds of `readers.py`, which runs it with the lowest priority.
 
 Run: .venv/bin/python tests/benchmarks/crowds.py polls|pages|cheap|lots|rude URL SECONDS
 """
 
 import asyncio
 import json
-import os
 import sys
 import time
 from collections import defaultdict
@@ -29,7 +28,6 @@ Questions = Generator[str, bytes, None]
 
 async def be(crowd: str, url: str, seconds: float) -> None:
     """Be a crowd of clients in a closed loop; print how many answers of which status they got, and how much."""
-    os.nice(19)
     statuses: dict[int, int] = {}
     n_bytes = 0
     longest_s = 0.0

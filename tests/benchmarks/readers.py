@@ -199,7 +199,7 @@ def crowd_of(name: str, daemon: DaemonProcess, seconds: float) -> str:
     if name not in CLIENTS:
         time.sleep(seconds)
         return "-"
-    command = [sys.executable, CROWDS, name, daemon.url(""), str(seconds)]
+    command = ["nice", "-n", "19", sys.executable, CROWDS, name, daemon.url(""), str(seconds)]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
