@@ -3,7 +3,7 @@
 from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
-from fastapi.responses import HTMLResponse, RedirectResponse
+from fastapi.responses import HTMLResponse
 
 from service.api.auth import require
 from service.api.body_limit import BodyLimit
@@ -42,6 +42,7 @@ from service.api.routes import (
     recordings,
     results,
     revisions,
+    screens,
     streams,
     verifications,
     webhooks,
@@ -110,9 +111,7 @@ def build_routes() -> FastAPI:
         readable.include_router(module.router)
     app.include_router(readable, prefix=BASE)
 
-    @app.get("/", include_in_schema=False)
-    async def root() -> RedirectResponse:
-        return RedirectResponse(f"{BASE}/docs")
+    app.include_router(screens.router)
 
     @app.get(f"{BASE}/docs", include_in_schema=False)
     async def docs() -> HTMLResponse:

@@ -1,0 +1,55 @@
+/** Requests to the REST interface of this host. */
+
+export const BASE = "/api/v1";
+
+/** A refusal, with the fields of RFC 9457: `type`, `title`, `status`, `detail`, and those of its type. */
+export class Problem extends Error {
+  constructor(fields) {
+    super(fields.detail ?? fields.title ?? String(fields.status));
+    Object.assign(this, fields);
+  }
+}
+
+/** Return the document at `path`, which begins with a slash. */
+export const get = (path) => ask("GET", path).then(json);
+
+/** Return the text at `path`, such as a drawing. */
+export const getText = (path) => ask("GET", path).then((response) => response.text());
+
+/** Post `body`; one that the network lost is sent again under the same key, and so done once. */
+export async function post(path, body = null) {
+  const headers = { "Idempotency-Key": newKey() };
+  try {
+    return await ask("POST", path, body, headers).then(json);
+  } catch (error) {
+    if (error instanceof Problem) throw error;
+    return ask("POST", path, body, headers).then(json);
+  }
+}
+
+/** Put `body` in the place of what is there. */
+export const put = (path, body) => ask("PUT", path, body).then(json);
+
+/** Delete what is at `path`. */
+export const remove = (path) => ask("DELETE", path).then(json);
+
+/** Return who asks, and with which scopes. */
+export const session = () => get("/session");
+
+async function ask(method, path, body = null, headers = {}) {
+  const hasBody = body !== null;
+  const response = await fetch(BASE + path, {
+    method,
+    headers: { Accept: "application/json, image/svg+xml", ...(hasBody && { "Content-Type": "application/json" }), ...headers },
+    body: hasBody ? JSON.stringify(body) : undefined,
+  });
+  if (response.ok) return response;
+  const fields = await response.json().catch(() => ({ title: response.statusText }));
+  if (response.status === 401) window.dispatchEvent(new CustomEvent("sign-in-needed"));
+  throw new Problem({ status: response.status, ...fields });
+}
+
+const json = (response) => (response.status === 204 ? null : response.json());
+
+/** Return a random key; `crypto.randomUUID` is missing on pages that come without TLS from another machine. */
+const newKey = () => Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");

@@ -1,0 +1,7 @@
+/** The operator's page. */
+
+import { mountHeader } from "./header.js";
+import { loadWords } from "./words.js";
+
+await loadWords();
+mountHeader("/");

@@ -1,0 +1,55 @@
+/** Words, numbers and times in the language of the page. */
+
+export const LANGUAGES = { en: "English", de: "Deutsch" };
+let words = {};
+
+/** Return the language: of the address, else the one chosen before, else the browser's. */
+export function language() {
+  const { lang } = document.documentElement; // theme.js has set it
+  return lang in LANGUAGES ? lang : "en";
+}
+
+/** Load the words, and put those of elements with `data-word` in their place. */
+export async function loadWords() {
+  const response = await fetch(new URL(`../words/${language()}.json`, import.meta.url));
+  words = await response.json();
+  document.documentElement.lang = language();
+  for (const place of document.querySelectorAll("[data-word]")) place.textContent = word(place.dataset.word);
+  for (const place of document.querySelectorAll("[data-word-label]")) place.setAttribute("aria-label", word(place.dataset.wordLabel));
+}
+
+/** Remember the language and show the page in it. */
+export function speak(chosen) {
+  localStorage.setItem("language", chosen);
+  const address = new URL(location.href);
+  address.searchParams.delete("language");
+  if (address.href === location.href) location.reload();
+  else location.replace(address);
+}
+
+/** Return the words of a key, with `{name}` replaced by `values.name`. */
+export function word(key, values = {}) {
+  return (words[key] ?? key).replace(/\{(\w+)\}/g, (_, name) => String(values[name]));
+}
+
+/** Return whether there are words for a key. */
+export const hasWord = (key) => key in words;
+
+/** Return a number with so many digits after the point, a dash for none. */
+export function number(value, digits = 0) {
+  if (value === null || value === undefined) return "–";
+  return value.toLocaleString(language(), { minimumFractionDigits: digits, maximumFractionDigits: digits });
+}
+
+/** Return the local time of day of an RFC 3339 time, with the date unless it is today's. */
+export function time(rfc3339) {
+  const at = new Date(rfc3339);
+  const isToday = at.toDateString() === new Date().toDateString();
+  return at.toLocaleString(language(), { ...(!isToday && { day: "numeric", month: "short" }), hour: "2-digit", minute: "2-digit" });
+}
+
+/** Return a span of time in its greatest fitting unit, such as `3 min`. */
+export function span(seconds) {
+  const [unit, size] = [["day", 86_400], ["hour", 3600], ["minute", 60], ["second", 1]].find(([, size]) => seconds >= 2 * size) ?? ["second", 1];
+  return Math.floor(seconds / size).toLocaleString(language(), { style: "unit", unit, unitDisplay: "short" });
+}

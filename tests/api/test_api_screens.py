@@ -1,0 +1,73 @@
+"""The pages and their files, as a browser gets them."""
+
+import gzip
+import re
+
+import httpx
+import pytest
+
+from service.api.routes.screens import PAGES, POLICY, ROOT, installed_screens
+
+HOST = "http://127.0.0.1:8080"
+
+
+@pytest.mark.parametrize("address", PAGES)
+async def test_a_page_is_asked_for_again_and_allows_this_host_alone(
+    client: httpx.AsyncClient, address: str
+) -> None:
+    page = await client.get(HOST + address)
+    assert page.status_code == 200 and page.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert page.headers["Cache-Control"] == "no-cache"
+    assert page.headers["Content-Security-Policy"] == POLICY
+    again = await client.get(HOST + address, headers={"If-None-Match": page.headers["ETag"]})
+    assert again.status_code == 304 and again.content == b""
+    assert not re.search(r"https?://|\son\w+=|<script>|\{\{", page.text)
+
+
+@pytest.mark.parametrize("address", PAGES)
+async def test_all_that_a_page_names_is_there_for_ever(client: httpx.AsyncClient, address: str) -> None:
+    page = await client.get(HOST + address)
+    names = re.findall(rf'(?:src|href)="({ROOT}/[^"]+)"', page.text)
+    assert names
+    for name in names:
+        found = await client.get(HOST + name)
+        assert found.status_code == 200, name
+        assert found.headers["Cache-Control"] == "public, max-age=31536000, immutable"
+        assert found.headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_all_modules_that_a_script_imports_are_there() -> None:
+    files = installed_screens().files
+    scripts = {path: file.content.decode() for path, file in files.items() if path.startswith("scripts/")}
+    assert scripts
+    for path, text in scripts.items():
+        for name in re.findall(r'^import .*?"(.+?)";$|^\} from "(.+?)";$', text, re.MULTILINE):
+            imported = "".join(name)
+            if imported.startswith("./"):
+                assert f"scripts/{imported[2:]}" in files, (path, imported)
+
+
+async def test_a_file_is_compressed_for_who_takes_it(client: httpx.AsyncClient) -> None:
+    name = f"{HOST}{ROOT}/{installed_screens().version}/styles/base.css"
+    plain = await client.get(name, headers={"Accept-Encoding": "identity"})
+    packed = await client.get(name, headers={"Accept-Encoding": "gzip"})
+    assert "Content-Encoding" not in plain.headers and packed.headers["Content-Encoding"] == "gzip"
+    assert packed.content == plain.content  # the client has unpacked it
+    assert int(packed.headers["Content-Length"]) < len(plain.content) / 2
+    assert gzip.decompress(installed_screens().files["styles/base.css"].gzipped) == plain.content
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "0000000000000000/styles/base.css",
+        "VERSION/styles/none.css",
+        "VERSION/pages/operator.html",
+        "VERSION/__init__.py",
+        "VERSION/..%2f..%2fcli.py",
+    ],
+)
+async def test_nothing_else_is_served(client: httpx.AsyncClient, path: str) -> None:
+    answer = await client.get(f"{HOST}{ROOT}/{path.replace('VERSION', installed_screens().version)}")
+    assert answer.status_code == 404
+    assert answer.headers["Content-Type"] == "application/problem+json"

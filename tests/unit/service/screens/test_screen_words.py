@@ -1,0 +1,65 @@
+"""The words of the pages: both languages have the same, and scripts and pages use all of them and no others."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from service import screens
+from service.language import Language
+from service.status import Ne107
+
+FOLDER = Path(screens.__file__).parent
+SOURCES = [path for kind in ("scripts/*.js", "pages/*.html") for path in sorted(FOLDER.glob(kind))]
+WORDS = {
+    language: json.loads((FOLDER / f"words/{language}.json").read_text(encoding="utf-8"))
+    for language in Language
+}
+PREFIXES = "|".join(sorted({key.partition(".")[0] for key in WORDS[Language.ENGLISH]}))
+LITERAL = re.compile(rf"""["'`]((?:{PREFIXES})\.[^"'`\s]+)["'`]""")
+PLACE = re.compile(r"\{(\w+)\}")
+
+
+def used() -> dict[str, list[Path]]:
+    """The keys that scripts and pages name; what is put into a key is `${...}`."""
+    found: dict[str, list[Path]] = {}
+    for path in SOURCES:
+        for key in LITERAL.findall(path.read_text(encoding="utf-8")):
+            found.setdefault(key, []).append(path)
+    return found
+
+
+def pattern(key: str) -> re.Pattern[str]:
+    fixed = re.split(r"\$\{[^}]*\}", key)
+    return re.compile("[a-z0-9_-]+".join(map(re.escape, fixed)))
+
+
+def test_both_languages_have_the_same_words_in_order() -> None:
+    english, german = WORDS[Language.ENGLISH], WORDS[Language.GERMAN]
+    assert list(english) == list(german) == sorted(english)
+    for key, text in english.items():
+        assert text.strip() and german[key].strip(), key
+        assert sorted(PLACE.findall(text)) == sorted(PLACE.findall(german[key])), key
+
+
+def test_every_key_that_is_used_has_words() -> None:
+    for key, paths in used().items():
+        assert any(pattern(key).fullmatch(each) for each in WORDS[Language.ENGLISH]), (key, paths)
+
+
+def test_no_word_is_left_over() -> None:
+    patterns = [pattern(key) for key in used()]
+    assert patterns
+    unused = [key for key in WORDS[Language.ENGLISH] if not any(each.fullmatch(key) for each in patterns)]
+    assert unused == []
+
+
+@pytest.mark.parametrize(
+    ("prefix", "values"),
+    [
+        ("ne107.", list(Ne107)),
+    ],
+)
+def test_every_value_that_is_told_has_words(prefix: str, values: list[str]) -> None:
+    assert [value for value in values if f"{prefix}{value}" not in WORDS[Language.ENGLISH]] == []
