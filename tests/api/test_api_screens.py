@@ -1,6 +1,7 @@
 """The pages and their files, as a browser gets them."""
 
 import gzip
+import posixpath
 import re
 
 import httpx
@@ -42,9 +43,7 @@ def test_all_modules_that_a_script_imports_are_there() -> None:
     assert scripts
     for path, text in scripts.items():
         for name in re.findall(r'^import .*?"(.+?)";$|^\} from "(.+?)";$', text, re.MULTILINE):
-            imported = "".join(name)
-            if imported.startswith("./"):
-                assert f"scripts/{imported[2:]}" in files, (path, imported)
+            assert posixpath.normpath(f"{posixpath.dirname(path)}/{''.join(name)}") in files, (path, name)
 
 
 async def test_a_file_is_compressed_for_who_takes_it(client: httpx.AsyncClient) -> None:

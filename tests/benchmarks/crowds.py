@@ -1,6 +1,6 @@
 """Clients that ask a daemon in a closed loop: the crowds of `readers.py`, which runs it with the lowest priority.
 
-Run: .venv/bin/python tests/benchmarks/crowds.py polls|pages|cheap|lots|rude URL SECONDS
+Run: .venv/bin/python tests/benchmarks/crowds.py polls|pages|cheap|lots|rude|viewers URL SECONDS
 """
 
 import asyncio
@@ -8,15 +8,17 @@ import json
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Generator
+from collections.abc import AsyncIterator, Awaitable, Callable, Generator
+from contextlib import asynccontextmanager
 from itertools import count
 from urllib.parse import urlsplit
 
 import numpy as np
+from viewers import Viewer
 
 N_WITH_MESH = 1000
 """Results in the store before the run that have a mesh: a page of the greatest size."""
-CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71}
+CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71, "viewers": 20}
 """Number of clients of each crowd."""
 N_STREAMS, N_STALLED = 20, 50
 """Clients among the rude ones that read a stream, and that do not read."""
@@ -62,26 +64,41 @@ async def be(crowd: str, url: str, seconds: float) -> None:
                 writer.close()
             await asyncio.sleep(0.1)
 
-    async def client(number: int) -> None:
-        nonlocal n_bytes, longest_s
+    @asynccontextmanager
+    async def asking() -> AsyncIterator[Callable[[str], Awaitable[bytes]]]:
+        """Connect, and return what asks and counts."""
         reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
+
+        async def answer(question: str) -> bytes:
+            nonlocal n_bytes, longest_s
+            began_s = time.monotonic()
+            status, content = await ask(reader, writer, urlsplit(url).path, question)
+            longest_s = max(longest_s, time.monotonic() - began_s)
+            statuses[status] = statuses.get(status, 0) + 1
+            n_bytes += len(content)
+            return content
+
         try:
-            questions = QUESTIONS[crowd](number)
-            question = next(questions)
-            while True:
-                began_s = time.monotonic()
-                status, content = await ask(reader, writer, urlsplit(url).path, question)
-                longest_s = max(longest_s, time.monotonic() - began_s)
-                statuses[status] = statuses.get(status, 0) + 1
-                n_bytes += len(content)
-                question = questions.send(content)
+            yield answer
         finally:
             writer.close()
 
+    async def client(number: int) -> None:
+        async with asking() as answer:
+            questions = QUESTIONS[crowd](number)
+            question = next(questions)
+            while True:
+                question = questions.send(await answer(question))
+
+    async def viewer(number: int) -> None:
+        async with asking() as answer:
+            await Viewer(url, answer, TIMES_S).watch()
+
+    kinds = {"rude": rude, "viewers": viewer}
     try:
         async with asyncio.timeout(seconds), asyncio.TaskGroup() as clients:
             for number in range(CLIENTS[crowd]):
-                clients.create_task(rude(number) if crowd == "rude" else client(number))
+                clients.create_task(kinds.get(crowd, client)(number))
     except TimeoutError:
         pass
     counts = ", ".join(

@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 
 from service.api.context import ApiContext, Context
 from service.api.problems import Problem, problem_responses
-from service.api.renditions import snapshot_png
+from service.api.renditions import SHEET_COLUMNS, SHEET_TILE_PX, contact_sheet_jpg, snapshot_png, subsampled
 from service.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
@@ -16,6 +16,10 @@ router = APIRouter(prefix="/cameras", tags=["cameras"])
 CameraName = Annotated[
     str, Path(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Place of the camera in the rig, such as `c01`")
 ]
+
+
+SHEET_KEPT_S = 2.0
+"""For so long all who ask get the same contact sheet, however many watch."""
 
 
 class Camera(CameraStatus):
@@ -32,6 +36,26 @@ class Cameras(BaseModel):
 async def cameras(context: Context) -> dict[str, Any]:
     """Return state and counters of all cameras."""
     return {"items": context.control.cameras()}
+
+
+@router.get(
+    "/contact-sheet.jpg",
+    response_class=Response,
+    responses={200: {"content": {"image/jpeg": {}}}, **problem_responses()},
+    description=f"Return the latest frames of all cameras as one picture: {SHEET_COLUMNS} a row in the order of"
+    f" `/cameras`, each {SHEET_TILE_PX} px wide, grey before its first frame. A few seconds old at most.",
+)
+async def contact_sheet(context: Context) -> Response:
+    """Return the latest frames of all cameras as one picture, made once for all who ask at about the same time."""
+
+    async def make() -> bytes:
+        images = [context.control.latest_image(status.id) for status in context.control.cameras()]
+        return await context.reading.run(
+            contact_sheet_jpg, [None if image is None else subsampled(image) for image in images]
+        )
+
+    jpg = await context.shared.get("contact sheet", make, keep_s=SHEET_KEPT_S)
+    return Response(jpg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
 @router.get("/{camera}", response_model=Camera, responses=problem_responses(404))

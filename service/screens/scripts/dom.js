@@ -10,11 +10,11 @@ export const svgElement = (tag, attributes = {}, ...children) => fill(document.c
 
 function fill(made, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
-    if (value === null || value === undefined || value === false) continue;
+    if (isNothing(value)) continue;
     if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
     else made.setAttribute(name, value === true ? "" : String(value));
   }
-  made.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  show(made, ...children);
   return made;
 }
 
@@ -25,12 +25,14 @@ export function svgFromServer(text) {
   return document.importNode(root, true);
 }
 
-/** Put `children` in the place of what is in `place`. */
-export const show = (place, ...children) => place.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined));
+/** Put `children`, lists of them flattened and null and false left out, in the place of what is in `place`. */
+export const show = (place, ...children) => place.replaceChildren(...children.flat().filter((child) => !isNothing(child)));
 
 /** Set a text only if it is another one, so that screen readers and the eye are left alone. */
 export function setText(place, text) {
   if (place.textContent !== text) place.textContent = text;
 }
+
+const isNothing = (value) => value === null || value === undefined || value === false;
 
 export const byId = (id) => document.getElementById(id);

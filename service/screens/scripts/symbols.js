@@ -1,8 +1,9 @@
-/** The states of NAMUR NE 107 as shape, letter and colour: no meaning is in a colour alone. */
+/** States, verdicts and priorities as shape, letter and colour: no meaning is in a colour alone. */
 
 import { svgElement } from "./dom.js";
 import { word } from "./words.js";
 
+const CHECK = "M6.5 12.5l4 4 7-8";
 const SHAPES = {
   good: ["circle", { cx: 12, cy: 12, r: 11 }, ""],
   check_function: ["path", { d: "M1 3h22L12 23z" }, "C"],
@@ -20,10 +21,26 @@ export function ne107Symbol(ne107) {
     { viewBox: "0 0 24 24", class: "symbol", "data-ne107": ne107, "aria-hidden": "true" },
     svgElement(tag, attributes),
     letter === ""
-      ? svgElement("path", { class: "mark", d: "M6.5 12.5l4 4 7-8" })
+      ? svgElement("path", { class: "mark", d: CHECK })
       : svgElement("text", { x: 12, y: LETTER_Y[ne107] ?? 16.5, "text-anchor": "middle" }, letter),
   );
 }
 
 /** Return the word of a state. */
 export const ne107Word = (ne107) => word(`ne107.${ne107}`);
+
+const CROSS = "M7 7l10 10M17 7 7 17";
+const VERDICTS = { conforms: CHECK, does_not_conform: CROSS, undecided: "M6 12h12", insufficient: "M7 12h.01M12 12h.01M17 12h.01" };
+
+/** Return the symbol of a verdict; an empty ring for none. */
+export const verdictSymbol = (verdict) =>
+  svgElement("svg", { viewBox: "0 0 24 24", class: "symbol", "data-verdict": verdict, "aria-hidden": "true" },
+    svgElement("circle", { cx: 12, cy: 12, r: 11 }),
+    verdict in VERDICTS ? svgElement("path", { class: "mark", d: VERDICTS[verdict] }) : null);
+
+const BARS = { low: 1, medium: 2, high: 3, urgent: 4 };
+
+/** Return as many bars as an alarm is urgent. */
+export const prioritySymbol = (priority) =>
+  svgElement("svg", { viewBox: "0 0 24 24", class: "symbol", "data-priority": priority, "aria-hidden": "true" },
+    Array.from({ length: BARS[priority] }, (_, bar) => svgElement("rect", { x: 1 + 6 * bar, y: 17 - 5 * bar, width: 4, height: 6 + 5 * bar })));

@@ -45,7 +45,7 @@ export function number(value, digits = 0) {
 export function time(rfc3339) {
   const at = new Date(rfc3339);
   const isToday = at.toDateString() === new Date().toDateString();
-  return at.toLocaleString(language(), { ...(!isToday && { day: "numeric", month: "short" }), hour: "2-digit", minute: "2-digit" });
+  return at.toLocaleString(language(), { ...(!isToday && { day: "numeric", month: "short" }), hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 }
 
 /** Return a span of time in its greatest fitting unit, such as `3 min`. */

@@ -6,12 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.errors import RejectReason
+from pipeline.gradation.specification import Verdict
 from service import screens
+from service.alarms.alarm import ANNOUNCED
+from service.alarms.rules import Priority
 from service.language import Language
-from service.status import Ne107
+from service.results.fields import LossReason, Outcome, Verified
+from service.status import AcquisitionState, DeviceState, Ne107
 
 FOLDER = Path(screens.__file__).parent
-SOURCES = [path for kind in ("scripts/*.js", "pages/*.html") for path in sorted(FOLDER.glob(kind))]
+SOURCES = [path for kind in ("scripts/**/*.js", "pages/*.html") for path in sorted(FOLDER.glob(kind))]
 WORDS = {
     language: json.loads((FOLDER / f"words/{language}.json").read_text(encoding="utf-8"))
     for language in Language
@@ -59,6 +64,17 @@ def test_no_word_is_left_over() -> None:
     ("prefix", "values"),
     [
         ("ne107.", list(Ne107)),
+        ("operator.state-", [state for state in AcquisitionState if state is not AcquisitionState.ARMED]),
+        ("operator.activity-", ["idle", "measuring", "suspended"]),
+        ("operator.verdict-", [*Verdict, "none"]),
+        ("operator.priority-", list(Priority)),
+        ("operator.alarm-", list(ANNOUNCED)),
+        ("operator.camera-", list(DeviceState)),
+        ("operator.verification-", list(Verified)),
+        ("operator.outcome-", [Outcome.REJECTED, Outcome.LOST]),
+        ("operator.reason-", [*RejectReason, *LossReason]),
+        ("operator.form-", ["equant", "disc", "rod", "blade"]),
+        ("operator.quality-", ["reduced", "degraded"]),
     ],
 )
 def test_every_value_that_is_told_has_words(prefix: str, values: list[str]) -> None:

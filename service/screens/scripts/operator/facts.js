@@ -1,0 +1,24 @@
+/** What the service says of itself: the balance of all triggers, queue, delay, disk, verification. */
+
+import { byId, element, setText } from "../dom.js";
+import { number, span, word } from "../words.js";
+
+/** Key of the label and the text of each fact. */
+const FACTS = [
+  ["operator.accounting", ({ accounting: a }) =>
+    word("operator.balance", { triggers: number(a.triggers), measured: number(a.measured), rejected: number(a.rejected), lost: number(a.lost), open: number(a.in_progress) })],
+  ["operator.queue", ({ queue }) => word("operator.queue-value", { waiting: number(queue.waiting), max: number(queue.max) })],
+  ["operator.latency", ({ latency }) =>
+    (latency === null ? "–" : word("operator.latency-value", { median: number(latency.median_ms), p99: number(latency.p99_ms) }))],
+  ["operator.disk", ({ disk_days: days }) => (days === null ? word("operator.disk-unknown") : word("operator.disk-value", { days: number(days) }))],
+  ["operator.verification", ({ verification: { verdict, age_h: age } }) =>
+    word(`operator.verification-${verdict}`) + (age === null ? "" : ` · ${word("operator.ago", { span: span(age * 3600) })}`)],
+  ["operator.calibration", ({ calibration_id: id }) => id ?? "–"],
+];
+
+/** Show the facts. */
+export function showFacts(overview) {
+  const list = byId("fact-list");
+  if (list.children.length === 0) list.append(...FACTS.map(([key]) => element("div", {}, element("dt", {}, word(key)), element("dd"))));
+  FACTS.forEach(([, text], index) => setText(list.children[index].querySelector("dd"), text(overview)));
+}

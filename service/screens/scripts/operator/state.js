@@ -1,0 +1,46 @@
+/** The state of the rig, the lot, and the verdict: what is read from three metres. */
+
+import { byId, element, setText, show } from "../dom.js";
+import { ne107Symbol, ne107Word, verdictSymbol } from "../symbols.js";
+import { number, time, word } from "../words.js";
+
+/** Show the state as symbol, word and reasons. */
+export function showState({ acquisition, ne107, reasons }) {
+  byId("state").dataset.ne107 = ne107;
+  const text = acquisition.state === "armed" ? word(`operator.activity-${acquisition.activity}`) : word(`operator.state-${acquisition.state}`);
+  setText(byId("state-word"), text);
+  setText(byId("ne107"), ne107Word(ne107));
+  if (byId("state-symbol").dataset.ne107 !== ne107) {
+    byId("state-symbol").dataset.ne107 = ne107;
+    show(byId("state-symbol"), ne107Symbol(ne107));
+  }
+  const told = [acquisition.trouble, ...reasons].filter((each) => each !== null);
+  if (byId("reasons").dataset.told !== told.join("\n")) {
+    byId("reasons").dataset.told = told.join("\n");
+    show(byId("reasons"), [...new Set(told)].map((each) => element("li", {}, each)));
+  }
+  document.title = `${text} · stonefall`;
+}
+
+/** Show which lot takes what falls. */
+export function showLot({ lot }) {
+  setText(byId("lot-name"), lot === null ? word("operator.no-lot") : lot.lot);
+  setText(
+    byId("lot-product"),
+    lot === null
+      ? word("operator.no-lot-explained")
+      : word("operator.lot-line", { product: lot.title || lot.product, stones: number(lot.n_stones), since: time(lot.opened_at) }),
+  );
+}
+
+/** Show whether the lot conforms, and when it will be known. */
+export function showVerdict({ figures }) {
+  const verdict = figures?.verdict ?? "none";
+  const place = byId("verdict-word");
+  if (place.dataset.verdict !== verdict) {
+    place.dataset.verdict = byId("verdict").dataset.verdict = verdict;
+    show(place, verdictSymbol(verdict), element("span", {}, word(`operator.verdict-${verdict}`)));
+  }
+  const partial = figures?.is_partial ? word("operator.partial") : "";
+  setText(byId("countdown"), [figures?.countdown ?? "", partial].join(" ").trim());
+}

@@ -1,0 +1,64 @@
+/** D50, flakiness, shape and rate: the figure now, and how it went over the last hours, with the diary's marks. */
+
+import { getText } from "../api.js";
+import { mountDiary, showChanges } from "./diary.js";
+import { byId, element, setText, show, svgFromServer } from "../dom.js";
+import { language, number, word } from "../words.js";
+
+const HOURS = [1, 12, 24];
+const REFRESH_MS = 60_000;
+/** Name of the trend, field of `figures`, unit, digits after the point. */
+const TILES = [["d50", "d50_mm", "mm", 1], ["flakiness", "flakiness_percent", "%", 1], ["shape", "shape_percent", "%", 1], ["rate", null, "/min", 0]];
+let hours = Number(localStorage.getItem("hours") ?? HOURS[0]);
+
+/** Make the tiles, the choice of hours and the diary. */
+export function mountTrends() {
+  show(byId("tiles"), TILES.map(([name, , unit]) =>
+    element(
+      "article",
+      { class: "tile", id: `tile-${name}` },
+      element("h3", {}, word(`operator.figure-${name}`)),
+      element("p", { class: "value" }, element("b", {}, "–"), " ", element("span", { class: "unit" }, unit)),
+      element("p", { class: "interval" }),
+      element("div", { class: "trend" }),
+    )));
+  show(byId("hours"), HOURS.map((each) =>
+    element("button", { type: "button", "data-hours": each, onclick: () => choose(each) }, word("operator.last-hours", { hours: each }))));
+  mountDiary(refresh);
+  choose(hours);
+  setInterval(refresh, REFRESH_MS);
+}
+
+/** Show the figures of now. */
+export function showTiles({ figures, stones_per_min: rate }) {
+  for (const [name, field, , digits] of TILES) {
+    const figure = field === null ? { value: rate } : figures?.[field];
+    const tile = byId(`tile-${name}`);
+    setText(tile.querySelector("b"), number(figure?.value, digits));
+    setText(tile.querySelector(".interval"), interval(figure, digits));
+  }
+}
+
+function interval(figure, digits) {
+  if (figure?.state === "not_measured") return word("operator.not-measured");
+  if (figure?.low === null || figure?.low === undefined) return "";
+  const range = word("operator.interval", { low: number(figure.low, digits), high: number(figure.high, digits) });
+  return figure.state === "insufficient" ? `${range} · ${word("operator.few-stones")}` : range;
+}
+
+function choose(chosen) {
+  hours = HOURS.includes(chosen) ? chosen : HOURS[0];
+  localStorage.setItem("hours", hours);
+  for (const button of byId("hours").children) button.setAttribute("aria-pressed", String(Number(button.dataset.hours) === hours));
+  refresh();
+}
+
+async function refresh() {
+  const asked = hours;
+  showChanges(asked);
+  for (const [name] of TILES) { // one after the other: all pages together ask one process
+    const text = await getText(`/trends/${name}.svg?hours=${asked}&language=${language()}`).catch(() => null);
+    if (asked !== hours) return;
+    if (text !== null) show(byId(`tile-${name}`).querySelector(".trend"), svgFromServer(text));
+  }
+}

@@ -1,0 +1,208 @@
+"""The operator's page on a running replay: painted at once, live, usable by hand, eye and ear."""
+
+import re
+import statistics
+from collections.abc import Iterator
+from datetime import datetime
+
+import pytest
+from playwright.sync_api import Browser, expect
+from screens.conftest import DIM
+from support.browser import (
+    SIZES,
+    Watched,
+    first_paint_ms,
+    origin_of,
+    reachable_by_tab,
+    screenshot,
+    violations,
+    watched_page,
+)
+from support.daemon_process import DaemonProcess
+
+PATIENCE_MS = 60_000
+MAX_PAINT_MS = 10_000
+"""Ten times what is asked for: no test depends on how fast the machine is."""
+MAX_DELAY_MS = 10_000
+N_STONES = 6
+LIMITS = {
+    "title": "8/16 basalt",
+    "density_kg_m3": 2850,
+    "lower_mm": 8,
+    "upper_mm": 16,
+    "specification": "GC85-20",
+}
+
+
+@pytest.fixture
+def operator(watched: Watched, replay: DaemonProcess) -> Watched:
+    """The page, once it shows the rig."""
+    watched.page.set_default_timeout(PATIENCE_MS)
+    expect.set_options(timeout=PATIENCE_MS)
+    watched.page.goto(origin_of(replay.url("")))
+    expect(watched.page.locator("#ne107")).not_to_be_empty()
+    return watched
+
+
+@pytest.fixture(scope="module")
+def lot(replay: DaemonProcess) -> Iterator[str]:
+    """A lot of a product with a specification, open during the tests that ask for it."""
+    replay.put("/products/basalt", LIMITS)
+    opened = replay.post("/lots", {"lot": "L-1207", "product": "basalt"})
+    yield str(opened["lot"])
+    replay.post("/lots/L-1207/close", {})
+
+
+def test_it_is_painted_at_once_and_stones_come_onto_it(operator: Watched, replay: DaemonProcess) -> None:
+    page = operator.page
+    paint_ms = first_paint_ms(page)
+    page.evaluate(
+        "window.arrivals = {}; for (const e of document.querySelectorAll('[data-seq]')) arrivals[e.dataset.seq] = 0"
+    )
+    page.wait_for_function(f"Object.values(window.arrivals).filter((at) => at > 0).length >= {N_STONES}")
+    arrivals = {int(seq): at_ms for seq, at_ms in page.evaluate("window.arrivals").items() if at_ms > 0}
+    results = replay.get(f"/results?after={min(arrivals) - 1}&limit=1000")["items"]
+    recorded_ms = {
+        each["seq"]: 1000 * datetime.fromisoformat(each["recorded_at"]).timestamp() for each in results
+    }
+    delays_ms = [at_ms - recorded_ms[seq] for seq, at_ms in arrivals.items()]
+    print(  # noqa: T201 - what the issue asks for, measured
+        f"\nfirst paint after {paint_ms:.0f} ms; {len(delays_ms)} stones on the page"
+        f" {statistics.median(delays_ms):.0f} ms after their result (median), {max(delays_ms):.0f} ms at most"
+    )
+    assert 0 < paint_ms < MAX_PAINT_MS
+    assert min(delays_ms) > -50 and max(delays_ms) < MAX_DELAY_MS  # two clocks of one machine
+
+
+def test_a_stone_has_its_picture_and_words(operator: Watched) -> None:
+    picture = operator.page.locator("#newest img").first
+    expect(picture).to_be_visible()
+    operator.page.wait_for_function("document.querySelector('#newest img').naturalWidth > 100")
+    assert re.fullmatch(r"\w+, \d+\.\d mm", picture.get_attribute("alt") or "")
+
+
+def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
+    page = operator.page
+    expect(page.locator("#lot-name")).to_have_text(lot)
+    expect(page.locator("#curve-title")).to_contain_text(lot)
+    expect(page.locator("#verdict-word")).to_contain_text(re.compile("Too few|Undecided|onform"))
+    expect(page.locator("#curve-drawing svg title")).not_to_be_empty()
+    before = page.locator("#curve-drawing").inner_html()
+    page.wait_for_function(
+        "(before) => document.querySelector('#curve-drawing').innerHTML !== before", arg=before
+    )
+    expect(page.locator("#tile-d50 b")).to_have_text(re.compile(r"\d+\.\d"))
+    expect(page.locator("#tile-rate b")).to_have_text(re.compile(r"\d+"))
+    expect(page.locator(".tile .trend svg")).to_have_count(4)
+
+
+def test_every_camera_has_a_tile_and_the_dim_one_stands_out(operator: Watched, replay: DaemonProcess) -> None:
+    page = operator.page
+    expect(page.locator("#camera-tiles li")).to_have_count(16)
+    dim = page.locator(f"#camera-{DIM}")
+    expect(dim).not_to_have_attribute("data-ne107", "good")
+    expect(dim.locator('[data-field="brightness"]')).to_have_text(re.compile(r"Light (6|7)\d %"))
+    expect(page.locator('#camera-tiles li[data-ne107="good"]')).to_have_count(15)
+    page.wait_for_function("document.querySelector('#camera-tiles .picture').style.backgroundImage !== ''")
+    dim.get_by_role("button").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("clean")
+    page.wait_for_function("document.querySelector('dialog img').naturalWidth > 100")
+    page.keyboard.press("Escape")
+    expect(dialog).to_have_count(0)
+
+
+def test_an_alarm_says_what_to_do_and_is_acknowledged_and_shelved(
+    operator: Watched, replay: DaemonProcess
+) -> None:
+    page = operator.page
+    alarm = page.locator('.alarm[data-check="optics"]')
+    expect(alarm).to_contain_text("What to do:")
+    number = alarm.get_attribute("data-id")
+    acknowledge = alarm.get_by_role("button", name="Acknowledge")
+    acknowledge.focus()
+    page.keyboard.press("Enter")
+    expect(alarm).to_have_class(re.compile("acknowledged$"))
+    expect(acknowledge).to_have_count(0)
+    stored = {str(each["id"]): each for each in replay.get("/alarms")["items"]}[str(number)]
+    assert stored["state"] == "acknowledged" and stored["acknowledged_by"] == "this machine"
+    alarm.get_by_role("button", name="Shelve").click()
+    page.get_by_label("Why it can wait").fill("cleaned at the end of the shift")
+    page.get_by_role("button", name="Shelve", exact=True).click()
+    expect(page.locator(".alarm.shelved")).to_have_count(1)
+    (shelved,) = replay.get("/alarms")["shelved"]
+    assert shelved["shelf_reason"] == "cleaned at the end of the shift"
+    page.locator("#alarm-list summary").click()
+    page.get_by_role("button", name="Take back").click()
+    expect(alarm).to_have_count(1)
+
+
+def test_what_was_changed_at_the_crusher_is_noted(operator: Watched, replay: DaemonProcess) -> None:
+    page = operator.page
+    page.get_by_role("button", name="Diary entry").click()
+    page.get_by_label("Liner").check()
+    expect(page.get_by_label("New gap, mm")).to_be_hidden()
+    page.get_by_label("In words").fill("new concave")
+    page.get_by_role("dialog").get_by_role("button", name="Diary entry").click()
+    expect(page.get_by_role("dialog")).to_be_hidden()
+    (entry,) = replay.get("/diary")["items"]
+    assert (entry["kind"], entry["text"], entry["value"]) == ("liner", "new concave", None)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("language", ["en", "de"])
+@pytest.mark.parametrize("size", SIZES)
+def test_it_is_accessible_at_every_size(
+    browser: Browser, replay: DaemonProcess, lot: str, theme: str, language: str, size: str
+) -> None:
+    with watched_page(browser, viewport=SIZES[size], color_scheme=theme) as watched:
+        page = watched.page
+        page.goto(f"{origin_of(replay.url(''))}/?language={language}")
+        expect(page.locator("#camera-tiles li")).to_have_count(16)
+        expect(page.locator("#curve-drawing svg")).to_have_count(1)
+        expect(page.locator("#newest li")).to_have_count(12)
+        assert page.evaluate("document.documentElement.lang") == language
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "it scrolls sideways"
+        page.emulate_media(reduced_motion="reduce")
+        page.wait_for_function("document.querySelectorAll('#newest img').length >= 6")
+        screenshot(page, f"operator-{size}-{theme}-{language}")
+        assert violations(page) == []
+        watched.assert_clean()
+
+
+def test_everything_is_reached_by_keyboard(operator: Watched) -> None:
+    page = operator.page
+    expect(page.locator("#camera-tiles button")).to_have_count(16)
+    expect(page.locator('.alarm[data-check="optics"] button')).not_to_have_count(0)
+    wanted = page.evaluate(
+        "[...document.querySelectorAll('button, a')].filter((each) => each.checkVisibility())"
+        ".map((each) => each.innerText.trim())"
+    )
+    reached = reachable_by_tab(page)
+    values = re.compile(r"\s*(Light|Dust|Focus|Frames|Temperature).*", re.DOTALL)  # they change meanwhile
+    assert {values.sub("", each) for each in wanted} <= {values.sub("", each) for each in reached}
+
+
+def test_it_speaks_german_and_remembers_it(operator: Watched) -> None:
+    page = operator.page
+    page.get_by_role("button", name="Deutsch").click()
+    expect(page.get_by_role("heading", name="Kameras")).to_be_visible()
+    expect(page.locator("#alarms")).to_contain_text("Was zu tun ist:")
+    page.reload()
+    expect(page.get_by_role("heading", name="Kameras")).to_be_visible()
+
+
+def test_the_theme_is_chosen_and_remembered(operator: Watched) -> None:
+    page = operator.page
+    light = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.get_by_role("button", name="Theme: as system").click()
+    page.get_by_role("button", name="Theme: light").click()
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert dark != light
+    page.reload()
+    expect(page.get_by_role("button", name="Theme: dark")).to_be_visible()
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == dark
+
+
+def test_it_says_that_a_recording_is_played(operator: Watched) -> None:
+    expect(operator.page.locator(".banner.origin")).to_have_text(re.compile("Simulated|Replay"))
