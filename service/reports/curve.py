@@ -66,6 +66,7 @@ def gradation_curve(
             ),
             *_legend(shown, words, has_second=bool(second)),
         ),
+        sieves=[(step.sieve_mm, axes.x(step.sieve_mm)) for step in shown],
     )
 
 

@@ -81,6 +81,7 @@ class Drawing:
     title: str
     description: str
     shapes: Sequence[Shape]
+    sieves: Sequence[Point] = ()  # size in mm, and x, of each sieve: a page lets people choose one
 
 
 LABEL_SIZE = 11.0

@@ -61,11 +61,17 @@ def curve_svg(
 
 
 def svg(drawing: Drawing, language: Language) -> str:
-    """Return a drawing as SVG; the same drawing gives the same text."""
+    """Return a drawing as SVG; the same drawing gives the same text.
+
+    `data-sieves` has the size in mm and the x of each sieve, as points, so that a page knows what was clicked.
+    """
     shapes = "\n".join(map(_element, drawing.shapes))
+    sieves = " ".join(f"{size_mm:g},{x:.2f}" for size_mm, x in drawing.sieves)
+    data = f' data-sieves="{sieves}"' if sieves else ""
     return (
         f'<svg class="sf-curve" xmlns="http://www.w3.org/2000/svg" role="img" lang="{language}"'
-        f' viewBox="0 0 {drawing.width:g} {drawing.height:g}" width="{drawing.width:g}" height="{drawing.height:g}">\n'
+        f' viewBox="0 0 {drawing.width:g} {drawing.height:g}" width="{drawing.width:g}" height="{drawing.height:g}"'
+        f"{data}>\n"
         f"<title>{escape(drawing.title)}</title>\n<desc>{escape(drawing.description)}</desc>\n"
         f"<style>\n{_rules(LIGHT)}@media screen and (prefers-color-scheme:dark){{\n{_rules(DARK)}}}\n</style>\n"
         f"{shapes}\n</svg>\n"

@@ -61,6 +61,13 @@ def test_sizes_are_on_a_logarithmic_axis_and_percents_on_a_linear_one() -> None:
     assert (y0, y50, y100) == pytest.approx((BOTTOM, (BOTTOM + TOP) / 2, TOP))
 
 
+def test_a_page_knows_where_on_the_drawing_each_sieve_is() -> None:
+    steps = [step(4, measured(10)), step(31.5, measured(50)), step(63, measured(100))]
+    places = [place.split(",") for place in parsed(curve_svg(steps)).attrib["data-sieves"].split()]
+    assert [float(size_mm) for size_mm, _ in places] == [4, 31.5, 63]
+    assert [float(x) for _, x in places] == pytest.approx([x for x, _ in points_of(steps)], abs=0.01)
+
+
 @examples(0.5)
 @given(
     st.lists(st.floats(0.063, 125), min_size=1, max_size=25, unique=True),
