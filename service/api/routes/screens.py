@@ -6,6 +6,7 @@ first page after an upgrade. All of it is held in memory: it is small, and no na
 
 import gzip
 import hashlib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -21,9 +22,17 @@ from service.api.problems import Problem
 
 router = APIRouter(include_in_schema=False)
 
-PAGES = {"/": "operator", "/sign-in": "sign-in"}
+PAGES = {
+    "/": "operator",
+    "/compare": "compare",
+    "/gallery": "gallery",
+    "/sign-in": "sign-in",
+    "/stones/{particle_id}": "passport",
+}
 """File in `service/screens/pages` of each address."""
 ROOT = "/screens"
+PACKAGES = "packages.json"
+"""File that lists what was fetched from npm, so that a page need not try."""
 PLACE_OF_FILES = "{{files}}"
 """What a page writes for the folder of its files."""
 MEDIA_TYPES = {
@@ -70,6 +79,8 @@ def installed_screens() -> Screens:
     """Return the pages and files of this installation, those of npm packages if they are there."""
     folder = Path(screens.__file__).parent
     contents = dict(_read(folder))
+    packages = sorted({path.split("/")[1] for path in contents if path.startswith("packages/")})
+    contents[PACKAGES] = json.dumps(packages).encode()
     digest = hashlib.sha256()
     for path, content in contents.items():
         digest.update(f"{path}\0{len(content)}\0".encode() + content)

@@ -1,0 +1,198 @@
+/** The gallery: stones by filter, and those behind a step of a lot's curve; the address says what is shown. */
+
+import { get, getText } from "./api.js";
+import { digits, showSteps } from "./curve_steps.js";
+import { byId, element, setText, show } from "./dom.js";
+import { mountHeader } from "./header.js";
+import { markOut, tile } from "./tiles.js";
+import { language, loadWords, number, word } from "./words.js";
+import { showFigures } from "./what_if.js";
+
+const PAGE = 60;
+const FIELDS = "captured_at,sieve_size_mm,quality,volume_sd_percent,zingg_class,reason";
+const TIMES = ["since", "until"];
+/** What is an unfavourable shape, as the parameter of REST. */
+const SHAPES = { flaky: ["is_flaky", true], "not-flaky": ["is_flaky", false], "non-cubical": ["is_non_cubical", true], cubical: ["is_non_cubical", false] };
+
+await loadWords();
+mountHeader("/gallery");
+document.title = `${word("gallery.title")} – stonefall`;
+
+let asked = new URLSearchParams(location.search);
+let listed = null;
+let generation = 0; // of the lot's figures; what comes too late is not shown
+let listGeneration = 0;
+let cursor = null;
+const form = byId("filters");
+await fillChoices();
+form.addEventListener("change", () => go(fromForm()));
+form.addEventListener("submit", (event) => event.preventDefault());
+form.addEventListener("reset", (event) => {
+  event.preventDefault();
+  go(new URLSearchParams());
+});
+byId("more").addEventListener("click", showMore);
+const nearEnd = new IntersectionObserver((entries) => {
+  if (entries.some(({ isIntersecting }) => isIntersecting) && !byId("more").disabled) showMore();
+}, { rootMargin: "400px" });
+window.addEventListener("popstate", () => {
+  asked = new URLSearchParams(location.search);
+  render();
+});
+render();
+
+async function fillChoices() {
+  const options = (place, values, name) => show(byId(place), option("", word("gallery.any")), ...values.map((value) => option(value, name(value))));
+  options("zingg-class", ["equant", "disc", "rod", "blade"], (value) => word(`stone.zingg-${value}`));
+  options("shape", Object.keys(SHAPES), (value) => word(`gallery.shape-${value}`));
+  options("quality", ["good", "reduced", "degraded"], (value) => word(`stone.quality-${value}`));
+  show(byId("outcome"), ...["measured", "rejected", "lost"].map((value) => option(value, word(`stone.outcome-${value}`))));
+  const { items } = await get("/lots").catch(() => ({ items: [] }));
+  options("lot", items.map(({ lot }) => lot), (lot) => lot);
+  const lot = asked.get("lot");
+  if (lot && !items.some((each) => each.lot === lot)) byId("lot").append(option(lot, lot)); // an old one, beyond the page of lots
+}
+
+function option(value, text) {
+  return element("option", { value }, text);
+}
+
+/** Return what the form asks for; another lot has another curve, so nothing of the old one is chosen. */
+function fromForm() {
+  const chosen = new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== "" && value !== "measured"));
+  if (chosen.get("lot") !== asked.get("lot")) return chosen;
+  for (const [name, value] of asked) if (name === "sieve" || name === "without") chosen.append(name, value);
+  if (asked.has("sieve")) for (const [name, value] of asked) if (form.elements[name]?.matches("#conditions *")) chosen.append(name, value);
+  return chosen;
+}
+
+function go(next) {
+  asked = next;
+  history.pushState(null, "", `${location.pathname}${asked.size ? `?${asked}` : ""}`);
+  render();
+}
+
+/** Return what is asked for with one more choice, or one less. */
+function changed(name, value, isOn) {
+  const next = new URLSearchParams(asked);
+  next.delete(name, value);
+  if (isOn) next.append(name, value);
+  return next;
+}
+
+function render() {
+  generation += 1;
+  for (const field of form.elements) if (field.name) field.value = asked.get(field.name) ?? (field.name === "outcome" ? "measured" : "");
+  byId("conditions").disabled = asked.has("sieve");
+  setText(byId("problem"), "");
+  showLot(generation);
+  const list = new URLSearchParams(asked);
+  list.delete("without");
+  if (listed === String(list)) return markOut(byId("tiles"), asked.getAll("without"));
+  listed = String(list);
+  listGeneration += 1;
+  byId("more").hidden = true;
+  cursor = null;
+  byId("tiles").replaceChildren();
+  showMore();
+}
+
+function lotPath() {
+  return `/lots/${encodeURIComponent(asked.get("lot"))}`;
+}
+
+async function showLot(shown) {
+  const lot = asked.get("lot");
+  byId("lot-figures").hidden = lot === null;
+  if (lot === null) return;
+  const sieveMm = asked.has("sieve") ? Number(asked.get("sieve")) : null;
+  const out = asked.getAll("without");
+  const without = new URLSearchParams(out.map((id) => ["without", id]));
+  try {
+    const [all, fewer, svg] = await Promise.all([
+      get(`${lotPath()}/gradation`),
+      out.length === 0 ? null : get(`${lotPath()}/gradation?${without}`),
+      getText(`${lotPath()}/curve.svg?${new URLSearchParams([["language", language()], ...without])}`),
+    ]);
+    if (shown !== generation) return;
+    setText(byId("curve-heading"), word("gallery.curve", { lot, product: all.product?.title ?? "" }));
+    showSteps(byId("curve"), svg, fewer ?? all, sieveMm, (chosenMm) => go(withStep(chosenMm === sieveMm ? null : chosenMm)));
+    showFigures(byId("figures"), all, fewer, sieveMm);
+    if (out.length > 0) byId("figures").append(takenOut(out));
+  } catch (error) {
+    if (shown === generation) setText(byId("problem"), error.message);
+  }
+}
+
+function withStep(sieveMm) {
+  const next = new URLSearchParams(asked);
+  next.delete("sieve");
+  if (sieveMm !== null) next.set("sieve", sieveMm);
+  return next;
+}
+
+function takenOut(ids) {
+  return element(
+    "div",
+    { class: "actions" },
+    ...ids.map((id) => element("button", { type: "button", onclick: () => go(changed("without", id, false)) }, word("gallery.put-back-one", { number: Number(id.split("-")[1]) }))),
+  );
+}
+
+/** Show the next page; at its end the button for one more, which presses itself when it comes into sight. */
+async function showMore() {
+  const more = byId("more");
+  const shown = listGeneration;
+  more.disabled = true;
+  try {
+    const { items, title } = asked.has("sieve") ? await stonesOfStep() : await stonesOfPage();
+    if (shown !== listGeneration) return;
+    byId("tiles").append(...items.map(tileOf));
+    markOut(byId("tiles"), asked.getAll("without"));
+    setText(byId("list-heading"), title);
+    showStep();
+    more.hidden = cursor === null;
+    nearEnd.unobserve(more);
+    nearEnd.observe(more); // says once more whether the end is still in sight
+  } catch (error) {
+    if (shown === listGeneration) setText(byId("problem"), error.message);
+  } finally {
+    if (shown === listGeneration) more.disabled = false;
+  }
+}
+
+async function stonesOfStep() {
+  const { items, above_mm: aboveMm, up_to_mm: upToMm } = await get(`${lotPath()}/particles?sieve=${asked.get("sieve")}&limit=1000`);
+  cursor = null;
+  const size = (sizeMm) => number(sizeMm, digits(sizeMm));
+  return { items, title: word("gallery.stones-of-step", { n: number(items.length), below: size(aboveMm), sieve: size(upToMm) }) };
+}
+
+async function stonesOfPage() {
+  const page = await get(`/particles?${forRest()}`);
+  cursor = page.next_cursor;
+  const n = byId("tiles").childElementCount + page.items.length;
+  const title = n === 0 ? word("gallery.none") : word(cursor === null ? "gallery.stones" : "gallery.stones-so-far", { n: number(n) });
+  return { items: page.items, title };
+}
+
+/** Return the query of REST for what is asked for. */
+function forRest() {
+  const query = new URLSearchParams({ kind: "particle", outcome: "measured", limit: PAGE, fields: FIELDS });
+  for (const [name, value] of asked) {
+    if (name === "without" || name === "language") continue;
+    if (name === "shape") query.set(...SHAPES[value]);
+    else query.set(name, TIMES.includes(name) ? new Date(value).toISOString() : value);
+  }
+  if (cursor !== null) query.set("cursor", cursor);
+  return query;
+}
+
+function tileOf(stone) {
+  const toggle = () => go(changed("without", stone.id, !asked.getAll("without").includes(stone.id)));
+  return tile(stone, asked.has("lot") && stone.sieve_size_mm !== null ? toggle : null);
+}
+
+function showStep() {
+  show(byId("step"), !asked.has("sieve") ? null : element("button", { type: "button", onclick: () => go(withStep(null)) }, word("gallery.all-steps")));
+}

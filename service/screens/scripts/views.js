@@ -1,0 +1,91 @@
+/** What the cameras saw of a stone: the picture where it is kept, the outline over it, cut to the stone. */
+
+import { BASE, getText } from "./api.js";
+import { byId, element, show, svgElement, svgFromServer } from "./dom.js";
+import { number, word } from "./words.js";
+
+const MARGIN = 0.12;
+
+/** Show the views of a stone, each when it comes into sight. */
+export function showViews(place, stone, hasFrames) {
+  const cameras = [...new Set([...stone.views, ...Object.keys(stone.dropped_views)])].sort();
+  const figures = cameras.map((camera) => figure(stone, camera, hasFrames));
+  show(place, ...figures.map(({ shown }) => shown));
+  const inSight = new IntersectionObserver((entries) => {
+    for (const { isIntersecting, target } of entries) {
+      if (!isIntersecting) continue;
+      inSight.unobserve(target);
+      figures.find(({ shown }) => shown === target).load();
+    }
+  }, { rootMargin: "50%" });
+  for (const { shown } of figures) inSight.observe(shown);
+  window.addEventListener("beforeprint", () => figures.forEach(({ load }) => load()));
+}
+
+function figure(stone, camera, hasFrames) {
+  const why = stone.dropped_views[camera];
+  const residualPx = stone.view_residuals_px?.[camera];
+  const button = element("button", { type: "button", class: "view", "aria-label": word("passport.enlarge", { camera }) });
+  const shown = element(
+    "figure",
+    { "data-camera": camera },
+    button,
+    element(
+      "figcaption",
+      {},
+      element("strong", {}, camera),
+      why ? element("span", { class: "unused" }, ` ⊘ ${word("passport.view-unused")}: ${why}`)
+        : residualPx === undefined ? "" : ` ${word("passport.view-residual", { px: number(residualPx, 2) })}`,
+    ),
+  );
+  let loading = null;
+  const load = () => (loading ??= fill());
+  async function fill() {
+    const outline = await getText(`/particles/${stone.key}/views/${camera}/outline.svg`).catch(() => null);
+    if (outline === null && !hasFrames) {
+      show(button, element("span", { class: "weak" }, word("passport.view-not-kept")));
+      return;
+    }
+    const drawing = outline === null ? bare() : svgFromServer(outline);
+    drawing.setAttribute("role", "img");
+    drawing.setAttribute("aria-label", word("passport.view-label", { camera }));
+    drawing.removeAttribute("width");
+    drawing.removeAttribute("height");
+    const whole = drawing.getAttribute("viewBox");
+    show(button, drawing);
+    cut(drawing);
+    if (hasFrames) addPicture(drawing, stone, camera, whole);
+    button.addEventListener("click", () => enlarge(drawing, camera, whole));
+  }
+  return { shown, load };
+}
+
+const bare = () => svgElement("svg", { viewBox: "0 0 1280 1024" });
+
+/** Show what is drawn and a margin alone. */
+function cut(drawing) {
+  const { x, y, width, height } = drawing.getBBox();
+  if (width === 0 || height === 0) return;
+  const edge = (1 + 2 * MARGIN) * Math.max(width, height);
+  drawing.setAttribute("viewBox", [x + (width - edge) / 2, y + (height - edge) / 2, edge, edge].join(" "));
+}
+
+function addPicture(drawing, stone, camera, whole) {
+  const [, , width, height] = whole.split(" ").map(Number);
+  const picture = svgElement("image", { href: `${BASE}/particles/${stone.key}/views/${camera}.png`, width, height });
+  picture.addEventListener("error", () => picture.remove());
+  drawing.prepend(picture);
+}
+
+function enlarge(drawing, camera, whole) {
+  const dialog = byId("enlarged");
+  const copy = drawing.cloneNode(true);
+  copy.setAttribute("viewBox", whole);
+  show(
+    dialog,
+    element("h2", { id: "enlarged-heading" }, word("passport.view-label", { camera })),
+    copy,
+    element("form", { method: "dialog", class: "actions" }, element("button", {}, word("passport.close"))),
+  );
+  dialog.showModal();
+}
