@@ -15,6 +15,7 @@ from support.browser import (
     origin_of,
     reachable_by_tab,
     screenshot,
+    until,
     violations,
     watched_page,
 )
@@ -59,7 +60,7 @@ def test_it_is_painted_at_once_and_stones_come_onto_it(operator: Watched, replay
     page.evaluate(
         "window.arrivals = {}; for (const e of document.querySelectorAll('[data-seq]')) arrivals[e.dataset.seq] = 0"
     )
-    page.wait_for_function(f"Object.values(window.arrivals).filter((at) => at > 0).length >= {N_STONES}")
+    until(page, "(n) => Object.values(arrivals).filter((at) => at > 0).length >= n", N_STONES)
     arrivals = {int(seq): at_ms for seq, at_ms in page.evaluate("window.arrivals").items() if at_ms > 0}
     results = replay.get(f"/results?after={min(arrivals) - 1}&limit=1000")["items"]
     recorded_ms = {
@@ -77,7 +78,7 @@ def test_it_is_painted_at_once_and_stones_come_onto_it(operator: Watched, replay
 def test_a_stone_has_its_picture_and_words(operator: Watched) -> None:
     picture = operator.page.locator("#newest img").first
     expect(picture).to_be_visible()
-    operator.page.wait_for_function("document.querySelector('#newest img').naturalWidth > 100")
+    until(operator.page, "() => document.querySelector('#newest img').naturalWidth > 100")
     assert re.fullmatch(r"\w+, \d+\.\d mm", picture.get_attribute("alt") or "")
 
 
@@ -88,9 +89,7 @@ def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
     expect(page.locator("#verdict-word")).to_contain_text(re.compile("Too few|Undecided|onform"))
     expect(page.locator("#curve-drawing svg title")).not_to_be_empty()
     before = page.locator("#curve-drawing").inner_html()
-    page.wait_for_function(
-        "(before) => document.querySelector('#curve-drawing').innerHTML !== before", arg=before
-    )
+    until(page, "(before) => document.querySelector('#curve-drawing').innerHTML !== before", before)
     expect(page.locator("#tile-d50 b")).to_have_text(re.compile(r"\d+\.\d"))
     expect(page.locator("#tile-rate b")).to_have_text(re.compile(r"\d+"))
     expect(page.locator(".tile .trend svg")).to_have_count(4)
@@ -103,11 +102,11 @@ def test_every_camera_has_a_tile_and_the_dim_one_stands_out(operator: Watched, r
     expect(dim).not_to_have_attribute("data-ne107", "good")
     expect(dim.locator('[data-field="brightness"]')).to_have_text(re.compile(r"Light (6|7)\d %"))
     expect(page.locator('#camera-tiles li[data-ne107="good"]')).to_have_count(15)
-    page.wait_for_function("document.querySelector('#camera-tiles .picture').style.backgroundImage !== ''")
+    until(page, "() => document.querySelector('#camera-tiles .picture').style.backgroundImage !== ''")
     dim.get_by_role("button").click()
     dialog = page.get_by_role("dialog")
     expect(dialog).to_contain_text("clean")
-    page.wait_for_function("document.querySelector('dialog img').naturalWidth > 100")
+    until(page, "() => document.querySelector('dialog img').naturalWidth > 100")
     page.keyboard.press("Escape")
     expect(dialog).to_have_count(0)
 
@@ -164,7 +163,7 @@ def test_it_is_accessible_at_every_size(
         assert page.evaluate("document.documentElement.lang") == language
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "it scrolls sideways"
         page.emulate_media(reduced_motion="reduce")
-        page.wait_for_function("document.querySelectorAll('#newest img').length >= 6")
+        until(page, "() => document.querySelectorAll('#newest img').length >= 6")
         screenshot(page, f"operator-{size}-{theme}-{language}")
         assert violations(page) == []
         watched.assert_clean()

@@ -2,6 +2,7 @@
 
 import os
 import re
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, Playwright, Request, Route, ViewportSize
+from support.eventually import PATIENCE_S
 
 EXECUTABLE = "/usr/bin/chromium"
 FLAGS = (
@@ -88,6 +90,14 @@ def watched_page(browser: Browser, **options: Any) -> Iterator[Watched]:
         yield watched
     finally:
         context.close()
+
+
+def until(page: Page, condition: str, argument: Any = None, patience_s: float = PATIENCE_S) -> None:
+    """Return once a function of the page is true; `Page.wait_for_function` needs a page that allows `eval`."""
+    deadline_s = time.monotonic() + patience_s
+    while not page.evaluate(condition, argument):
+        assert time.monotonic() < deadline_s, condition
+        page.wait_for_timeout(20)
 
 
 def first_paint_ms(page: Page) -> float:
