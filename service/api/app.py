@@ -15,6 +15,7 @@ from service.api.foreign_pages import ForeignPages
 from service.api.gzipped import GzippedJson
 from service.api.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
 from service.api.key_ring import KeyRing
+from service.api.overviews import Overviews
 from service.api.pace import PacedRequests
 from service.api.pieces import Piecewise
 from service.api.problems import install_handlers
@@ -35,6 +36,7 @@ from service.api.routes import (
     lot_figures,
     lots,
     metrics,
+    overview,
     particle_files,
     particles,
     pins,
@@ -59,7 +61,12 @@ def create_app(
     """Build the application that serves `store` and steers `control`; what takes long is made by `reading`."""
     app = build_routes()
     app.state.context = ApiContext(
-        store=store, control=control, settings=settings, reading=reading, keys=keys
+        store=store,
+        control=control,
+        settings=settings,
+        reading=reading,
+        keys=keys,
+        overviews=Overviews(store, control, reading),
     )
     app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept
     app.add_middleware(GzippedJson, reading=reading)
@@ -102,6 +109,7 @@ def build_routes() -> FastAPI:
         laboratory,
         configuration,
         alarms,
+        overview,
         streams,
         webhooks,
     ):

@@ -10,6 +10,7 @@ from service.api.control import Control
 from service.api.key_guesses import KeyGuesses
 from service.api.key_ring import KeyRing
 from service.api.open_streams import OpenStreams
+from service.api.overviews import Overviews
 from service.api.pace import Pace
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
@@ -42,6 +43,7 @@ class ApiContext:
     keys: KeyRing
     reading: Reading
     """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
+    overviews: Overviews
     shared: SharedAnswers = field(default_factory=SharedAnswers)
     waking: Pace = field(default_factory=Pace)
     """Long polls are answered one after the other, although a result wakes all of them at once."""

@@ -4,7 +4,7 @@ The daemon implements `Control`; tests of the API put a fake in its place. Nothi
 query the devices, and this returns what they found last.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from prometheus_client import Histogram
@@ -44,6 +44,11 @@ class Control(Protocol):
     @property
     def delays(self) -> Histogram:
         """Time from each trigger to its durable outcome."""
+        ...
+
+    @property
+    def latest_delays_s(self) -> Sequence[float]:
+        """The latest hundred of these; none in replay, which has a clock of its own."""
         ...
 
     def configuration(self) -> Mapping[str, Any]:

@@ -26,6 +26,7 @@ SERVERS = [
 ]
 
 TAGS = {
+    "overview": "What an operator's page shows at a glance, made once for all who look.",
     "health": "Whether the next stone will be measured, and what needs attention (NAMUR NE 107).",
     "acquisition": "Arm and disarm the rig.",
     "recordings": "Record the images of the next stones.",

@@ -43,13 +43,11 @@ class EventStream(StreamingResponse):
     media_type = "text/event-stream"
 
 
-class FeedStream(EventStream):
-    """The answer that sends a feed from `after` on, until client or daemon end."""
+class OpenStream(EventStream):
+    """The answer that sends chunks as they come, until client or daemon end; it is counted among the streams."""
 
-    def __init__(
-        self, context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
-    ) -> None:
-        self._chunks = _chunks(context, feed, after, request, allow)
+    def __init__(self, context: ApiContext, chunks: AsyncGenerator[bytes, None], request: Request) -> None:
+        self._chunks = _with_problems(chunks, request)
         headers = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}  # a proxy is not to collect it
         super().__init__(self._chunks, headers=headers)
         self._streams = context.streams
@@ -62,7 +60,7 @@ class FeedStream(EventStream):
 
 async def open_stream(
     context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
-) -> FeedStream:
+) -> OpenStream:
     """Return the stream of a feed.
 
     Raises
@@ -74,35 +72,44 @@ async def open_stream(
     page = await page_now(context, feed, after, 1)
     if (problem := cursor_problem(page, after, feed.kind)) is not None:
         raise problem
-    return FeedStream(context, feed, after, request, allow)
+    return OpenStream(context, _chunks(context, feed, after, allow), request)
 
 
 async def _chunks(
-    context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
+    context: ApiContext, feed: Feed, after: int, allow: StillAllowed
 ) -> AsyncGenerator[bytes, None]:
     """Yield pages as server-sent events, and something at least every `HEARTBEAT_S`."""
     store, is_begun = context.store, False
+    while True:
+        await allow()
+        await context.waking.turn()
+        page = await _patient_page(context, feed, after)
+        if not is_begun:
+            is_begun = True
+            yield _history(store.instance_id, page)
+        if (problem := cursor_problem(page, after, feed.kind)) is not None:
+            raise problem
+        if page.next_after != after:
+            after = page.next_after
+            yield page.content
+            continue
+        if store.is_released:
+            return
+        try:
+            async with asyncio.timeout(HEARTBEAT_S):
+                await feed.wait_beyond(store, after)
+        except TimeoutError:
+            yield HEARTBEAT
+
+
+async def _with_problems(
+    chunks: AsyncGenerator[bytes, None], request: Request
+) -> AsyncGenerator[bytes, None]:
+    """Yield chunks; what goes wrong is the last event."""
     try:
-        while True:
-            await allow()
-            await context.waking.turn()
-            page = await _patient_page(context, feed, after)
-            if not is_begun:
-                is_begun = True
-                yield _history(store.instance_id, page)
-            if (problem := cursor_problem(page, after, feed.kind)) is not None:
-                raise problem
-            if page.next_after != after:
-                after = page.next_after
-                yield page.content
-                continue
-            if store.is_released:
-                return
-            try:
-                async with asyncio.timeout(HEARTBEAT_S):
-                    await feed.wait_beyond(store, after)
-            except TimeoutError:
-                yield HEARTBEAT
+        async with aclosing(chunks):
+            async for chunk in chunks:
+                yield chunk
     except Problem as problem:
         yield _sent_problem(problem, request)
     except StoreError as err:

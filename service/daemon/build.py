@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -59,6 +60,9 @@ ACQUISITION_SILENCE_S = 20.0
 """Longest time without progress of an active acquisition: that of opening and closing dead cameras."""
 COMMIT_SILENCE_S = 30.0
 """Longest time from the end of a bundle's second attempt to its outcome."""
+
+N_LATEST = 100
+"""Outcomes whose delays are remembered one by one."""
 
 
 async def build(settings: Settings, store: Store) -> Daemon:
@@ -131,7 +135,13 @@ async def build(settings: Settings, store: Store) -> Daemon:
         prepare=prepare,
         context=worker_context,
     )
-    delays = result_delays()
+    delays, latest_delays_s = result_delays(), deque[float](maxlen=N_LATEST)
+
+    def on_outcome(delay_s: float) -> None:
+        if devices.belt is None:  # a replay has a clock of its own
+            delays.observe(delay_s)
+            latest_delays_s.append(delay_s)
+
     processing = Processing(
         ProcessingContext(
             session=session,
@@ -152,8 +162,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         on_empty_rig=watches.optics.feed_optics,
         on_network=watches.segmentation.feed,
         on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
-        # a replay has a clock of its own
-        on_outcome=delays.observe if devices.belt is None else lambda delay_s: None,
+        on_outcome=on_outcome,
     )
     return Daemon(
         settings=settings,
@@ -190,6 +199,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
             save_silhouettes=settings.store.save_silhouettes,
         ),
         delays=delays,
+        latest_delays_s=latest_delays_s,
         heartbeats=heartbeats,
         watches=watches,
     )

@@ -3,6 +3,7 @@
 import logging
 import shutil
 import time
+from collections import deque
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,7 @@ class Daemon:
     processing: Processing
     remeasuring: Remeasuring
     delays: Histogram
+    latest_delays_s: deque[float]
     heartbeats: Heartbeats
     watches: Watches
 

@@ -42,7 +42,11 @@ NAMES = """
 """What there is, so that requests find it: the configuration of schemathesis."""
 
 
-STREAMED = {f"{BASE}/results/stream": "Result", f"{BASE}/events/stream": "EventDocument"}
+STREAMED = {
+    f"{BASE}/results/stream": "Result",
+    f"{BASE}/events/stream": "EventDocument",
+    f"{BASE}/overview/stream": "OverviewDocument",
+}
 """Schema of the items of a stream, which OpenAPI 3.1 has no word for."""
 
 
@@ -52,6 +56,8 @@ def event_of(schema: str) -> dict[str, Any]:
         "contentMediaType": "application/json",
         "contentSchema": {"$ref": f"#/components/schemas/{schema}"},
     }
+    if schema == "OverviewDocument":
+        return {"type": "object", "properties": {"event": {"const": "overview"}, "data": item}}
     return {
         "type": "object",
         "if": {"properties": {"event": {"const": "history"}}},

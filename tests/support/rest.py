@@ -1,7 +1,7 @@
 """A fake daemon, made-up results, and a client of the REST interface."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -75,6 +75,7 @@ class FakeControl:
     calibrations: Calibrations | None = None
     lots: LotsSettings = field(default_factory=LotsSettings)
     delays: Histogram = field(default_factory=result_delays)
+    latest_delays_s: Sequence[float] = ()
     settings: dict[str, Any] = field(default_factory=dict)
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None

@@ -10,7 +10,7 @@ from service.api.feeds import EVENT_STREAM, MAX_SEQ, RESULT_STREAM, choosing
 from service.api.problems import problem_responses
 from service.api.routes.results import ChosenFields
 from service.api.settings import Scope
-from service.api.streams import EventStream, FeedStream, StillAllowed, open_stream
+from service.api.streams import EventStream, OpenStream, StillAllowed, open_stream
 
 router = APIRouter(tags=["streams"])
 
@@ -53,7 +53,7 @@ Allow = Annotated[StillAllowed, Depends(still_allowed)]
 )
 async def results_stream(
     request: Request, context: Context, names: ChosenFields, after: Cursor, allow: Allow
-) -> FeedStream:
+) -> OpenStream:
     """Send every result as it comes: the feed as server-sent events.
 
     First comes `history` (`instance_id`, `first_seq`, `last_seq`), then a `result` each, with `seq` as its `id`; after
@@ -68,6 +68,6 @@ async def results_stream(
     response_class=EventStream,
     responses=problem_responses(409, 410, 503),
 )
-async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> FeedStream:
+async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> OpenStream:
     """Send every event as it comes: `/events` as server-sent events, each by its type, like `/results/stream`."""
     return await open_stream(context, EVENT_STREAM, after, request, allow)
