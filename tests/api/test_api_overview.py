@@ -4,11 +4,12 @@ import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from support.rest import FakeControl, add, app_of, client_of, measured, rejected, trigger
+from support.rest import FakeControl, add, app_of, client_of, measured, particle_files, rejected, trigger
 from support.sent_events import Stream, opened
 from support.served import Served, served_by
 
@@ -30,9 +31,7 @@ NOW = datetime.now(UTC).replace(hour=12)
 LENGTHS = dict.fromkeys(
     ("sieve_size_mm", "max_feret_mm", "min_feret_mm", "length_mm", "width_mm", "thickness_mm"), 10.0
 )
-STONE = measured(
-    **LENGTHS, volume_mm3=500.0, volume_sd_percent=0.5, surface_sd_mm=0.02, zingg_class="equant", mesh="mesh"
-)
+STONE = measured(**LENGTHS, volume_mm3=500.0, volume_sd_percent=0.5, surface_sd_mm=0.02, zingg_class="equant")
 LOST = {"outcome": "lost", "reason": "queue_full"}
 PRODUCT = ProductDefinition(
     title="8/16 basalt",
@@ -88,10 +87,16 @@ async def looked_at(stream: Stream) -> dict[str, Any]:
 
 
 async def test_it_says_what_the_other_resources_say(
-    client: httpx.AsyncClient, store: Store, session: int, control: FakeControl, alarms: Alarms
+    client: httpx.AsyncClient,
+    store: Store,
+    session: int,
+    control: FakeControl,
+    alarms: Alarms,
+    tmp_path: Path,
 ) -> None:
+    files = await asyncio.to_thread(particle_files, tmp_path)
     for sequence, record in enumerate((STONE, rejected("empty"), LOST, STONE)):
-        await add(store, session, sequence, record)
+        await add(store, session, sequence, record, files if sequence == 0 else None)
     alarms.update({"trigger_line": HealthCheck(status=CheckStatus.FAIL, detail="no image")})  # at once
     control.state = AcquisitionState.ARMED
     control.latest_delays_s = [0.2] * 99 + [3.0]
@@ -118,7 +123,7 @@ async def test_it_says_what_the_other_resources_say(
     particles = (await client.get("/particles")).json()["items"]
     assert [each["id"] for each in found["newest"]] == [each["id"] for each in particles]
     assert [each["outcome"] for each in found["newest"]] == ["measured", "lost", "rejected", "measured"]
-    assert [each["has_mesh"] for each in found["newest"]] == [True, False, False, True]
+    assert [each["has_mesh"] for each in found["newest"]] == [False, False, False, True]
     assert found["acquisition"] == {"state": "armed", "trouble": None, "activity": "idle"}
     assert found["latency"] == {"median_ms": 200.0, "p99_ms": pytest.approx(228.0)}
     assert found["queue"] == {"waiting": 3, "max": 16}
