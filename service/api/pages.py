@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from service.lots.evaluation import lot_figures, window_figures
+from service.lots.stored_stones import Choice
 from service.lots.yardsticks import Request
 from service.results.selection import served
 from service.store import ParticleFilter
@@ -97,9 +98,11 @@ def is_gzipped(content: bytes) -> bool:
     return content.startswith(b"\x1f\x8b")
 
 
-def lot_figures_json(connection: sqlite3.Connection, lot: str, request: Request) -> bytes | None:
-    """Return the figures of a lot, None if there is none."""
-    return _model_json(lot_figures(connection, lot, request))
+def lot_figures_json(
+    connection: sqlite3.Connection, lot: str, request: Request, choice: Choice
+) -> bytes | None:
+    """Return the figures of a lot, or of a choice of its stones; None if there is none."""
+    return _model_json(lot_figures(connection, lot, request, choice))
 
 
 def window_figures_json(

@@ -18,6 +18,7 @@ from service.api.request_ids import HEADER, request_id_of
 from service.calibration.states import CalibrationConflictError
 from service.errors import StoreError
 from service.lots.lots import LotConflictError
+from service.lots.stored_stones import UnknownChoiceError
 from service.lots.yardsticks import UnknownYardstickError
 from service.status import ConflictError
 from service.store.trouble import Cause
@@ -166,7 +167,8 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
     app.add_exception_handler(LotConflictError, _handle_lot)
     app.add_exception_handler(AlarmConflictError, _handle_alarm)
-    app.add_exception_handler(UnknownYardstickError, _handle_yardstick)
+    app.add_exception_handler(UnknownYardstickError, _handle_unknown)
+    app.add_exception_handler(UnknownChoiceError, _handle_unknown)
     app.add_exception_handler(StoreError, _handle_store)
     app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
     app.add_exception_handler(BusyError, _handle_busy)
@@ -244,7 +246,7 @@ async def _handle_alarm(request: Request, error: Exception) -> JSONResponse:
     return problem_response(request, Problem(409, "alarm-conflict", str(error)))
 
 
-async def _handle_yardstick(request: Request, error: Exception) -> JSONResponse:
+async def _handle_unknown(request: Request, error: Exception) -> JSONResponse:
     return problem_response(request, Problem(422, "invalid-request", str(error)))
 
 

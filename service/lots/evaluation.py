@@ -2,13 +2,17 @@
 
 import sqlite3
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
+from pipeline.gradation.curve import curve_of
 from pipeline.gradation.d4791 import RATIOS, Form, Shares
+from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
+from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
 from pipeline.gradation.stones import Fate, Lot, lot_of
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
@@ -32,7 +36,7 @@ from service.lots.figures import (
 from service.lots.laboratory import Correlation, correlations
 from service.lots.lots import LotRecord, find_lot
 from service.lots.products import Product, find_product
-from service.lots.stored_stones import Stones, stones_between, stones_of_lot
+from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_between, stones_of_lot
 from service.lots.yardsticks import Request, Yardstick, standards, yardstick_of
 
 LEAST_PORTIONS = "en-933-1"
@@ -40,15 +44,30 @@ RATE_OVER_S = 60.0
 """Time over which the present rate of stones is taken."""
 
 
-def lot_figures(connection: sqlite3.Connection, lot: str, request: Request) -> LotFigures | None:
-    """Return the figures of a lot, None if there is none; raise `UnknownYardstickError` as `yardstick_of` does."""
+def lot_figures(
+    connection: sqlite3.Connection, lot: str, request: Request, choice: Choice = ALL_STONES
+) -> LotFigures | None:
+    """Return the figures of a lot, or of a choice of its stones; None if there is no such lot.
+
+    Raises
+    ------
+    UnknownYardstickError
+        As `yardstick_of` does.
+    UnknownChoiceError
+        As `stones_of_lot` does.
+    """
     record = find_lot(connection, lot)
     if record is None:
         return None
     product = find_product(connection, record.product, record.version)
-    stones = stones_of_lot(connection, lot)
+    stones = stones_of_lot(connection, lot, choice)
     found = correlations(connection, record.product)
-    return figures_of(stones, request, product, record, stones_per_s(connection), found[0] if found else None)
+    figures = figures_of(
+        stones, request, product, record, stones_per_s(connection), found[0] if found else None
+    )
+    return figures.model_copy(
+        update={"without": list(choice.without), "algorithm_version": choice.algorithm_version}
+    )
 
 
 def window_figures(
@@ -126,6 +145,12 @@ def figures_of(
         is_simulated=stones.is_simulated,
         is_replay=stones.is_replay,
     )
+
+
+def passing_of(stones: Stones, apertures_mm: Sequence[float], measured: MeasuredRange) -> dict[float, Figure]:
+    """Return the passing by mass at these sieves, percent."""
+    sample = sample_of(lot_of(stones.stones), LENGTH_SD_PERCENT / 100)
+    return {point.sieve_mm: figure(point.by_mass) for point in curve_of(sample, apertures_mm, measured)}
 
 
 def countdown(judgement: LotJudgement, rate_per_s: float) -> str:

@@ -215,6 +215,16 @@ class LotFigures(Report):
     scale_sd_percent: float = Field(description="Standard deviation of all lengths, by the calibration")
     calibration_ids: list[str] = Field(description="Calibrations that the stones were measured with")
     algorithm_versions: list[str] = Field(description="Versions of the algorithms that measured them")
+    without: list[str] = Field(
+        default=[],
+        description="Ids of stones that were left out because the request asked so: figures as if they had not fallen."
+        " Nothing of it is stored",
+    )
+    algorithm_version: str | None = Field(
+        default=None,
+        description="Version by which alone stones were taken, because the request asked so; null: each stone in its"
+        " newest revision",
+    )
     is_simulated: bool = Field(description="True when images of some stones are synthetic")
     is_replay: bool = Field(description="True when some stones did not fall")
 

@@ -1,5 +1,6 @@
 """The stones of a lot, or of a time, as the gradation takes them."""
 
+import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,6 +10,7 @@ from typing import Any
 
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
+from service.errors import ServiceError
 from service.lots.stones import stone_of
 from service.results.refinement import why_not_refined
 
@@ -19,6 +21,21 @@ COLUMNS = (
 )  # fmt: skip
 SIZES = itemgetter(*COLUMNS[4:11])
 BODY = itemgetter("body", "refinement_fallback")
+
+
+class UnknownChoiceError(ServiceError):
+    """The lot has no such stones to leave out or to choose; names the field and what is not there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """Which stones of a lot are to be looked at, and as what: by default all, each in its newest revision."""
+
+    without: tuple[str, ...] = ()  # ids of stones that are left out
+    algorithm_version: str | None = None  # of each stone the newest revision by this version
+
+
+ALL_STONES = Choice()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,14 +66,38 @@ class BehindStep:
     influence_percent: float  # share of the lot's mass: the curve would change by as much without it
 
 
-def stones_of_lot(connection: sqlite3.Connection, lot: str) -> Stones:
-    """Return the stones of a lot."""
-    return _stones(connection, "lot = ?", lot)
+def stones_of_lot(connection: sqlite3.Connection, lot: str, choice: Choice = ALL_STONES) -> Stones:
+    """Return the stones of a lot, or a choice of them.
+
+    Raises
+    ------
+    UnknownChoiceError
+        A stone that is to be left out is not in the lot, or no stone of it was measured by the version.
+    """
+    if choice.algorithm_version is None:
+        records = _rows(connection, "lot = ?", lot)
+    else:
+        records = _by_version(connection, lot, choice.algorithm_version)
+    return stones_in(_without(records, lot, choice.without))
+
+
+def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
+    """Return how many stones of a lot each algorithm version has measured, as far as results are kept."""
+    rows = connection.execute(
+        "SELECT version, count(DISTINCT first) FROM ("
+        "SELECT seq AS first, algorithm_version AS version FROM stones WHERE lot = ?1 UNION ALL "
+        "SELECT stones.seq, results.record ->> 'algorithm_version' FROM stones JOIN revised ON first = stones.seq"
+        " JOIN results ON results.seq = stones.seq WHERE lot = ?1 UNION ALL "
+        "SELECT stones.seq, revisions.record ->> 'algorithm_version' FROM stones JOIN revisions ON first = stones.seq"
+        " WHERE lot = ?1) WHERE version IS NOT NULL GROUP BY version ORDER BY version",
+        (lot,),
+    )
+    return dict(rows.fetchall())
 
 
 def stones_between(connection: sqlite3.Connection, since: str, until: str) -> Stones:
     """Return the stones captured from `since` to before `until`, in whatever lot."""
-    return _stones(connection, "captured_at >= ? AND captured_at < ?", since, until)
+    return stones_in(_rows(connection, "captured_at >= ? AND captured_at < ?", since, until))
 
 
 def stones_behind(
@@ -86,12 +127,44 @@ def stones_behind(
     ]
 
 
-def _stones(connection: sqlite3.Connection, condition: str, *values: str) -> Stones:
+def _rows(connection: sqlite3.Connection, condition: str, *values: str) -> list[dict[str, Any]]:
     query = connection.execute(
-        f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
+        f"SELECT id, {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
         values,
     )
-    return stones_in([dict(zip(COLUMNS, row, strict=True)) for row in query])
+    return [dict(zip(("id", *COLUMNS), row, strict=True)) for row in query]
+
+
+def _by_version(connection: sqlite3.Connection, lot: str, version: str) -> list[dict[str, Any]]:
+    """Return the rows of the stones that a version has measured; only the records of the others are looked into."""
+    earlier = connection.execute(
+        "SELECT record FROM ("
+        "SELECT stones.seq AS first, 1 AS revision, results.record FROM stones"
+        " JOIN revised ON first = stones.seq JOIN results ON results.seq = stones.seq"
+        " WHERE lot = ?1 AND stones.algorithm_version IS NOT ?2 UNION ALL "
+        "SELECT stones.seq, revision, revisions.record FROM stones JOIN revisions ON first = stones.seq"
+        " WHERE lot = ?1 AND stones.algorithm_version IS NOT ?2)"
+        " WHERE record ->> 'algorithm_version' = ?2 ORDER BY first, revision",
+        (lot, version),
+    )
+    newest: dict[str, dict[str, Any]] = {}
+    for (text,) in earlier:
+        record = json.loads(text)
+        newest[record["id"]] = {name: record.get(name) for name in ("id", *COLUMNS)}
+    records = [*_rows(connection, "lot = ? AND algorithm_version = ?", lot, version), *newest.values()]
+    if not records:
+        known = ", ".join(versions_of_lot(connection, lot)) or "none"
+        raise UnknownChoiceError(
+            f"algorithm_version: no stone of lot {lot} was measured by {version!r}; there are {known}"
+        )
+    return records
+
+
+def _without(records: list[dict[str, Any]], lot: str, left_out: Sequence[str]) -> list[dict[str, Any]]:
+    missing = set(left_out) - {record["id"] for record in records}
+    if missing:
+        raise UnknownChoiceError(f"without: lot {lot} has no stone {', '.join(sorted(missing))}")
+    return [record for record in records if record["id"] not in left_out]
 
 
 def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:

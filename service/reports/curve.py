@@ -1,12 +1,13 @@
 """The gradation curve as a drawing: passing over the logarithm of the size, with interval, limits and verdicts."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from math import isfinite, log
 
 from pipeline.gradation.estimates import State
 from pipeline.gradation.specification import Verdict
-from service.lots.figures import CurveStep
+from service.lots.figures import CurveStep, Figure
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
@@ -37,10 +38,22 @@ VERDICT_STYLES = {
 }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beside:
+    """The curve of other stones, drawn beside the first one: of another lot, or as another algorithm measured them."""
+
+    first_name: str  # what the first curve is called now that there are two
+    name: str
+    passing_percent: Mapping[float, Figure]  # by sieve, mm
+
+
 def gradation_curve(
-    steps: Sequence[CurveStep], words: Words, laboratory: Mapping[float, float] | None = None
+    steps: Sequence[CurveStep],
+    words: Words,
+    laboratory: Mapping[float, float] | None = None,
+    beside: Beside | None = None,
 ) -> Drawing:
-    """Return the curve; `laboratory` is the passing by sieve of a second one, percent."""
+    """Return the curve; `laboratory` is the passing by sieve of a second one, percent, `beside` one of other stones."""
     shown = shown_steps(steps)
     axes = _Axes([step.sieve_mm for step in shown])
     second = {
@@ -48,23 +61,26 @@ def gradation_curve(
         for size_mm, percent in sorted((laboratory or {}).items())
         if axes.least_mm < size_mm < axes.greatest_mm and isfinite(percent)
     }
+    others = [] if beside is None else _on_axes(beside, axes)
     return Drawing(
         width=WIDTH,
         height=HEIGHT,
         title=words("curve.title"),
-        description=_description(shown, words),
+        description=_description(shown, words) + _description_beside(others, beside, words),
         shapes=(
             *_grid(shown, axes, words),
             *_limits(shown, axes),
             *_unmeasured(shown, axes, words),
+            *_beside_band(others, axes),
             *_curve(shown, axes),
-            *_second_curve(second, axes),
+            *_second_curve(second, axes, Style.LABORATORY),
+            *_second_curve({size_mm: figure.value or 0.0 for size_mm, figure in others}, axes, Style.BESIDE),
             *(
                 marker(axes.point(step.sieve_mm, _percent(step)), _verdict(step))
                 for step in shown
                 if _has_value(step)
             ),
-            *_legend(shown, words, has_second=bool(second)),
+            *_legend(shown, words, beside, has_second=bool(second)),
         ),
         sieves=[(step.sieve_mm, axes.x(step.sieve_mm)) for step in shown],
     )
@@ -221,12 +237,32 @@ def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
         yield Line([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
 
 
-def _second_curve(second: Mapping[float, float], axes: _Axes) -> Iterator[Shape]:
+def _second_curve(second: Mapping[float, float], axes: _Axes, style: Style) -> Iterator[Shape]:
     points = [axes.point(size_mm, percent) for size_mm, percent in second.items()]
     if points:
-        yield Line(points, Style.LABORATORY)
+        yield Line(points, style)
     for x, y in points:
-        yield Area(((x - 3, y - 3), (x + 3, y - 3), (x + 3, y + 3), (x - 3, y + 3)), Style.LABORATORY)
+        yield _square(x, y, style)
+
+
+def _square(x: float, y: float, style: Style) -> Area:
+    return Area(((x - 3, y - 3), (x + 3, y - 3), (x + 3, y + 3), (x - 3, y + 3)), style)
+
+
+def _on_axes(beside: Beside, axes: _Axes) -> list[tuple[float, Figure]]:
+    """Return the figures of the other stones that have a value, at the sieves that are shown."""
+    return [
+        (size_mm, figure)
+        for size_mm, figure in sorted(beside.passing_percent.items())
+        if axes.least_mm < size_mm < axes.greatest_mm and figure.value is not None and isfinite(figure.value)
+    ]
+
+
+def _beside_band(others: Sequence[tuple[float, Figure]], axes: _Axes) -> Iterator[Shape]:
+    if len(others) > 1:
+        low = [axes.point(size_mm, figure.low or 0.0) for size_mm, figure in others]
+        high = [axes.point(size_mm, figure.high or 0.0) for size_mm, figure in others]
+        yield Area((*high, *reversed(low)), Style.BESIDE_BAND)
 
 
 def marker(at: Point, verdict: Verdict | None) -> Shape:
@@ -240,10 +276,12 @@ def marker(at: Point, verdict: Verdict | None) -> Shape:
     return Dot(at, 0.75 * r if style is Style.NO_LIMITS else r, style)
 
 
-def _legend(shown: Sequence[CurveStep], words: Words, *, has_second: bool) -> Iterator[Shape]:
+def _legend(
+    shown: Sequence[CurveStep], words: Words, beside: Beside | None, *, has_second: bool
+) -> Iterator[Shape]:
     """Yield what is on the curve, each with its sign, in as many lines as it takes."""
     x, y = LEFT, BOTTOM + 5.2 * LABEL_SIZE
-    for signs, text in _legend_entries(shown, words, has_second=has_second):
+    for signs, text in _legend_entries(shown, words, beside, has_second=has_second):
         width = 30 + label_width(text) + 12
         if x + width > RIGHT + 12 and x > LEFT:
             x, y = LEFT, y + 1.55 * LABEL_SIZE
@@ -267,21 +305,24 @@ class _Sign:
                     yield Line(((x, y), (x + 24, y)), Style.CURVE)
             case Style.HATCH:
                 yield from _hatching(x, x + 24, y - 5, y + 5)
-            case Style.LABORATORY:
-                yield Line(((x, y), (x + 24, y)), Style.LABORATORY)
-                yield Area(
-                    ((x + 9, y - 3), (x + 15, y - 3), (x + 15, y + 3), (x + 9, y + 3)), Style.LABORATORY
-                )
+            case Style.LABORATORY | Style.BESIDE:
+                if self.kind is Style.BESIDE:
+                    yield Area(corners, Style.BESIDE_BAND)
+                yield Line(((x, y), (x + 24, y)), self.kind)
+                yield _square(x + 12, y, self.kind)
             case _:
                 yield marker((x + 12, y), self.verdict)
 
 
 def _legend_entries(
-    shown: Sequence[CurveStep], words: Words, *, has_second: bool
+    shown: Sequence[CurveStep], words: Words, beside: Beside | None, *, has_second: bool
 ) -> Iterator[tuple[_Sign, str]]:
     has_values = any(map(_has_value, shown))
     if has_values:
-        yield _Sign(Style.BAND), words("curve.band")
+        band = words("curve.band")
+        yield _Sign(Style.BAND), band if beside is None else f"{beside.first_name}: {band}"
+    if beside is not None:
+        yield _Sign(Style.BESIDE), beside.name
     if any(step.decision is not None for step in shown):
         yield _Sign(Style.ENVELOPE), words("curve.envelope")
     if has_second:
@@ -312,3 +353,12 @@ def _description(shown: Sequence[CurveStep], words: Words) -> str:
         else words("curve.described_gap", sieve=words.size(step.sieve_mm))
         for step in shown
     )
+
+
+def _description_beside(others: Sequence[tuple[float, Figure]], beside: Beside | None, words: Words) -> str:
+    if beside is None:
+        return ""
+    passing = ", ".join(
+        f"{words.size(size_mm)} mm: {words.estimate(figure, 1)} %" for size_mm, figure in others
+    )
+    return words("curve.described_beside", name=beside.name, passing=passing or words("state.not_measured"))

@@ -18,6 +18,8 @@ class Style(StrEnum):
     BAND = "band"
     CURVE = "curve"
     LABORATORY = "laboratory"
+    BESIDE = "beside"
+    BESIDE_BAND = "beside-band"
     HATCH = "hatch"
     CONFORMS = "conforms"
     DOES_NOT_CONFORM = "does-not-conform"

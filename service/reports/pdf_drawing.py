@@ -31,6 +31,8 @@ INKS = {  # the rules of the SVG, for paper
     Style.BAND: Ink(fill="curve", opacity=0.28),
     Style.CURVE: Ink(stroke="curve", width=2),
     Style.LABORATORY: Ink(fill="laboratory", stroke="laboratory", width=1.6, is_dashed=True),
+    Style.BESIDE: Ink(fill="paper", stroke="beside", width=1.6),
+    Style.BESIDE_BAND: Ink(fill="beside", opacity=0.2),
     Style.HATCH: Ink(stroke="hatch"),
     Style.CONFORMS: Ink(fill="good", stroke="paper", width=1),
     Style.DOES_NOT_CONFORM: Ink(fill="bad", stroke="paper", width=1),

@@ -5,7 +5,7 @@ from html import escape
 
 from service.language import Language
 from service.lots.figures import CurveStep
-from service.reports.curve import gradation_curve
+from service.reports.curve import Beside, gradation_curve
 from service.reports.drawing import LABEL_SIZE, Area, Dot, Drawing, Label, Line, Point, Shape
 from service.reports.words import words
 
@@ -17,6 +17,7 @@ COLOURS = {  # light and dark; a page may set the variables itself, which then h
     "limit": ("#2f7d46", "#74c88d"),
     "curve": ("#1c5fa8", "#7db8f5"),
     "laboratory": ("#8a4b08", "#f0b26a"),
+    "beside": ("#7a2f86", "#dba2ea"),
     "hatch": ("#a9b1bd", "#5a6473"),
     "good": ("#1e7a3c", "#5fd085"),
     "bad": ("#c0271d", "#ff7b6e"),
@@ -36,6 +37,9 @@ RULES = """\
 .sf-curve polyline.curve{{fill:none;stroke:{curve};stroke-width:2;stroke-linejoin:round}}
 .sf-curve polyline.laboratory{{fill:none;stroke:{laboratory};stroke-width:1.6;stroke-dasharray:6 4}}
 .sf-curve polygon.laboratory{{fill:{laboratory}}}
+.sf-curve polyline.beside{{fill:none;stroke:{beside};stroke-width:1.8;stroke-dasharray:9 3 2 3}}
+.sf-curve polygon.beside{{fill:{paper};stroke:{beside};stroke-width:1.6}}
+.sf-curve .beside-band{{fill:{beside};opacity:.2}}
 .sf-curve .conforms,.sf-curve .does-not-conform,.sf-curve .undecided{{stroke:{paper};stroke-width:1}}
 .sf-curve .conforms{{fill:{good}}}
 .sf-curve .does-not-conform{{fill:{bad}}}
@@ -51,13 +55,14 @@ def curve_svg(
     *,
     language: Language = Language.ENGLISH,
     laboratory: Mapping[float, float] | None = None,
+    beside: Beside | None = None,
 ) -> str:
     """Return the gradation curve, as an element of a page and as a file of its own alike.
 
-    `laboratory` is a second curve: passing by sieve, percent. A page sets its own colours by the CSS variables
-    `--sf-ink`, `--sf-paper` ... of `COLOURS`.
+    `laboratory` is a second curve: passing by sieve, percent; `beside` that of other stones. A page sets its own
+    colours by the CSS variables `--sf-ink`, `--sf-paper` ... of `COLOURS`.
     """
-    return svg(gradation_curve(steps, words(language), laboratory), language)
+    return svg(gradation_curve(steps, words(language), laboratory, beside), language)
 
 
 def svg(drawing: Drawing, language: Language) -> str:

@@ -6,13 +6,13 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from support.lots import PRODUCT, opened, put_product, stone
 from support.rest import (
     FakeControl,
     add,
     app_of,
     assert_problem,
     client_of,
-    measured,
     particle_files,
     rejected,
     trigger,
@@ -23,31 +23,10 @@ from service.api.settings import ApiKey, ApiSettings, Scope
 from service.results.refinement import RUSH
 from service.store import Store
 
-PRODUCT = {
-    "title": "8/16 basalt",
-    "density_kg_m3": 2700,
-    "lower_mm": 8,
-    "upper_mm": 16,
-    "specification": "GC85-20",
-    "flakiness_category": "FI20",
-}
-
-
-def stone(size_mm: float, **fields: Any) -> dict[str, Any]:
-    """The record of a cube-like stone."""
-    edges = {"length_mm": size_mm, "width_mm": size_mm, "thickness_mm": 0.8 * size_mm}
-    ferets = {"max_feret_mm": 1.5 * size_mm, "min_feret_mm": 0.8 * size_mm}
-    sds = {"volume_sd_percent": 0.5, "surface_sd_mm": 0.02}
-    return measured(sieve_size_mm=size_mm, volume_mm3=0.6 * size_mm**3, **edges, **ferets, **sds, **fields)
-
 
 @pytest.fixture
 async def product(client: httpx.AsyncClient) -> None:
-    assert (await client.put("/products/basalt-8-16", json=PRODUCT)).status_code == 200
-
-
-async def opened(client: httpx.AsyncClient, lot: str = "L1", **more: Any) -> httpx.Response:
-    return await client.post("/lots", json={"lot": lot, "product": "basalt-8-16", **more})
+    await put_product(client)
 
 
 @pytest.mark.usefixtures("product")

@@ -20,7 +20,7 @@ from service.language import Language
 from service.lots.figures import LotFigures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
-from service.lots.stored_stones import stones_behind
+from service.lots.stored_stones import Choice, stones_behind, versions_of_lot
 from service.lots.yardsticks import Request, yardstick_of
 from service.reports.report import ReportFormat
 from service.results.fields import TIME
@@ -61,6 +61,19 @@ class StonesBehindStep(BaseModel):
     items: list[StoneBehindStep] = Field(description="The heaviest first")
 
 
+class LotVersion(BaseModel):
+    """A version of the algorithms, and how much of a lot it has measured."""
+
+    algorithm_version: str = Field(description="As results name it")
+    n_stones: int = Field(description="Stones of the lot that have a revision by it")
+
+
+class LotVersions(BaseModel):
+    """All versions that have measured stones of a lot, as far as results are kept."""
+
+    items: list[LotVersion] = Field(description="By name")
+
+
 async def request_of(
     context: Context,
     sieve_set: Annotated[str | None, Query(max_length=200, description="Another than the product's")] = None,
@@ -72,7 +85,28 @@ async def request_of(
     return Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
 
 
+def choice_of(
+    without: Annotated[
+        list[Annotated[str, Field(max_length=100)]] | None,
+        Query(
+            max_length=100,
+            description="Ids of stones to leave out, as if they had not fallen; nothing of it is stored",
+        ),
+    ] = None,
+    algorithm_version: Annotated[
+        str | None,
+        Query(
+            max_length=200,
+            description="Of each stone the newest revision by this version, the others not at all",
+        ),
+    ] = None,
+) -> Choice:
+    """Return which stones of the lot are looked at."""
+    return Choice(without=tuple(sorted(set(without or ()))), algorithm_version=algorithm_version)
+
+
 Measuring = Annotated[Request, Depends(request_of)]
+Choosing = Annotated[Choice, Depends(choice_of)]
 ReportLanguage = Annotated[Language, Query(description="Language of the report")]
 
 
@@ -85,10 +119,23 @@ async def gradation(
     context: Context,
     lot: LotName,
     measuring: Measuring,
+    choosing: Choosing,
 ) -> Response:
-    """Return the figures of a lot through the sieves and the specification of its product, or through any other."""
-    content = await context.reading.run(read, context.store.path, lot_figures_json, lot, measuring)
+    """Return the figures of a lot through the sieves and the specification of its product, or through any other.
+
+    `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
+    """
+    content = await context.reading.run(read, context.store.path, lot_figures_json, lot, measuring, choosing)
     return Response(existing(content, "lot", lot), media_type="application/json")
+
+
+@router.get("/{lot}/algorithm-versions", response_model=LotVersions, responses=problem_responses(404))
+async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
+    """Return which versions of the algorithms have measured stones of a lot, each with the number of them."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    found = await context.reading.run(read, context.store.path, versions_of_lot, lot)
+    items = [{"algorithm_version": version, "n_stones": n_stones} for version, n_stones in found.items()]
+    return {"items": items}
 
 
 @router.get(

@@ -17,6 +17,7 @@ from service.store import read
 
 router = APIRouter(prefix="/windows", tags=["lots"])
 
+Minutes = Annotated[float, Query(gt=0, le=10_080, description="How far back")]
 ProductId = Annotated[
     str | None, Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Judge by this product's newest version")
 ]
@@ -26,13 +27,11 @@ ProductId = Annotated[
 async def current_window(
     context: Context,
     measuring: Measuring,
-    minutes: Annotated[float, Query(gt=0, le=10_080, description="How far back")] = 60.0,
+    minutes: Minutes = 60.0,
     product: ProductId = None,
 ) -> Response:
     """Return the figures of what fell within the last minutes, in whatever lot or in none."""
-    now = datetime.now(UTC)
-    since = now - timedelta(minutes=minutes)
-    return await _figures(context, since, now, product, measuring)
+    return await _figures(context, *last_minutes(minutes), product, measuring)
 
 
 @router.get("/shift", response_model=LotFigures, responses=problem_responses(404, 422))
@@ -44,18 +43,19 @@ async def shift(
 ) -> Response:
     """Return the figures of a shift; `[lots] shift_starts` says when they begin, by the host's local time."""
     since, until = shift_at(datetime.now(UTC).astimezone(), context.control.lots.shift_starts, ago)
-    return await _figures(context, since, until, product, measuring)
+    return await _figures(context, rfc3339(since), rfc3339(until), product, measuring)
+
+
+def last_minutes(minutes: float) -> tuple[str, str]:
+    """Return the time of the last minutes, up to the next whole second: who asks within one asks the same."""
+    until = datetime.now(UTC).replace(microsecond=0) + timedelta(seconds=1)
+    return rfc3339(until - timedelta(minutes=minutes)), rfc3339(until)
 
 
 async def _figures(
-    context: ApiContext,
-    since: datetime,
-    until: datetime,
-    product: str | None,
-    measuring: Request,
+    context: ApiContext, since: str, until: str, product: str | None, measuring: Request
 ) -> Response:
-    times = rfc3339(since), rfc3339(until)
     content = await context.reading.run(
-        read, context.store.path, window_figures_json, *times, measuring, product
+        read, context.store.path, window_figures_json, since, until, measuring, product
     )
     return Response(existing(content, "product", str(product)), media_type="application/json")

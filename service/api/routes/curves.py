@@ -1,0 +1,90 @@
+"""Gradation curves as drawings: the very ones of the report, for pages."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Response
+from fastapi import Request as HttpRequest
+
+from service.api.auth import require
+from service.api.context import Context
+from service.api.drawings import CurveRequest, lot_curve_svg, window_curve_svg
+from service.api.problems import existing, problem_responses
+from service.api.routes.lot_figures import Choosing, Measuring
+from service.api.routes.lots import LotName
+from service.api.routes.windows import Minutes, ProductId, last_minutes
+from service.api.settings import Scope
+from service.api.svg_answers import SVG, drawing, svg_answer
+from service.language import Language
+from service.lots.lots import find_lot
+from service.reports.names import minutes_name
+
+router = APIRouter(tags=["lots"], dependencies=[Depends(require(Scope.READ))])
+
+KEEP_S = 2.0
+"""How long a drawing is kept for others who ask for it."""
+DrawingLanguage = Annotated[Language, Query(description="Language of the drawing")]
+
+
+async def curve_request_of(
+    context: Context,
+    measuring: Measuring,
+    language: DrawingLanguage = Language.ENGLISH,
+    beside_lot: Annotated[
+        str | None,
+        Query(
+            pattern=r"^[A-Za-z0-9_.-]{1,64}$",
+            description="Draw the curve of this lot beside it, at the same sieves",
+        ),
+    ] = None,
+    beside_algorithm_version: Annotated[
+        str | None,
+        Query(
+            max_length=200,
+            description="The curve beside it as this version measured it: of `beside_lot`, or of the same lot",
+        ),
+    ] = None,
+) -> CurveRequest:
+    """Return how a curve is drawn; raise the problem 404 for an unknown lot beside it."""
+    if beside_lot is not None:
+        existing(await context.store.read(find_lot, beside_lot), "lot", beside_lot)
+    return CurveRequest(
+        figures=measuring,
+        language=language,
+        beside_lot=beside_lot,
+        beside_algorithm_version=beside_algorithm_version,
+    )
+
+
+Drawing = Annotated[CurveRequest, Depends(curve_request_of)]
+
+
+@router.get(
+    "/lots/{lot}/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404, 422)}
+)
+async def lot_curve(
+    context: Context, asked: HttpRequest, lot: LotName, wanted: Drawing, choosing: Choosing
+) -> Response:
+    """Return the gradation curve of a lot as the report draws it, with its limits, interval and verdicts.
+
+    A page sets its colours by the CSS variables `--sf-ink`, `--sf-paper`, `--sf-curve` ...; it says in words what it
+    shows.
+    """
+    text = await drawing(context, lot_curve_svg, lot, choosing, wanted, keep_s=KEEP_S)
+    return svg_answer(asked, existing(text, "lot", lot))
+
+
+@router.get(
+    "/windows/current/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404, 422)}
+)
+async def current_curve(
+    context: Context,
+    asked: HttpRequest,
+    wanted: Drawing,
+    minutes: Minutes = 60.0,
+    product: ProductId = None,
+) -> Response:
+    """Return the gradation curve of what fell within the last minutes, in whatever lot or in none."""
+    name = minutes_name(minutes, wanted.language)
+    since, until = last_minutes(minutes)
+    text = await drawing(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)
+    return svg_answer(asked, existing(text, "product", str(product)))
