@@ -189,6 +189,18 @@ class Camera(Protocol):
         """
         ...
 
+    def light(self, *, is_on: bool) -> None:
+        """Switch the lamp by which a person finds an open camera, on or off.
+
+        Only while it is not armed: `arm` and `close` give the lamp back to what it usually shows.
+
+        Raises
+        ------
+        CameraUnavailableError
+            The camera is not open, is armed, has no lamp, or does not do it.
+        """
+        ...
+
     def disarm(self) -> None:
         """Stop exposing; once this returns nothing more is delivered, not even what was on its way."""
         ...

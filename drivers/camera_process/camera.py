@@ -43,6 +43,9 @@ class RemoteCamera:
         """Expose now, if `TriggerSource` is `Software`; raises `CameraUnavailableError`."""
         self._process.call(self._settings, Doing.SOFTWARE_TRIGGER)
 
+    def light(self, *, is_on: bool) -> None:
+        self._process.call(self._settings, Doing.LIGHT if is_on else Doing.DARKEN)
+
     def disarm(self) -> None:
         with suppress(CameraUnavailableError):  # without its process it delivers nothing
             self._process.call(self._settings, Doing.DISARM)

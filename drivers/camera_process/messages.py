@@ -19,12 +19,14 @@ Address = tuple[str, int]
 
 
 class Doing(StrEnum):
-    """What a camera can be asked to do, named as the method of `AravisCamera`."""
+    """What a camera can be asked to do: methods of `AravisCamera`; `LIGHT` and `DARKEN` are its `light`."""
 
     OPEN = "open"
     ARM = "arm"
     EXAMINE = "examine"
     SOFTWARE_TRIGGER = "software_trigger"
+    LIGHT = "light"
+    DARKEN = "darken"
     DISARM = "disarm"
     CLOSE = "close"
 

@@ -87,6 +87,10 @@ class ServedCamera:
                     result = self.device.examine()
                 case Doing.SOFTWARE_TRIGGER:
                     self.device.software_trigger()
+                case Doing.LIGHT:
+                    self.device.light(is_on=True)
+                case Doing.DARKEN:
+                    self.device.light(is_on=False)
                 case Doing.DISARM:
                     self.device.disarm()
                 case Doing.CLOSE:

@@ -17,6 +17,7 @@ from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import Allocate, FrameReader, Memory, allocate, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
+from drivers.cameras.lamp import Lamp
 from drivers.cameras.stream_filter import max_packet_number, stream_program
 from drivers.cameras.stream_socket import prepare_socket
 from drivers.errors import CameraUnavailableError, LossCause
@@ -63,6 +64,7 @@ class AravisCamera:
         self._control_lost_signal = 0
         self._applied: list[AppliedFeature] = []
         self._polled: dict[str, str] = {}
+        self._lamp: Lamp | None = None  # while a person is shown the camera
         self._receive_buffer_bytes = 0
         self._warnings: tuple[str, ...] = ()
         self._is_acquiring = False
@@ -103,6 +105,7 @@ class AravisCamera:
             self.disarm()
             if self._reader is None:
                 raise CameraUnavailableError(self.id, "is not open")
+            self._give_lamp_back()
             self._reader.start(sink)
             self._is_acquiring = True
             try:
@@ -128,6 +131,16 @@ class AravisCamera:
             self._features().verify(self._applied)
             return self._vitals(device)
 
+    def light(self, *, is_on: bool) -> None:
+        with self._control, cleared_tracebacks(), aravis_errors(self.id, "switch its lamp"):
+            if self._reader is None:
+                raise CameraUnavailableError(self.id, "is not open")
+            if self._is_acquiring:
+                raise CameraUnavailableError(self.id, "is armed")
+            if self._lamp is None:
+                self._lamp = Lamp(self._features(), self.id, self._settings.features)
+            self._lamp.switch(is_on=is_on)
+
     def software_trigger(self) -> None:
         """Expose now, if `TriggerSource` is `Software`; raises `CameraUnavailableError`."""
         with self._control, cleared_tracebacks():
@@ -152,6 +165,8 @@ class AravisCamera:
             self.disarm()
             if self._camera is not None:
                 if self._is_there():
+                    with suppress(CameraUnavailableError):
+                        self._give_lamp_back()
                     with suppress(CameraUnavailableError), aravis_errors(self.id, "give up control"):
                         self._camera.get_device().leave_control()
                 self._camera.get_device().disconnect(self._control_lost_signal)
@@ -159,8 +174,15 @@ class AravisCamera:
                 None  # first: it ends the thread of Aravis that receives into the memory
             )
             self._camera = None
+            self._lamp = None
             self._memory = {}
             self._applied = []
+
+    def _give_lamp_back(self) -> None:
+        lamp, self._lamp = self._lamp, None
+        if lamp is not None:
+            with cleared_tracebacks(), aravis_errors(self.id, "switch its lamp"):
+                lamp.give_back()
 
     # --- opening ---
 

@@ -75,6 +75,11 @@ class FeatureAccess:
                 return float(device.get_float_feature_value(own))
             return str(device.get_string_feature_value(own))
 
+    def entries(self, own: str) -> list[str]:
+        """Return what an enumeration can be set to now."""
+        with aravis_errors(self._camera, f"ask for the entries of {own}"):
+            return list(self._device.dup_available_enumeration_feature_values_as_strings(own))
+
     def execute(self, own: str) -> None:
         """Execute a command."""
         with aravis_errors(self._camera, f"execute {own}"):

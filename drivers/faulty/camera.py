@@ -40,6 +40,11 @@ class FaultyCamera:
             raise CameraUnavailableError(self.id, "disconnected")
         return self._camera.examine()
 
+    def light(self, *, is_on: bool) -> None:
+        if self._is_lost:
+            raise CameraUnavailableError(self.id, "disconnected")
+        self._camera.light(is_on=is_on)
+
     def disarm(self) -> None:
         self._camera.disarm()
         self._delayed.clear()

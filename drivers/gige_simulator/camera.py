@@ -128,6 +128,11 @@ class SimulatedCamera:
         return self._gvcp.controller
 
     @property
+    def is_lit(self) -> bool:
+        """Whether its lamp shines: the status lamp, else what the strobe's line feeds."""
+        return self._device.is_lit
+
+    @property
     def log(self) -> tuple[LogEntry, ...]:
         return tuple(self._log)
 
@@ -138,6 +143,7 @@ class SimulatedCamera:
             **asdict(self._stream.tallied()),
             heartbeats=self._gvcp.n_heartbeats,
             actions=self._gvcp.n_actions,
+            blinks=self._device.blinks,
         )
 
     @property

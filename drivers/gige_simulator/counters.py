@@ -59,3 +59,4 @@ class Counters:
     unavailable: int  # refusals to resend
     heartbeats: int  # readings of the control privilege by its owner
     actions: int  # action commands with the camera's keys
+    blinks: int  # how often a host lit its lamp

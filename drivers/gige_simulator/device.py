@@ -10,7 +10,7 @@ from ipaddress import IPv4Address
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.faults import Faults
-from drivers.gige_simulator.feature_table import feature_table
+from drivers.gige_simulator.feature_table import USER_OUTPUTS, feature_table
 from drivers.gige_simulator.features import PTP_STATES
 from drivers.gige_simulator.genicam_xml import genicam_xml, zipped
 from drivers.gige_simulator.gvsp import IP_UDP_BYTES, chunk_bytes
@@ -77,6 +77,9 @@ class CameraDevice:
         self._startup_set = "Default"
         self._latched_offset_ns = 0
         self._mtu_bytes = 0
+        self.blinks = 0
+        """How often its lamp has lit up at the word of a host."""
+        self._is_lit = False
         self._effects: dict[str, Callable[[int], None]] = {
             "AcquisitionStart": self._start_acquisition,
             "AcquisitionStop": lambda _: sensor.end_acquisition(),
@@ -93,6 +96,9 @@ class CameraDevice:
             "PtpEnable": lambda _: clock.set_ptp(is_enabled=bool(registers.number("PtpEnable"))),
             "PtpDataSetLatch": self._latch_ptp,
             "GevSCPSFireTestPacket": self._fire_test_packet,
+            **dict.fromkeys(
+                ("DeviceIndicatorMode", "LineMode", "LineSource", "UserOutputValue"), self._see_lamp
+            ),
         }
         registers.live.update(
             DeviceTemperature=lambda _: self._temperature_c(),
@@ -129,6 +135,7 @@ class CameraDevice:
         self._clock.restart()
         self._clock.set_ptp(is_enabled=bool(registers.number("PtpEnable")))
         self._sensor.power_on()
+        self._is_lit = self.is_lit
         self._counter_bases = [self._events(bank) for bank in range(len(self._counter_bases))]
         self._mtu_bytes = design.mtu_bytes
         self._on_since_s = time.monotonic()
@@ -222,7 +229,25 @@ class CameraDevice:
     def _reset_counter(self, bank: int) -> None:
         self._counter_bases[bank] = self._events(bank)
 
+    def _see_lamp(self, _: int) -> None:
+        was_lit, self._is_lit = self._is_lit, self.is_lit
+        self.blinks += self._is_lit and not was_lit
+
     # --- live values ---
+
+    @property
+    def is_lit(self) -> bool:
+        """Whether its status lamp shines, or without one what hangs on an output that the host may switch."""
+        registers = self._registers
+        if "DeviceIndicatorMode" in registers.features:
+            return registers.choice("DeviceIndicatorMode") == "Active"
+        high = [
+            output for bank, output in enumerate(USER_OUTPUTS) if registers.number("UserOutputValue", bank)
+        ]
+        return any(
+            registers.choice("LineMode", bank) == "Output" and registers.choice("LineSource", bank) in high
+            for bank in registers.features["LineSelector"].entries.values()
+        )
 
     def _temperature_c(self) -> float:
         """Return a temperature that rises by 9 K within minutes and then wavers by a few tenths."""

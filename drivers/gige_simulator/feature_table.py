@@ -11,6 +11,9 @@ from typing import Any
 
 from drivers.gige_simulator.features import CHUNKS, MONO8, PTP_STATES, Dialect, Feature
 
+USER_OUTPUTS = ("UserOutput1", "UserOutput2")
+"""Entries of `LineSource`: the line is as high as the `UserOutputValue` of that output says."""
+
 _LINES = ("Line1", "Line2", "Line3")
 _AUTOMATIC = ("Off", "Once", "Continuous")
 _SETS = ("Default", "UserSet1")
@@ -27,7 +30,9 @@ def feature_table(
         *_lines_and_counters(),
         *_transport(),
     )
-    return tuple(_as_legacy(feature) for feature in table) if dialect == "legacy" else table
+    if dialect == "sfnc":
+        return table
+    return tuple(_as_legacy(feature) for feature in table if feature.key not in _LEGACY_LACKS)
 
 
 def _device(throughput_bytes_s: int) -> tuple[Feature, ...]:
@@ -41,6 +46,7 @@ def _device(throughput_bytes_s: int) -> tuple[Feature, ...]:
         text(name="DeviceSerialNumber", address=0xD8, length=16),
         text(name="DeviceUserID", address=0xE8, length=16, access="RW"),
         floating(name="DeviceTemperature", access="RO", unit="C", minimum=-50, maximum=150),
+        _choice("DeviceIndicatorMode", "DeviceControl", ("Inactive", "Active", "ErrorStatus"), value=1),
         command(name="DeviceReset"),
         command(name="TimestampLatch"),
         integer(
@@ -107,10 +113,12 @@ def _lines_and_counters() -> tuple[Feature, ...]:
     return (
         _choice("LineSelector", lines, _LINES),
         _choice("LineMode", **of_line, entries=("Input", "Output")),
-        _choice("LineSource", **of_line, entries=("Off", "ExposureActive")),
+        _choice("LineSource", **of_line, entries=("Off", "ExposureActive", *USER_OUTPUTS)),
         _switch(**of_line)(name="LineInverter"),
         _switch(**of_line)(name="LineStatus", access="RO"),
         _float(**of_line)(name="LineDebouncerTime", maximum=20_000.0, unit="us"),
+        _choice("UserOutputSelector", lines, USER_OUTPUTS),
+        _switch(lines)(name="UserOutputValue", selector="UserOutputSelector"),
         _choice("CounterSelector", counters, ("Counter1", "Counter2")),
         _choice("CounterEventSource", **of_counter, entries=events, value=events.index("FrameTrigger")),
         _integer(**of_counter)(name="CounterValue", access="RO"),
@@ -206,6 +214,9 @@ _LEGACY_NAMES = {
     "PtpOffsetFromMaster": "GevIEEE1588OffsetFromMaster",
     "PtpDataSetLatch": "GevIEEE1588DataSetLatch",
 }
+
+_LEGACY_LACKS = frozenset({"DeviceIndicatorMode"})
+"""What cameras had not yet: these are found by what their output line lights."""
 
 _LEGACY_STEPS = {
     "AcquisitionFrameRate": 0.01,

@@ -102,6 +102,7 @@ class RigRequests:
                     "address": camera.design.address,
                     "is_killed": name in self._killed,
                     "is_acquiring": camera.is_acquiring,
+                    "is_lit": camera.is_lit,
                     "controller": camera.controller,
                     "faults": camera.faults.as_dict(),
                 }

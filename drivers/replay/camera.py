@@ -34,6 +34,11 @@ class ReplayCamera:
             raise CameraUnavailableError(self._id, "is not open")
         return CameraVitals()
 
+    def light(self, *, is_on: bool) -> None:
+        """Raise `CameraUnavailableError`: a recording has no lamps."""
+        problem = "has no lamp: it is a recording" if self._is_open else "is not open"
+        raise CameraUnavailableError(self._id, problem)
+
     def disarm(self) -> None:
         if self._is_open:
             self._belt.cameras[self._id].unplug()

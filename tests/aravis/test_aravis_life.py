@@ -19,6 +19,7 @@ from support.quick_and_full import first_quick
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
+from drivers.cameras.genicam import strobe_features
 from drivers.errors import CameraUnavailableError
 from drivers.gige_simulator.camera import SimulatedCamera
 from drivers.interfaces import CameraLost
@@ -26,6 +27,8 @@ from pipeline.frames import Frame
 
 FOUND_OUT_S = 2.5
 """How soon `examine` knows: 0.25 s, and before the heartbeat's 3 s on any machine."""
+STROBE_BANK, EXPOSURE_ACTIVE = 1, 1
+"""Of the registers of the lines, that of Line2; entry of its `LineSource`."""
 
 
 @pytest.fixture
@@ -248,6 +251,55 @@ def test_a_sequence_of_calls_nobody_planned(simulated: SimulatedCamera) -> None:
     camera.close()
     camera.close()
     assert simulated.controller is None
+
+
+STROBED = settings_for(design()).features + strobe_features(line="Line2")
+
+
+@pytest.fixture
+def old() -> Iterator[SimulatedCamera]:
+    """A camera whose status lamp cannot be switched."""
+    with powered(design(dialect="legacy")) as camera:
+        yield camera
+
+
+def test_a_camera_without_a_switchable_lamp_is_found_by_its_strobe(old: SimulatedCamera) -> None:
+    camera = AravisCamera(settings_for(old.design, features=STROBED))
+    camera.open()
+    assert not old.is_lit
+    camera.light(is_on=True)
+    assert old.is_lit
+    camera.close()
+    assert not old.is_lit
+    assert old.feature("LineSource", STROBE_BANK) == EXPOSURE_ACTIVE
+    assert works(camera_opened(camera), old)  # the strobe flashes with the exposure again
+    camera.close()
+
+
+def test_the_strobe_is_itself_again_after_a_host_that_was_killed_over_it(old: SimulatedCamera) -> None:
+    old.tamper("UserOutputValue", 1)
+    old.tamper("LineMode", "Output", STROBE_BANK)
+    old.tamper("LineSource", "UserOutput1", STROBE_BANK)
+    assert old.is_lit
+    camera = camera_opened(AravisCamera(settings_for(old.design, features=STROBED)))
+    assert not old.is_lit
+    camera.examine()
+    camera.close()
+
+
+def test_a_camera_with_nothing_to_light_says_so(old: SimulatedCamera) -> None:
+    camera = camera_opened(AravisCamera(settings_for(old.design)))
+    with pytest.raises(
+        CameraUnavailableError, match="has no lamp to switch: neither DeviceIndicatorMode nor"
+    ):
+        camera.light(is_on=True)
+    camera.examine()
+    camera.close()
+
+
+def camera_opened(camera: AravisCamera) -> AravisCamera:
+    camera.open()
+    return camera
 
 
 def test_an_error_somebody_keeps_does_not_keep_the_camera(

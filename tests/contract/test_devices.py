@@ -36,6 +36,8 @@ class Bench:
     """One stone falls; returns at once. Stone n shows `tagged_image(n, camera)`, from 0."""
     is_counting_on: bool
     """Whether frame ids go on while a camera is disarmed; otherwise they begin anew when it is armed."""
+    lit: Callable[[], tuple[int, bool]] | None = None
+    """How often the first camera's lamp was lit by a host, and whether it shines; None: it has none."""
     witness: Collector = field(default_factory=Collector)
     """Of the last camera; sees every exposure."""
 
@@ -71,7 +73,10 @@ def replayed_bench(folder: Path, plan: str) -> Iterator[Bench]:
 def aravis_bench(where: str) -> Iterator[Bench]:
     process = None if where == "aravis" else CameraProcess()
     with gige_rig(CAMERAS, process) as rig:
-        yield Bench(rig.cameras, rig.fire, is_counting_on=False)
+        first = rig.simulated[CAMERAS[0]]
+        yield Bench(
+            rig.cameras, rig.fire, is_counting_on=False, lit=lambda: (first.counters.blinks, first.is_lit)
+        )
     if process is not None:
         process.close()
 
@@ -160,6 +165,35 @@ class TestCameraContract:
         camera.close()
         with pytest.raises(CameraUnavailableError, match=camera.id):
             camera.examine()
+
+    def test_an_open_camera_lights_its_lamp_until_it_is_armed_or_closed(
+        self, camera: Camera, bench: Bench
+    ) -> None:
+        with pytest.raises(CameraUnavailableError, match="is not open"):
+            camera.light(is_on=True)
+        camera.open()
+        if bench.lit is None:
+            with pytest.raises(CameraUnavailableError, match="has no lamp"):
+                camera.light(is_on=True)
+            return
+        usual = bench.lit()
+        for _ in range(2):
+            camera.light(is_on=False)
+            assert not bench.lit()[1]
+            camera.light(is_on=True)
+            assert bench.lit()[1]
+        assert bench.lit()[0] - usual[0] >= 1
+        camera.light(is_on=False)
+        camera.arm(sink := Collector())
+        assert bench.lit()[1] == usual[1]
+        with pytest.raises(CameraUnavailableError, match="is armed"):
+            camera.light(is_on=True)
+        bench.fire()
+        next_frame(sink)
+        camera.disarm()
+        camera.light(is_on=not usual[1])
+        camera.close()
+        assert bench.lit()[1] == usual[1]
 
     def test_closing_is_always_allowed(self, camera: Camera, bench: Bench) -> None:
         camera.close()
