@@ -76,6 +76,14 @@ class ConflictError(ServiceError):
         self.target = target
 
 
+class NotDisarmedError(ServiceError):
+    """The acquisition uses the cameras, so nobody else may."""
+
+    def __init__(self, current: AcquisitionState) -> None:
+        super().__init__(f"acquisition is {current}: it must be disarmed first")
+        self.current = current
+
+
 def next_state(current: AcquisitionState, target: AcquisitionTarget) -> AcquisitionState:
     """Return the state that follows a request for `target`; raise `ConflictError` where `TRANSITIONS` has none."""
     try:

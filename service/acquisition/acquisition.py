@@ -17,17 +17,25 @@ from typing import Protocol
 from drivers.factory import Devices
 from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
-from drivers.interfaces import CameraLost, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
-from pipeline.frames import BundleKind, FrameBundle, GateCount, Trigger
+from drivers.interfaces import CameraLost, CameraVitals, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
+from pipeline.frames import BundleKind, CameraId, FrameBundle, GateCount, Trigger
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.gate_watch import GateWatch
 from service.acquisition.rig_cameras import RigCameras
+from service.acquisition.shown_camera import ShownCamera
 from service.bundling.assembler import BundleAssembler
 from service.bundling.counters import BundlingCounters
 from service.bundling.parameters import BundlingParameters
 from service.bundling.window import MissingReason
-from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, DeviceState, next_state
+from service.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    AcquisitionTarget,
+    DeviceState,
+    NotDisarmedError,
+    next_state,
+)
 
 log = logging.getLogger(__name__)
 
@@ -100,6 +108,9 @@ class Acquisition:
         self._last_stone_s: float | None = None
         self.cameras = RigCameras(devices.cameras, clock=devices.clock, is_live=devices.belt is None)
         self.gate = DeviceKeeper("light gate", devices.gate)
+        self._shown_camera = ShownCamera()
+        self._using_cameras = asyncio.Lock()
+        """Held while it is decided who may open cameras: the armed rig, or `show_camera`."""
         self._gate_watch = GateWatch(bundling)
         self.counters = BundlingCounters()
         """Counts since the rig was last armed."""
@@ -124,6 +135,21 @@ class Acquisition:
             else:
                 self._disarm_requested.set()
         return self.state
+
+    async def show_camera(self, name: CameraId, seconds: float) -> CameraVitals:
+        """Let the lamp of one camera blink for some seconds, or until the rig is armed; return how the camera is.
+
+        Raises
+        ------
+        NotDisarmedError
+            The acquisition uses the cameras.
+        CameraUnavailableError
+            The camera does not answer, is another one, or has no lamp.
+        """
+        async with self._using_cameras:
+            if self.state is not AcquisitionState.DISARMED:
+                raise NotDisarmedError(self.state)
+            return await self._shown_camera.show(self._devices.cameras[name], seconds)
 
     def stop(self) -> None:
         """Disarm for good: `run` returns when every bundle has been handed over."""
@@ -166,6 +192,8 @@ class Acquisition:
         """Arm whenever it is requested, until `stop`."""
         while True:
             await self._arm_requested.wait()
+            async with self._using_cameras:
+                await self._shown_camera.end()
             if self.state is AcquisitionState.STOPPING:
                 return
             self._arm_requested.clear()

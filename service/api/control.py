@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from prometheus_client import Histogram
 
+from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
 from service.alarms.alarms import Alarms
 from service.calibration.calibrations import Calibrations
@@ -69,6 +70,10 @@ class Control(Protocol):
 
     def cameras(self) -> list[CameraStatus]:
         """Return the status of all cameras, in the order of the rig."""
+        ...
+
+    async def show_camera(self, camera: CameraId, seconds: float) -> CameraVitals:
+        """Let its lamp blink; raise `NotDisarmedError` or `CameraUnavailableError` where that is not possible."""
         ...
 
     def latest_image(self, camera: CameraId) -> Image | None:

@@ -20,7 +20,7 @@ from service.errors import StoreError
 from service.lots.lots import LotConflictError
 from service.lots.stored_stones import UnknownChoiceError
 from service.lots.yardsticks import UnknownYardstickError
-from service.status import ConflictError
+from service.status import ConflictError, NotDisarmedError
 from service.store.trouble import Cause
 
 log = logging.getLogger(__name__)
@@ -32,6 +32,7 @@ TITLES = {
     "busy": "More is asked for than can be made at a time",
     "calibration-gone": "The calibration of this result is not kept",
     "calibration-conflict": "The calibration does not allow this now",
+    "camera-unavailable": "The camera cannot do this now",
     "cursor-ahead": "The cursor is ahead of the history",
     "cursor-expired": "The cursor is older than the oldest result kept",
     "files-removed": "The files of this result were removed",
@@ -45,6 +46,7 @@ TITLES = {
     "no-background": "The empty rig was not exposed yet",
     "no-room": "Not enough disk space",
     "not-acceptable": "No acceptable media type",
+    "not-disarmed": "The rig must be disarmed first",
     "not-kept": "This file was not kept",
     "not-measured": "The stone could not be measured again",
     "not-ready": "Not ready to measure stones",
@@ -164,6 +166,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _handle_http)
     app.add_exception_handler(RequestValidationError, _handle_validation)
     app.add_exception_handler(ConflictError, _handle_transition)
+    app.add_exception_handler(NotDisarmedError, _handle_not_disarmed)
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
     app.add_exception_handler(LotConflictError, _handle_lot)
     app.add_exception_handler(AlarmConflictError, _handle_alarm)
@@ -231,6 +234,11 @@ async def _handle_transition(request: Request, error: Exception) -> JSONResponse
     return problem_response(
         request, Problem(409, "transition-conflict", str(error), current=error.current, target=error.target)
     )
+
+
+async def _handle_not_disarmed(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, NotDisarmedError)  # noqa: S101 - as above
+    return problem_response(request, Problem(409, "not-disarmed", str(error), current=error.current))
 
 
 async def _handle_calibration(request: Request, error: Exception) -> JSONResponse:

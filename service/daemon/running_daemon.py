@@ -12,6 +12,7 @@ from prometheus_client import Histogram
 
 from drivers.factory import Devices
 from drivers.files.times import is_of_unset_clock, utc_now
+from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
 from service.alarms.alarms import Alarms
@@ -119,6 +120,11 @@ class Daemon:
             )
             for status in self.acquisition.cameras.statuses()
         ]
+
+    async def show_camera(self, camera: CameraId, seconds: float) -> CameraVitals:
+        vitals = await self.acquisition.show_camera(camera, seconds)
+        log.info("camera shown camera=%s for_s=%g", camera, seconds)
+        return vitals
 
     def latest_image(self, camera: CameraId) -> Image | None:
         return self.acquisition.cameras.latest_image(camera)

@@ -110,3 +110,34 @@ async def test_accounting(client: httpx.AsyncClient, store: Store, session: int)
     assert (current["session"], current["triggers"], current["measured"]) == (latest, 1, 0)
     assert (await client.get(f"/accounting?session={session}")).json()["triggers"] == 2
     assert (await client.get("/accounting?session=last")).status_code == 422
+
+
+async def test_a_camera_shows_itself(client: httpx.AsyncClient, control: FakeControl, store: Store) -> None:
+    answer = await client.post("/cameras/c02/identify", json={"seconds": 5})
+    assert answer.status_code == 200
+    assert answer.json() == {
+        "id": "c02",
+        "seconds": 5,
+        "serial": "SIM-c02",
+        "model": "SF-1280",
+        "address": "127.0.0.2",
+    }
+    assert control.shown == [("c02", 5)]
+    (noted,) = (await client.get("/audit")).json()["items"]
+    assert (noted["action"], noted["subject"]) == ("camera identified", "c02")
+
+
+async def test_a_camera_that_cannot_show_itself_says_why(
+    client: httpx.AsyncClient, control: FakeControl
+) -> None:
+    answer = await client.post("/cameras/c03/identify", json={})
+    assert (answer.status_code, answer.json()["type"]) == (503, "urn:stonefall:problem:camera-unavailable")
+    assert (answer.json()["detail"], answer.json()["cause"]) == ("c03: does not answer", "silent")
+    control.state = AcquisitionState.ARMED
+    answer = await client.post("/cameras/c02/identify", json={"seconds": 5})
+    assert (answer.status_code, answer.json()["type"]) == (409, "urn:stonefall:problem:not-disarmed")
+    assert answer.json()["current"] == "armed"
+    assert (await client.post("/cameras/c99/identify", json={})).status_code == 404
+    for seconds in (0, 61, "5", True):
+        assert (await client.post("/cameras/c02/identify", json={"seconds": seconds})).status_code == 422
+    assert control.shown == []

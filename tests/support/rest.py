@@ -13,8 +13,10 @@ import trimesh
 from fastapi import FastAPI
 from prometheus_client import Histogram
 
+from drivers.errors import CameraUnavailableError, LossCause
 from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
+from drivers.interfaces import CameraVitals
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 from pipeline.views.quality import ViewsParameters
 from service.alarms.alarms import Alarms
@@ -39,6 +41,7 @@ from service.status import (
     Health,
     HealthCheck,
     Ne107,
+    NotDisarmedError,
     next_state,
 )
 from service.store import Store
@@ -46,6 +49,8 @@ from service.store import Store
 T = TypeVar("T")
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
+SILENT_CAMERA = CAMERAS[2]
+"""Does not answer when it shall show itself."""
 BOX_MM = (10.0, 20.0, 30.0)
 GREY = {CameraId("c01"): 10, CameraId("c02"): 20}  # of the images, so that views cannot be mixed up
 
@@ -80,6 +85,7 @@ class FakeControl:
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None
     remeasuring: Remeasuring | None = None
+    shown: list[tuple[CameraId, float]] = field(default_factory=list)
 
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))
@@ -119,6 +125,14 @@ class FakeControl:
 
     def cameras(self) -> list[CameraStatus]:
         return [CameraStatus(id=camera, state="armed", frames=7) for camera in CAMERAS]
+
+    async def show_camera(self, camera: CameraId, seconds: float) -> CameraVitals:
+        if self.state is not AcquisitionState.DISARMED:
+            raise NotDisarmedError(self.state)
+        if camera == SILENT_CAMERA:
+            raise CameraUnavailableError(camera, "does not answer", LossCause.SILENT)
+        self.shown.append((camera, seconds))
+        return CameraVitals(serial=f"SIM-{camera}", model="SF-1280", address="127.0.0.2")
 
     def latest_image(self, camera: CameraId) -> Image | None:
         return self.images.get(camera)

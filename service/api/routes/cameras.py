@@ -2,13 +2,16 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter, Depends, Path
 from fastapi.responses import Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.errors import CameraUnavailableError
+from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
 from service.api.problems import Problem, problem_responses
 from service.api.renditions import SHEET_COLUMNS, SHEET_TILE_PX, contact_sheet_jpg, snapshot_png, subsampled
+from service.api.settings import Scope
 from service.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
@@ -30,6 +33,24 @@ class Cameras(BaseModel):
     """All cameras of the rig."""
 
     items: list[Camera] = Field(description="By place in the rig")
+
+
+class IdentifyRequest(BaseModel):
+    """Request to show which of the cameras this one is."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    seconds: float = Field(default=20, ge=1, le=60, strict=True, description="How long its lamp blinks")
+
+
+class IdentifiedCamera(BaseModel):
+    """A camera whose lamp blinks, as it answers itself."""
+
+    id: str = Field(description="Place of the rig that the configuration has it in")
+    seconds: float = Field(description="How long its lamp blinks from now on, unless the rig is armed")
+    serial: str | None = Field(description="Serial number, as the camera says; null: it does not say")
+    model: str | None = Field(description="Its model, as the camera says; null: it does not say")
+    address: str | None = Field(description="IPv4 address that it answers at; null: it has none")
 
 
 @router.get("", response_model=Cameras, responses=problem_responses())
@@ -76,6 +97,37 @@ async def snapshot(context: Context, camera: CameraName) -> Response:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")
     png = await context.reading.run(snapshot_png, image)
     return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
+
+
+@router.post(
+    "/{camera}/identify",
+    response_model=IdentifiedCamera,
+    dependencies=[Depends(require(Scope.OPERATE))],
+    responses=problem_responses(404, 409, 503),
+)
+async def identify_camera(
+    context: Context, camera: CameraName, wanted: IdentifyRequest, asking: Who
+) -> dict[str, Any]:
+    """Let the lamp of a camera blink, so that a person sees which one it is; one before it stops. 409 unless disarmed.
+
+    The lamp is the status lamp (`DeviceIndicatorMode`), of a camera that has no switch for it what hangs on the line
+    of its strobe. 503 `camera-unavailable` when it does not answer, is another one than configured, or has no lamp.
+    Arming the rig ends it.
+    """
+    name = _status_of(context, camera).id
+    try:
+        vitals = await context.control.show_camera(name, wanted.seconds)
+    except CameraUnavailableError as err:
+        raise Problem(503, "camera-unavailable", str(err), cause=err.cause) from err
+    after = {"seconds": wanted.seconds, "serial": vitals.serial}
+    await context.store.note_change(asking, "camera identified", name, after=after)
+    return {
+        "id": name,
+        "seconds": wanted.seconds,
+        "serial": vitals.serial,
+        "model": vitals.model,
+        "address": vitals.address,
+    }
 
 
 def _status_of(context: ApiContext, camera: str) -> CameraStatus:
