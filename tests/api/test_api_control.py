@@ -89,6 +89,19 @@ async def test_cameras(client: httpx.AsyncClient, control: FakeControl) -> None:
     np.testing.assert_array_equal(image, control.images["c02"])
 
 
+async def test_all_cameras_in_one_picture(client: httpx.AsyncClient, control: FakeControl) -> None:
+    control.images["c02"] = np.full((480, 640), 250, np.uint8)
+    answer = await client.get("/cameras/contact-sheet.jpg")
+    assert (answer.headers["Content-Type"], answer.headers["Cache-Control"]) == ("image/jpeg", "no-store")
+    sheet = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert sheet.shape == (240, 4 * 320)  # as all cameras, and as four a row
+    greys = [np.median(sheet[:, left : left + 320]) for left in range(0, 4 * 320, 320)]
+    np.testing.assert_allclose(greys, [128, 250, 128, 128], atol=3)
+    control.images["c03"] = control.images["c02"]
+    again = await client.get("/cameras/contact-sheet.jpg")
+    assert again.content == answer.content  # made once for all who ask at about the same time
+
+
 async def test_accounting(client: httpx.AsyncClient, store: Store, session: int) -> None:
     await add(store, session, 1, measured())
     await add(store, session, 2, rejected("clipped"))
