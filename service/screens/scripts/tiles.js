@@ -14,7 +14,7 @@ import { number, time, word } from "./words.js";
 export function tile(stone, toggle) {
   const still = element("span", { class: "still" });
   if (stone.sieve_size_mm !== null) {
-    const picture = element("img", { src: `${BASE}/particles/${stone.id}/preview.png`, alt: "", loading: "lazy", width: 480, height: 480 });
+    const picture = element("img", { src: `${BASE}/particles/${stone.id}/preview.png`, alt: "", loading: "lazy", fetchpriority: "low", width: 480, height: 480 });
     picture.addEventListener("error", () => still.replaceChildren(word("gallery.no-picture")));
     still.append(picture);
   } else still.append(stone.reason ?? "");
