@@ -45,7 +45,9 @@ class Coverage:
     n_drops: int  # seen by at least two cameras
     extent_mm: tuple[float, float, float]  # range of the ball centres along x, y, z
     spread_mm: tuple[float, float, float]  # standard deviations along the principal axes, greatest first
+    reaches_mm: Mapping[str, float]  # of the centres from the middle, towards each of `DIRECTIONS`
     cameras: Mapping[CameraId, CameraCoverage]
+    goals: CoverageGoals
     missing: str | None  # what to drop next, in words; `None`: the coverage is sufficient
 
     @property
@@ -59,12 +61,17 @@ def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoal
     located = [center for drop in drops if (center := ball_center_mm(drop, rig)) is not None]
     centers_mm = np.array(located).reshape(-1, 3)
     cameras = {camera.id: _camera_coverage(drops, camera) for camera in rig.cameras}
+    reaches_mm = {
+        name: float((sign * centers_mm[:, axis]).max(initial=0)) for name, (axis, sign) in DIRECTIONS.items()
+    }
     return Coverage(
         n_drops=len(located),
         extent_mm=_triple(np.ptp(centers_mm, axis=0) if located else np.zeros(3)),
         spread_mm=_triple(_principal_sd_mm(centers_mm)),
+        reaches_mm=reaches_mm,
         cameras=cameras,
-        missing=_missing(centers_mm, cameras, goals),
+        goals=goals,
+        missing=_missing(len(located), reaches_mm, cameras, goals),
     )
 
 
@@ -99,22 +106,22 @@ def _principal_sd_mm(centers_mm: PointsMM) -> Vector:
 
 
 def _missing(
-    centers_mm: PointsMM, cameras: Mapping[CameraId, CameraCoverage], goals: CoverageGoals
+    n_located: int,
+    reaches_mm: Mapping[str, float],
+    cameras: Mapping[CameraId, CameraCoverage],
+    goals: CoverageGoals,
 ) -> str | None:
     """Return in words what to drop next, the most important first; `None` if the goals are reached."""
     wanted = []
-    if len(centers_mm) < goals.n_drops:
-        wanted.append(f"{goals.n_drops - len(centers_mm)} more drops")
-    reaches_mm = {
-        name: float((sign * centers_mm[:, axis]).max(initial=0)) for name, (axis, sign) in DIRECTIONS.items()
-    }
+    if n_located < goals.n_drops:
+        wanted.append(f"{goals.n_drops - n_located} more drops")
     short = [f"{name} (so far {mm:.1f} mm)" for name, mm in reaches_mm.items() if mm < goals.reach_mm]
     if short:
         wanted.append(f"drops further than {goals.reach_mm:g} mm towards {', '.join(short)}")
     blind = [
         f"{camera} ({seen.n_drops})"
         for camera, seen in cameras.items()
-        if seen.n_drops < min(goals.n_drops_per_camera, len(centers_mm))
+        if seen.n_drops < min(goals.n_drops_per_camera, n_located)
     ]
     if blind:
         wanted.append(

@@ -133,7 +133,7 @@ class Verifications:
     ) -> None:
         self._folder = folder
         self._known = known
-        self._parameters = parameters
+        self.parameters = parameters
         self._on_ended = on_ended
         self._adapter = TypeAdapter(Verification)
         self._writing = asyncio.Lock()
@@ -181,7 +181,7 @@ class Verifications:
             return Verified.NEVER
         if last.state is VerificationState.FAILED:
             return Verified.FAILED
-        every_h = self._parameters.every_h
+        every_h = self.parameters.every_h
         is_overdue = every_h > 0 and _age(last, now) > timedelta(hours=every_h)
         return Verified.OVERDUE if is_overdue else Verified.PASSED
 
@@ -192,12 +192,12 @@ class Verifications:
             case Verified.FAILED if last is not None:
                 return f"verification {last.id} failed: {'; '.join(last.problems)}"
             case Verified.OVERDUE if last is not None:
-                every = timedelta(hours=self._parameters.every_h)
+                every = timedelta(hours=self.parameters.every_h)
                 return (
                     f"the last verification was {_in_words(_age(last, now))} ago, and one is due every"
                     f" {_in_words(every)}: start one"
                 )
-            case Verified.NEVER if self._parameters.every_h > 0:
+            case Verified.NEVER if self.parameters.every_h > 0:
                 return "this calibration was never verified: start a verification and drop the ball"
         return None
 
@@ -277,7 +277,7 @@ class Verifications:
         if diameter_mm is not None:
             self._last_ball_s = time.monotonic()
         if len(verification.measured) == verification.count:
-            problems = self._parameters.problems(verification.measured, verification.diameter_mm)
+            problems = self.parameters.problems(verification.measured, verification.diameter_mm)
             state = VerificationState.FAILED if problems else VerificationState.PASSED
             verification = replace(verification, state=state, problems=tuple(problems))
             level = logging.ERROR if problems else logging.INFO

@@ -114,6 +114,14 @@ class CameraCoverageDocument(BaseModel):
     field_share: float = Field(description="Share of the image in which drops were seen, 0..1")
 
 
+class CoverageGoalsDocument(BaseModel):
+    """Coverage that suffices."""
+
+    n_drops: int = Field(description="Drops located by two cameras or more")
+    n_drops_per_camera: int = Field(description="Drops that each camera saw whole")
+    reach_mm: float = Field(description="Reach of the centres of the drops in each direction, mm")
+
+
 class CoverageDocument(BaseModel):
     """Distribution of the drops over the measuring volume and the images."""
 
@@ -124,7 +132,11 @@ class CoverageDocument(BaseModel):
     spread_mm: list[float] = Field(
         description="Standard deviation of their centres along their principal axes, mm"
     )
+    reaches_mm: dict[str, float] = Field(
+        description="How far the centres reach from the middle of the rig, by direction: `+x`, `-x` ... `-z`; mm"
+    )
     cameras: dict[str, CameraCoverageDocument] = Field(description="By camera")
+    goals: CoverageGoalsDocument = Field(description="What `is_sufficient` asks for")
 
 
 class CalibrationDocument(CalibrationSummary):

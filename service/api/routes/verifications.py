@@ -113,9 +113,21 @@ class ChartDocument(BaseModel):
     points: list[ChartPoint] = Field(description="Oldest first")
 
 
-class Verifications(BaseModel):
-    """All verifications, newest first."""
+class VerificationLimits(BaseModel):
+    """What a verification must reach, as configured."""
 
+    every_h: float = Field(description="A verification is overdue so long after the latest, hours; 0: never")
+    error_mm: float = Field(description="Limit of the mean error, either way, mm")
+    sd_mm: float = Field(description="Limit of the standard deviation, mm")
+    vertical_minus_horizontal_mm: float = Field(
+        description="Limit of vertical minus horizontal diameter, either way, mm"
+    )
+
+
+class Verifications(BaseModel):
+    """All verifications, newest first, and what each must reach."""
+
+    limits: VerificationLimits = Field(description="Section `[verification]` of the configuration")
     items: list[VerificationDocument] = Field(description="Newest first")
 
 
@@ -127,7 +139,8 @@ class Verifications(BaseModel):
 )
 async def verifications(context: Context) -> dict[str, Any]:
     """Return all verifications, newest first."""
-    return {"items": [_document(each) for each in context.control.calibrations.verifications.all()]}
+    known = context.control.calibrations.verifications
+    return {"limits": asdict(known.parameters), "items": [_document(each) for each in known.all()]}
 
 
 @router.post(
