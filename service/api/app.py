@@ -46,11 +46,13 @@ from service.api.routes import (
     results,
     revisions,
     screens,
+    session,
     streams,
     verifications,
     webhooks,
     windows,
 )
+from service.api.sessions import Sessions
 from service.api.settings import ApiSettings, Scope
 from service.api.version import API_VERSION, BASE
 from service.store import Store
@@ -67,6 +69,7 @@ def create_app(
         settings=settings,
         reading=reading,
         keys=keys,
+        sessions=Sessions(store.dir),
         overviews=Overviews(store, control, reading),
     )
     app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept
@@ -112,6 +115,7 @@ def build_routes() -> FastAPI:
         configuration,
         alarms,
         overview,
+        session,
         streams,
         webhooks,
     ):

@@ -1,4 +1,4 @@
-"""Authorization by bearer keys with scopes.
+"""Who asks, and whether that is allowed: by bearer keys with scopes, or by sessions of browsers that showed one.
 
 While there is no key, only this machine may write, and other hosts may read if `[api] without_keys` says so.
 """
@@ -6,7 +6,9 @@ While there is no key, only this machine may write, and other hosts may read if 
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
+from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 from fastapi import Depends, Request, Security
@@ -19,75 +21,120 @@ from service.api.idempotency import begin_attempt
 from service.api.key_file import StoredKey
 from service.api.key_ring import KeyRing, note_keys
 from service.api.problems import Problem
+from service.api.session_cookies import require_own_page, session_cookie
+from service.api.sessions import Key, Session
 from service.api.settings import Scope
 from service.errors import StoreError
 
 log = logging.getLogger(__name__)
 
-THIS_MACHINE = "this machine"
-"""Who asks while there is no key."""
+THIS_MACHINE, ANYBODY = "this machine", "anybody"
+"""Who asks without a key: from this machine, and from elsewhere where that is allowed."""
 INVALID_TOKEN = {"WWW-Authenticate": 'Bearer error="invalid_token"'}
+FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
+"""Headers by which a proxy on this machine says that it asks for somebody else."""
 
 bearer = HTTPBearer(
     auto_error=False,
     scheme_name="key",
-    description="The token that `stonefall keys create` printed, or of a key in the configuration, as bearer token",
+    description="The token that `stonefall keys create` printed, or of a key in the configuration, as bearer token."
+    " A browser exchanges it for a cookie: `POST /session`",
 )
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asker:
+    """Who asks, and what that allows."""
+
+    who: str | None  # for the audit; None: nobody that is known
+    scopes: Collection[Scope]
+    refusal: Callable[[Scope], Problem]  # of a scope that is lacking
+    key: Key | None = None
+    session: Session | None = None  # of a browser
+
+
 def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable[None]]:
     """Return the dependency that raises the problem 401 or 403 for a request without a key of this scope."""
-
-    async def check(request: Request, context: Context, credentials: Credentials) -> None:
-        keys = await _keys_now(context)
-        if keys.is_empty:
-            _check_without_keys(request, context, scope)
-            request.state.who = THIS_MACHINE
-            return
-        if credentials is None:
-            raise Problem(
-                401,
-                "unauthorized",
-                "send the token of a key as bearer token",
-                headers={"WWW-Authenticate": "Bearer"},
-            )
-        key = keys.find(credentials.credentials)
-        host, now_s, guesses = _host_of(request), time.monotonic(), context.guesses
-        if (pause_s := guesses.pause_s(host, None if key is None else key.name, now_s)) > 0:
-            wait_s = math.ceil(pause_s)
-            raise Problem(
-                429,
-                "too-many-attempts",
-                f"too many wrong keys came from {host}: try again in {wait_s} s",
-                retry_after_s=wait_s,
-            )
-        if key is None:
-            guesses.note_wrong(host, now_s)
-            raise Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
-        if isinstance(key, StoredKey) and (refusal := key.refusal(utc_now())) is not None:
-            raise Problem(
-                401, "unauthorized", refusal, headers=INVALID_TOKEN
-            )  # whose token it is, that is no guess
-        guesses.note_right(host, key.name)
-        if scope not in key.scopes:
-            raise Problem(
-                403,
-                "forbidden",
-                f"key {key.name!r} lacks the scope {str(scope)!r}",
-                headers={"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'},
-            )
-        request.state.who = f"key {key.name}"
 
     async def admit(
         request: Request,
         context: Context,
         credentials: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=[scope])],
     ) -> None:
-        await check(request, context, credentials)
+        asker = await asker_of(request, context, credentials)
+        if scope not in asker.scopes:
+            raise asker.refusal(scope)
+        if asker.session is not None:
+            require_own_page(request, context.settings)
+        request.state.who = asker.who or ANYBODY
         await begin_attempt(request)
 
     return admit
+
+
+async def asker_of(request: Request, context: Context, credentials: Credentials) -> Asker:
+    """Return who asks: by bearer token, else by the cookie of a session, else by where the request comes from.
+
+    Raises
+    ------
+    Problem
+        401 for a token that is none, or none any more, and 429 after too many of these.
+    """
+    keys = await keys_now(context)
+    is_local = _is_from_this_machine(request)
+    if keys.is_empty:
+        return _asker_without_keys(context, is_local)
+    free = {Scope.READ} if is_local and context.settings.loopback_reads_without_key else set()
+    key: Key | None = None
+    session: Session | None = None
+    refusal = "send the token of a key as bearer token, or sign in"
+    if credentials is not None:
+        key = checked_key(request, context, credentials.credentials)
+    elif (cookie := session_cookie(request)) is not None:
+        found = context.sessions.find(cookie, keys.named, time.time())
+        ended = "this session has ended: sign in again" if found is None else _refusal(found[1])
+        if found is not None and ended is None:
+            session, key = found
+        refusal = ended or refusal
+    if key is None:
+        return Asker(
+            who=THIS_MACHINE if free else None, scopes=free, refusal=lambda _: _unauthorized(refusal)
+        )
+    return Asker(
+        who=f"key {key.name}",
+        scopes={*key.scopes, *free},
+        refusal=partial(_lacks, key),
+        key=key,
+        session=session,
+    )
+
+
+def checked_key(request: Request, context: ApiContext, token: str) -> Key:
+    """Return the key of a token that somebody shows.
+
+    Raises
+    ------
+    Problem
+        401: there is none, or it was revoked or has expired; 429: too many wrong ones came from there.
+    """
+    key = context.keys.find(token)
+    host, now_s, guesses = _host_of(request), time.monotonic(), context.guesses
+    if (pause_s := guesses.pause_s(host, None if key is None else key.name, now_s)) > 0:
+        wait_s = math.ceil(pause_s)
+        raise Problem(
+            429,
+            "too-many-attempts",
+            f"too many wrong keys came from {host}: try again in {wait_s} s",
+            retry_after_s=wait_s,
+        )
+    if key is None:
+        guesses.note_wrong(host, now_s)
+        raise Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
+    if (refusal := _refusal(key)) is not None:  # whose token it is, that is no guess
+        raise Problem(401, "unauthorized", refusal, headers=INVALID_TOKEN)
+    guesses.note_right(host, key.name)
+    return key
 
 
 def who(request: Request) -> str:
@@ -98,7 +145,11 @@ def who(request: Request) -> str:
 Who = Annotated[str, Depends(who)]
 
 
-async def _keys_now(context: ApiContext) -> KeyRing:
+def _refusal(key: Key) -> str | None:
+    return key.refusal(utc_now()) if isinstance(key, StoredKey) else None
+
+
+async def keys_now(context: ApiContext) -> KeyRing:
     """Return the keys as they are now, and note in the audit what `stonefall keys` has changed."""
     keys = context.keys
     keys.refresh()
@@ -111,22 +162,42 @@ async def _keys_now(context: ApiContext) -> KeyRing:
     return keys
 
 
-def _check_without_keys(request: Request, context: ApiContext, scope: Scope) -> None:
-    if _is_from_this_machine(request):
-        return
+def _asker_without_keys(context: ApiContext, is_local: bool) -> Asker:
+    scopes = set(Scope) if is_local else {Scope.READ} if context.settings.may_read_without_keys else set()
+    return Asker(who=THIS_MACHINE if is_local else None, scopes=scopes, refusal=_not_without_keys)
+
+
+def _not_without_keys(scope: Scope) -> Problem:
     if scope is not Scope.READ:
-        raise Problem(403, "forbidden", "only this machine may do this while there is no key")
-    if not context.settings.may_read_without_keys:
-        detail = "there is no key yet: only this machine may ask; `stonefall keys create` makes one"
-        raise Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
+        return Problem(403, "forbidden", "only this machine may do this while there is no key")
+    return _unauthorized("there is no key yet: only this machine may ask; `stonefall keys create` makes one")
+
+
+def _unauthorized(detail: str) -> Problem:
+    return Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
+
+
+def _lacks(key: Key, scope: Scope) -> Problem:
+    return Problem(
+        403,
+        "forbidden",
+        f"key {key.name!r} lacks the scope {str(scope)!r}",
+        headers={"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'},
+    )
 
 
 def _is_from_this_machine(request: Request) -> bool:
-    """Return whether both the peer and the host name it asked for are loopback.
+    """Return whether both the peer and the host name it asked for are loopback, and no proxy asks.
 
-    A proxy on this machine is a peer on loopback, too, but passes on the name that its clients asked for.
+    A proxy on this machine is a peer on loopback, too, but passes on the name that its clients asked for, or says for
+    whom it asks.
     """
-    return is_loopback(_host_of(request)) and is_loopback(host_of(request.headers.get("host", "")))
+    is_forwarded = any(name in request.headers for name in FORWARDED)
+    return (
+        is_loopback(_host_of(request))
+        and is_loopback(host_of(request.headers.get("host", "")))
+        and not is_forwarded
+    )
 
 
 def _host_of(request: Request) -> str:

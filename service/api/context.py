@@ -13,6 +13,7 @@ from service.api.open_streams import OpenStreams
 from service.api.overviews import Overviews
 from service.api.pace import Pace
 from service.api.reader_process import Reading
+from service.api.sessions import Sessions
 from service.api.settings import ApiSettings
 from service.api.shared_answers import SharedAnswers
 from service.errors import StoreError
@@ -44,6 +45,7 @@ class ApiContext:
     reading: Reading
     """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
     overviews: Overviews
+    sessions: Sessions
     shared: SharedAnswers = field(default_factory=SharedAnswers)
     waking: Pace = field(default_factory=Pace)
     """Long polls are answered one after the other, although a result wakes all of them at once."""

@@ -27,6 +27,7 @@ SERVERS = [
 
 TAGS = {
     "overview": "What an operator's page shows at a glance, made once for all who look.",
+    "session": "Sign in with a browser, by a key; programs send their key with each request.",
     "health": "Whether the next stone will be measured, and what needs attention (NAMUR NE 107).",
     "acquisition": "Arm and disarm the rig.",
     "recordings": "Record the images of the next stones.",
@@ -65,7 +66,7 @@ def complete(document: dict[str, Any]) -> None:
     for model, example in EXAMPLES.items():
         schemas[model.model_config.get("title") or model.__name__]["examples"] = [example]
     for method, operation in _operations(document):
-        if method == "post":
+        if method == "post" and "security" in operation:
             operation.setdefault("parameters", []).append(KEY_PARAMETER)
         _add_common_problems(method, operation)
         for answer in operation["responses"].values():
@@ -108,7 +109,7 @@ def _add_common_problems(method: str, operation: dict[str, Any]) -> None:
             HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
             HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
         }
-    if method == "post":
+    if method == "post" and "security" in operation:
         statuses.add(HTTPStatus.CONFLICT)
     responses = operation["responses"]
     others = responses.pop("default", None)

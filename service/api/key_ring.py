@@ -67,6 +67,11 @@ class KeyRing:
         matching = [key for key in known if hmac.compare_digest(digest, key.sha256)]
         return matching[0] if matching else None
 
+    def named(self, name: str) -> list[ApiKey | StoredKey]:
+        """Return all keys of a name, those that were revoked or have expired among them."""
+        known: list[ApiKey | StoredKey] = [*self._configured, *self.stored]
+        return [key for key in known if key.name == name]
+
     def _read(self) -> tuple[StoredKey, ...]:
         try:
             with self._path.open("rb") as file:

@@ -51,6 +51,7 @@ class ApiSettings:
     allowed_hosts: tuple[str, ...] = ()  # further names by which clients ask for this service
     keys: tuple[ApiKey, ...] = ()  # more of them are made by `stonefall keys`
     without_keys: WithoutKeys = WithoutKeys.NOTHING  # only this machine may write, whatever stands here
+    loopback_reads_without_key: bool = False  # whoever sits at this machine may look, although there are keys
     max_body_bytes: int = 1_000_000
 
     def __post_init__(self) -> None:
