@@ -75,7 +75,9 @@ def overview_rows(
     counts = outcome_counts(connection, known.counts)
     midnight = rfc3339(now.replace(hour=0, minute=0, second=0, microsecond=0))
     (n_minute,) = connection.execute(
-        "SELECT count(*) FROM listed WHERE captured_at >= ? AND kind = ?",
+        # by the time of the result: a replay's stones fell long ago
+        "SELECT count(*) FROM results JOIN listed USING (seq)"
+        " WHERE json_extract(record, '$.recorded_at') >= ? AND listed.kind = ?",
         (rfc3339(now - RATE_OVER), BundleKind.PARTICLE),
     ).fetchone()
     (info,) = connection.execute(

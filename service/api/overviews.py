@@ -106,7 +106,7 @@ class Overviews:
         lot = None if self._rows.lot is None else self._rows.lot.lot
         request = Request(measured=self._control.lots.measured)
         figures = await self._figures.now(lot, request)
-        document = _document(self._store, self._control, self._rows, figures)
+        document = _document(self._store, self._control, self._rows, self._rows_seq, figures)
         lasting = document.model_dump_json(exclude=PASSING)
         self._last = Overview(
             content=document.model_dump_json().encode(),
@@ -162,7 +162,7 @@ class KeptFigures:
 
 
 def _document(
-    store: Store, control: Control, rows: Rows, figures: OverviewFigures | None
+    store: Store, control: Control, rows: Rows, rows_seq: int, figures: OverviewFigures | None
 ) -> OverviewDocument:
     facts, calibrations = control.facts(), control.calibrations
     health = assess(facts)
@@ -191,7 +191,7 @@ def _document(
         alarms=_alarms(control.alarms.list().announced),
         cameras=[camera_in_short(camera) for camera in facts.cameras],
         newest=list(rows.newest),
-        last_seq=store.last_seq,
+        last_seq=max(rows_seq, 0),  # as far as the rows reach
         last_event=store.last_event,
     )
 

@@ -85,7 +85,10 @@ def stones_per_s(connection: sqlite3.Connection) -> float:
     """Return how many stones were measured a second within the last minute."""
     since = rfc3339(datetime.now(UTC) - timedelta(seconds=RATE_OVER_S))
     (n_stones,) = connection.execute(
-        "SELECT count(*) FROM stones WHERE captured_at >= ? AND outcome = 'measured'", (since,)
+        # by the time of the result: a replay's stones fell long ago
+        "SELECT count(*) FROM results JOIN stones USING (seq)"
+        " WHERE json_extract(record, '$.recorded_at') >= ? AND stones.outcome = 'measured'",
+        (since,),
     ).fetchone()
     return float(n_stones / RATE_OVER_S)
 
