@@ -95,19 +95,17 @@ def indices_of(
     """
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
 
-    def non_cubical(sizes_mm: tuple[float, float], min_stones: int = 0) -> Estimate:
-        is_long = exceeds("max_feret_mm", "min_feret_mm", MAX_CUBICAL, [measured.within(*sizes_mm)])
-        return share_percent(sample, is_long, min_stones=min_stones)
-
     return Indices(
         fineness_modulus=ratio_of_sums(sample, _fineness(measured)),
         uniformity=_power_product(((d60, 1), (d10, -1))),
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
         d32_mm=ratio_of_sums(sample, _moments(3)),
         d43_mm=ratio_of_sums(sample, _moments(4)),
-        flakiness=share_percent(sample, _is_flaky(fractions, measured)),
-        shape=non_cubical(SHAPE_RANGE_MM),
-        needle_flaky=non_cubical(NEEDLE_RANGE_MM, MIN_NEEDLE_STONES),
+        flakiness=share_percent(sample, is_flaky(measured, fractions)),
+        shape=share_percent(sample, is_non_cubical(measured)),
+        needle_flaky=share_percent(
+            sample, is_non_cubical(measured, NEEDLE_RANGE_MM), min_stones=MIN_NEEDLE_STONES
+        ),
         d4791=d4791_of(sample, apertures_mm, measured),
     )
 
@@ -128,8 +126,13 @@ def fineness_modulus(passing: Mapping[float, float]) -> float:
     return sum(100 - passing.get(sieve_mm, ends[sieve_mm]) for sieve_mm in FINENESS_SIEVES_MM) / 100
 
 
-def _is_flaky(fractions: Sequence[FlakinessFraction], measured: MeasuredRange) -> Property:
-    """Return the property of passing the slot of its own fraction."""
+def is_non_cubical(measured: MeasuredRange, sizes_mm: tuple[float, float] = SHAPE_RANGE_MM) -> Property:
+    """Return the property of being longer than `MAX_CUBICAL` times the thickness, of the shape index EN 933-4."""
+    return exceeds("max_feret_mm", "min_feret_mm", MAX_CUBICAL, [measured.within(*sizes_mm)])
+
+
+def is_flaky(measured: MeasuredRange, fractions: Sequence[FlakinessFraction] = EN_933_3) -> Property:
+    """Return the property of passing the slot of its own fraction, of the flakiness index EN 933-3."""
     whole = [of for of in fractions if of.low_mm in measured and of.high_mm in measured]
 
     def chances(lot: Lot) -> Chances:

@@ -85,8 +85,11 @@ class Lot:
 
     def canonical(self) -> "Lot":
         """Return the lot with its stones by size; equal ones are interchangeable."""
-        order = np.lexsort((*self.measures, self.column("sieve_size_mm")))
-        return replace(self, measures=self.measures[:, order])
+        return replace(self, measures=self.measures[:, self.order()])
+
+    def order(self) -> NDArray[np.intp]:
+        """Return the places of the stones in the order of `canonical`."""
+        return np.lexsort((*self.measures, self.column("sieve_size_mm")))
 
     def where(self, is_wanted: NDArray[np.bool_]) -> "Lot":
         """Return some of the measured stones, in the same order; their qualities are counted no more."""

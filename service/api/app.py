@@ -31,6 +31,7 @@ from service.api.routes import (
     configuration,
     consumers,
     curves,
+    diary,
     events,
     health,
     laboratory,
@@ -48,6 +49,7 @@ from service.api.routes import (
     screens,
     session,
     streams,
+    trends,
     verifications,
     webhooks,
     windows,
@@ -111,6 +113,7 @@ def build_routes() -> FastAPI:
         lots,
         lot_figures,
         curves,
+        diary,
         laboratory,
         configuration,
         alarms,
@@ -121,7 +124,18 @@ def build_routes() -> FastAPI:
     ):
         app.include_router(module.router, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
-    for module in (results, particles, particle_files, cameras, accounting, windows, audit, events, metrics):
+    for module in (
+        results,
+        particles,
+        particle_files,
+        cameras,
+        accounting,
+        windows,
+        trends,
+        audit,
+        events,
+        metrics,
+    ):
         readable.include_router(module.router)
     app.include_router(readable, prefix=BASE)
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from service.api.problems import ProblemDocument
 from service.api.routes.consumers import Cursor
+from service.api.routes.diary import DiaryRequest
 from service.api.routes.laboratory import SievingRequest
 from service.api.routes.lots import AssignRequest, CloseRequest, LotRequest, VoidRequest
 from service.api.routes.pins import Pin
@@ -29,6 +30,7 @@ EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
     },
     LotRequest: {"lot": "L-1207", "product": "basalt-8-16", "equipment": "crusher-2", "sampler": "A. Miller"},
     CloseRequest: {"tonnage_t": 24.5},
+    DiaryRequest: {"kind": "gap", "value": 25, "text": "worn bars", "at": "2026-03-01T06:10:00Z"},
     VoidRequest: {"reason": "wrong belt"},
     AssignRequest: {"since": "2026-03-01T06:00:00Z", "until": "2026-03-01T06:40:00Z"},
     LotDocument: {

@@ -229,6 +229,20 @@ class LotFigures(Report):
     is_replay: bool = Field(description="True when some stones did not fall")
 
 
+def named_figures(figures: LotFigures) -> dict[str, Figure]:
+    """Return curve, sizes and indices, with the sieve or the share in their name and the unit at its end."""
+    indices = figures.indices
+    return {
+        **{f"passing_{step.sieve_mm:g}_mm_percent": step.passing_percent for step in figures.curve},
+        **{f"d{each.percent}_mm": each.exact_mm for each in figures.quantiles},
+        **{
+            name: value
+            for name in type(indices).model_fields
+            if isinstance(value := getattr(indices, name), Figure)
+        },
+    }
+
+
 def figure(estimate: Estimate) -> Figure:
     """Return an estimate as it is served."""
     return Figure(

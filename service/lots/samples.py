@@ -1,14 +1,14 @@
 """Repeated runs of one sample: how far their figures lie apart by themselves (ISO 5725-2)."""
 
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
 from pipeline.gradation.repeatability import Repeatability, repeatability
 from service.errors import ServiceError
 from service.lots.evaluation import figures_of
-from service.lots.figures import Figure, LotFigures
+from service.lots.figures import LotFigures, named_figures
 from service.lots.lots import LotRecord, LotState, lots_of_sample
 from service.lots.products import find_product
 from service.lots.stored_stones import stones_of_lot
@@ -65,7 +65,7 @@ def sample_study(
     newest = records[-1]
     product = find_product(connection, newest.product, newest.version)
     runs = [Run(lot=each.definition.lot, group=_group(each, conditions)) for each in records]
-    found = [dict(_values(figures_of(stones_of_lot(connection, run.lot), request, product))) for run in runs]
+    found = [_values(figures_of(stones_of_lot(connection, run.lot), request, product)) for run in runs]
     names = [name for name in found[-1] if all(name in values for values in found)]
     groups = {run.group: [each for each in range(len(runs)) if runs[each].group == run.group] for run in runs}
     try:
@@ -88,16 +88,6 @@ def _group(record: LotRecord, conditions: Conditions) -> str:
     return said or f"unknown, {definition.lot}"  # may equal no other
 
 
-def _values(figures: LotFigures) -> Iterator[tuple[str, float]]:
-    """Yield the figures that have a value, with the sieve or the share in their name."""
-    named: dict[str, Figure] = {
-        **{f"passing_{step.sieve_mm:g}_mm_percent": step.passing_percent for step in figures.curve},
-        **{f"d{each.percent}_mm": each.exact_mm for each in figures.quantiles},
-        **{
-            name: value for name in type(figures.indices).model_fields
-            if isinstance(value := getattr(figures.indices, name), Figure)
-        },
-    }  # fmt: skip
-    for name, figure in named.items():
-        if figure.value is not None:
-            yield name, figure.value
+def _values(figures: LotFigures) -> dict[str, float]:
+    """Return the figures that have a value."""
+    return {name: each.value for name, each in named_figures(figures).items() if each.value is not None}

@@ -43,6 +43,7 @@ class Stones:
     """Stones with what is known of them together."""
 
     stones: Sequence[Stone | UnmeasuredStone]
+    measured_ids: Sequence[str]  # of the measured ones, in their order; empty texts where records have none
     by_body: Mapping[str, int]  # how many of the measured ones, as far as it is known
     not_refined: Mapping[str, int]  # how many of the estimates among them, by `NotRefined`
     since: str | None  # captured, the first of them
@@ -182,6 +183,7 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
             whys[why_not_refined(fallback)] += n_stones
     return Stones(
         stones=stones,
+        measured_ids=[record.get("id", "") for record in measured],
         by_body=dict(by_body.most_common()),
         not_refined=dict(whys.most_common()),
         since=min(times, default=None),

@@ -20,6 +20,8 @@ class Style(StrEnum):
     LABORATORY = "laboratory"
     BESIDE = "beside"
     BESIDE_BAND = "beside-band"
+    MARK = "mark"
+    LOT = "lot"
     HATCH = "hatch"
     CONFORMS = "conforms"
     DOES_NOT_CONFORM = "does-not-conform"

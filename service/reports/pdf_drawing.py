@@ -33,6 +33,8 @@ INKS = {  # the rules of the SVG, for paper
     Style.LABORATORY: Ink(fill="laboratory", stroke="laboratory", width=1.6, is_dashed=True),
     Style.BESIDE: Ink(fill="paper", stroke="beside", width=1.6),
     Style.BESIDE_BAND: Ink(fill="beside", opacity=0.2),
+    Style.MARK: Ink(fill="mark", stroke="mark", width=1.2, is_dashed=True),
+    Style.LOT: Ink(fill="grid", stroke="hatch"),
     Style.HATCH: Ink(stroke="hatch"),
     Style.CONFORMS: Ink(fill="good", stroke="paper", width=1),
     Style.DOES_NOT_CONFORM: Ink(fill="bad", stroke="paper", width=1),

@@ -18,6 +18,7 @@ COLOURS = {  # light and dark; a page may set the variables itself, which then h
     "curve": ("#1c5fa8", "#7db8f5"),
     "laboratory": ("#8a4b08", "#f0b26a"),
     "beside": ("#7a2f86", "#dba2ea"),
+    "mark": ("#0b6b75", "#63d3dd"),
     "hatch": ("#a9b1bd", "#5a6473"),
     "good": ("#1e7a3c", "#5fd085"),
     "bad": ("#c0271d", "#ff7b6e"),
@@ -40,6 +41,9 @@ RULES = """\
 .sf-curve polyline.beside{{fill:none;stroke:{beside};stroke-width:1.8;stroke-dasharray:9 3 2 3}}
 .sf-curve polygon.beside{{fill:{paper};stroke:{beside};stroke-width:1.6}}
 .sf-curve .beside-band{{fill:{beside};opacity:.2}}
+.sf-curve polyline.mark{{fill:none;stroke:{mark};stroke-width:1.2;stroke-dasharray:4 3}}
+.sf-curve polygon.mark{{fill:{mark}}}
+.sf-curve .lot{{fill:{grid};stroke:{hatch};stroke-width:.8}}
 .sf-curve .conforms,.sf-curve .does-not-conform,.sf-curve .undecided{{stroke:{paper};stroke-width:1}}
 .sf-curve .conforms{{fill:{good}}}
 .sf-curve .does-not-conform{{fill:{bad}}}

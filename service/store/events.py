@@ -34,6 +34,8 @@ class EventType(StrEnum):
     ACQUISITION_CHANGED = "acquisition.changed"
     HEALTH_CHANGED = "health.changed"
     """The NE 107 word of the device is another one."""
+    DIARY_NOTED = "diary.noted"
+    """The plant has noted what it did to the crusher."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,6 +96,10 @@ async def write_everything(
     await write("POST", "/lots/{lot}/close", {}, "lot closed", "L1", lot="L1")
     await write("POST", "/lots/{lot}/void", {"reason": "wrong belt"}, "lot voided", "L1", lot="L1")
 
+    liner = {"kind": "liner", "text": "turned"}
+    assert (await write("POST", "/diary", liner, "diary noted", "1"))["after"]["who"] == "key boss"
+    await write("POST", "/events", {"kind": "gap", "value": 25}, "diary noted", "2")
+
     pin = {"is_pinned": True, "reason": "dispute"}
     pinned = await write("PUT", "/particles/{particle_id}/pin", pin, "particle pinned", "1", particle_id="1")
     assert (pinned["before"], pinned["after"]) == (None, {"reason": "dispute"})

@@ -13,7 +13,7 @@ from service.api.routes.lot_figures import Choosing, Measuring
 from service.api.routes.lots import LotName
 from service.api.routes.windows import Minutes, ProductId, last_minutes
 from service.api.settings import Scope
-from service.api.svg_answers import SVG, drawing, svg_answer
+from service.api.shared_documents import SVG, shared, svg_answer
 from service.language import Language
 from service.lots.lots import find_lot
 from service.reports.names import minutes_name
@@ -69,7 +69,7 @@ async def lot_curve(
     A page sets its colours by the CSS variables `--sf-ink`, `--sf-paper`, `--sf-curve` ...; it says in words what it
     shows.
     """
-    text = await drawing(context, lot_curve_svg, lot, choosing, wanted, keep_s=KEEP_S)
+    text = await shared(context, lot_curve_svg, lot, choosing, wanted, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "lot", lot))
 
 
@@ -86,5 +86,5 @@ async def current_curve(
     """Return the gradation curve of what fell within the last minutes, in whatever lot or in none."""
     name = minutes_name(minutes, wanted.language)
     since, until = last_minutes(minutes)
-    text = await drawing(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)
+    text = await shared(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "product", str(product)))

@@ -47,9 +47,14 @@ async def shift(
 
 
 def last_minutes(minutes: float) -> tuple[str, str]:
-    """Return the time of the last minutes, up to the next whole second: who asks within one asks the same."""
-    until = datetime.now(UTC).replace(microsecond=0) + timedelta(seconds=1)
+    """Return the time of the last minutes."""
+    until = next_second()
     return rfc3339(until - timedelta(minutes=minutes)), rfc3339(until)
+
+
+def next_second() -> datetime:
+    """Return the next whole second: an end of a time that holds all that fell, and that many requests share."""
+    return datetime.now(UTC).replace(microsecond=0) + timedelta(seconds=1)
 
 
 async def _figures(

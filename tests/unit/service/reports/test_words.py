@@ -17,9 +17,12 @@ from pipeline.views.quality import Quality
 from service.language import Language
 from service.lots.lots import LotState
 from service.reports.report import GalleryReason, VerificationOutcome
+from service.reports.trend import TrendFigure
 from service.reports.words import words
 from service.results.fields import LossReason, Outcome
 from service.results.refinement import NotRefined
+from service.trends.changes import ChangedFigure
+from service.trends.diary import DiaryKind
 
 SOURCES = Path(__file__).parents[4] / "service" / "reports"
 FAMILIES = {
@@ -34,6 +37,12 @@ FAMILIES = {
     "verification": list(VerificationOutcome),
     "gallery_reason": list(GalleryReason),
     "counted": ["mass", "number"],
+    "diary_kind": list(DiaryKind),
+    "diary_value": list(DiaryKind),
+    "since": list(DiaryKind),
+    "changed": list(ChangedFigure),
+    "amount": list(ChangedFigure),
+    "trend": list(TrendFigure),
     "accounting": [
         "unmeasured_expected_percent",
         "unmeasured_at_most_percent",

@@ -1,4 +1,4 @@
-"""Drawings as answers: made once for all who ask the same, and asked for again by their entity tag."""
+"""Documents and drawings of the reading process: made once for all who ask the same."""
 
 from collections.abc import Callable, Hashable
 
@@ -15,7 +15,7 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 """What a browser lets a drawing do that is opened by itself: it has no scripts and loads nothing."""
 
 
-async def drawing(
+async def shared(
     context: ApiContext,
     function: Callable[..., str | None],
     *arguments: Hashable,

@@ -1,0 +1,106 @@
+"""The crusher's diary, and what has changed since an entry of it."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.frames import rfc3339
+from service.api.auth import Who, require
+from service.api.context import Context
+from service.api.problems import Problem, problem_responses
+from service.api.routes.results import Time
+from service.api.routes.trends import KEEP_S, Hours
+from service.api.routes.windows import next_second
+from service.api.settings import Scope
+from service.api.shared_documents import shared
+from service.api.trend_answers import changes_json
+from service.language import Language
+from service.results.fields import TIME
+from service.trends.changes import Changes
+from service.trends.diary import DiaryEntry, DiaryKind, FutureEntryError, NewEntry, entries, note_entry
+from service.trends.trend import DiaryDocument
+
+router = APIRouter(tags=["diary"])
+
+READABLE = [Depends(require(Scope.READ))]
+OPERABLE = [Depends(require(Scope.OPERATE))]
+
+
+class DiaryRequest(BaseModel):
+    """Something that was done to the crusher."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: DiaryKind = Field(
+        description="To the `gap` (closed side setting), the `liner`, the `feed`, or anything `other`"
+    )
+    text: Annotated[str, Field(max_length=500)] = Field(
+        default="", description="Whatever is to be said of it"
+    )
+    value: Annotated[float | None, Field(ge=0, le=1e6)] = Field(
+        default=None, description="Of a `gap` its setting, mm; of a `feed` its rate, t/h"
+    )
+    at: Annotated[Time | None, Field(json_schema_extra=TIME)] = Field(
+        default=None, description="When it was done, RFC 3339; now when absent, never in the future"
+    )
+
+
+class DiaryPage(BaseModel):
+    """Entries of the crusher's diary."""
+
+    items: list[DiaryDocument] = Field(description="Newest first")
+
+
+@router.post(
+    "/diary",
+    status_code=201,
+    response_model=DiaryDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(422),
+)
+@router.post(
+    "/events",
+    name="post_event",
+    status_code=201,
+    response_model=DiaryDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(422),
+)
+async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> DiaryEntry:
+    """Enter into the crusher's diary what was done; it is an event, `diary.noted`, and a mark on the trends.
+
+    `POST /diary` and `POST /events` are the same. An entry is never edited: a later one says what was wrong.
+    """
+    context.store.require_writable()
+    try:
+        return await context.store.write(note_entry, NewEntry(**wanted.model_dump()), asking)
+    except FutureEntryError as err:
+        raise Problem(422, "invalid-request", f"body.{err}") from err
+
+
+@router.get("/diary", response_model=DiaryPage, dependencies=READABLE, responses=problem_responses())
+async def get_diary(
+    context: Context,
+    since: Annotated[Time | None, Query(description="Done at or after, RFC 3339")] = None,
+    until: Annotated[Time | None, Query(description="Done before")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Entries of the answer, at most")] = 100,
+) -> dict[str, list[DiaryEntry]]:
+    """Return the crusher's diary, newest first."""
+    return {"items": await context.store.read(entries, since, until, limit)}
+
+
+@router.get("/diary/changes", response_model=Changes, dependencies=READABLE, responses=problem_responses())
+async def get_changes(
+    context: Context,
+    hours: Hours = 24.0,
+    language: Annotated[Language, Query(description="Language of the sentences")] = Language.ENGLISH,
+) -> Response:
+    """Return what has changed since each entry of the last hours: D50, FI, SI and stones a minute, before and after.
+
+    Each side reaches to the neighbouring entry, at most 12 h. Stones that fall soon after each other are alike, which
+    the intervals allow for. Clock times in sentences are the host's.
+    """
+    now, measured = rfc3339(next_second()), context.control.lots.measured
+    content = await shared(context, changes_json, now, hours, measured, language, keep_s=KEEP_S)
+    return Response(content, media_type="application/json")

@@ -1,0 +1,87 @@
+"""How rate, size and shape went over the last hours, as numbers and as drawings."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query, Response
+from fastapi import Request as HttpRequest
+
+from pipeline.frames import rfc3339
+from service.api.context import Context
+from service.api.problems import existing, problem_responses
+from service.api.routes.curves import DrawingLanguage
+from service.api.routes.lot_figures import Measuring
+from service.api.routes.windows import next_second
+from service.api.shared_documents import SVG, shared, svg_answer
+from service.api.trend_answers import comparison_json, trend_drawing, trend_json
+from service.language import Language
+from service.lots.comparing import LotComparison, Side
+from service.lots.lots import find_lot
+from service.reports.trend import TrendFigure
+from service.trends.trend import Trend
+
+router = APIRouter(tags=["trends"])
+
+KEEP_S = 5.0
+"""How long a trend is kept for others who ask for it; a new result ends it."""
+Hours = Annotated[float, Query(ge=1, le=720, description="How far back, h")]
+LotId = Annotated[str, Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the first lot")]
+
+
+@router.get("/trends", response_model=Trend, responses=problem_responses())
+async def get_trends(context: Context, hours: Hours = 12.0) -> Response:
+    """Return rate, D50, flakiness and shape index over the last hours, in buckets of a minute to a day.
+
+    With them come the entries of the crusher's diary and the lots of that time. Of a bucket with more than 2000
+    measured stones every so many are looked at; `n_effective` and the intervals say so.
+    """
+    now, measured = rfc3339(next_second()), context.control.lots.measured
+    content = await shared(context, trend_json, now, hours, measured, keep_s=KEEP_S)
+    return Response(content, media_type="application/json")
+
+
+@router.get("/trends/{figure}.svg", response_class=Response, responses={**SVG, **problem_responses(422)})
+async def get_trend_drawing(
+    context: Context,
+    asked: HttpRequest,
+    figure: Annotated[
+        TrendFigure,
+        Path(
+            description="`rate` of stones, `d50`, `flakiness` index FI (EN 933-3), `shape` index SI (EN 933-4)"
+        ),
+    ],
+    hours: Hours = 12.0,
+    language: DrawingLanguage = Language.ENGLISH,
+) -> Response:
+    """Return one figure over the last hours as a drawing: its line and 95 % interval, the diary's marks, the lots."""
+    now, measured = rfc3339(next_second()), context.control.lots.measured
+    text = await shared(context, trend_drawing, now, hours, measured, figure, language, keep_s=KEEP_S)
+    return svg_answer(asked, text or "")
+
+
+@router.get(
+    "/comparisons/lots", response_model=LotComparison, responses=problem_responses(404, 422), tags=["lots"]
+)
+async def compare(
+    context: Context,
+    measuring: Measuring,
+    a: LotId,
+    b: Annotated[
+        str | None,
+        Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the second lot; the first when absent"),
+    ] = None,
+    a_algorithm_version: Annotated[
+        str | None, Query(max_length=200, description="The first as this version measured it")
+    ] = None,
+    b_algorithm_version: Annotated[
+        str | None, Query(max_length=200, description="The second as this version measured it")
+    ] = None,
+) -> Response:
+    """Compare two lots, or one lot as two versions of the algorithms measured it, by the product of the first.
+
+    Each figure comes with its difference, the 95 % interval of that, and whether it is more than chance.
+    """
+    for lot in (a, b or a):
+        existing(await context.store.read(find_lot, lot), "lot", lot)
+    sides = Side(a, a_algorithm_version), Side(b or a, b_algorithm_version)
+    content = await shared(context, comparison_json, *sides, measuring, keep_s=KEEP_S)
+    return Response(existing(content, "lot", a), media_type="application/json")

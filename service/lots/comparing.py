@@ -1,0 +1,158 @@
+"""Compare two lots, or one lot as two algorithm versions measured it: each figure, and by how much it differs."""
+
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pydantic import Field
+
+from pipeline.gradation.curve import PERCENTS, passes
+from pipeline.gradation.differences import Difference, difference_of_lots, difference_of_versions, significant
+from pipeline.gradation.indices import is_flaky, is_non_cubical
+from pipeline.gradation.influences import Influences, share_influences, size_influences
+from pipeline.gradation.sieves import MeasuredRange
+from pipeline.gradation.stones import lot_of
+from service.lots.evaluation import figures_of
+from service.lots.figures import Figure, LotFigures, named_figures
+from service.lots.lots import find_lot
+from service.lots.products import find_product
+from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_of_lot
+from service.lots.yardsticks import Request
+from service.status import Report
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """What is compared: a lot, in the newest revisions of its stones or in those by one version."""
+
+    lot: str
+    algorithm_version: str | None = None
+
+    @property
+    def choice(self) -> Choice:
+        """Which stones of the lot."""
+        return Choice(algorithm_version=self.algorithm_version) if self.algorithm_version else ALL_STONES
+
+
+class ComparedFigure(Report):
+    """One figure of both, in the unit at the end of its name."""
+
+    figure: str = Field(
+        description="Such as `passing_8_mm_percent`, `d50_mm` (from the stones themselves), `flakiness_percent`"
+    )
+    a: Figure = Field(description="Of the first")
+    b: Figure = Field(description="Of the second")
+    difference: float | None = Field(description="b less a; null where one has no value")
+    low: float | None = Field(description="Lower end of the 95 % interval of the difference")
+    high: float | None = Field(description="Upper end of it")
+    is_significant: bool | None = Field(
+        description="More than chance, by Holm's method over all figures; null: not measured, or too few stones to tell"
+    )
+
+
+class ComparedSide(Report):
+    """One of the two that are compared."""
+
+    lot: str = Field(description="Id of the lot")
+    algorithm_version: str | None = Field(
+        description="Version by which alone stones were taken; null: each stone in its newest revision"
+    )
+    measured: int = Field(description="Stones with a body and its measures")
+    calibration_ids: list[str] = Field(description="Calibrations that they were measured with")
+
+
+class LotComparison(Report):
+    """How two lots differ, or one lot as two versions measured it; both by the product of the first."""
+
+    a: ComparedSide = Field(description="The first")
+    b: ComparedSide = Field(description="The second")
+    is_paired: bool = Field(
+        description="True for one lot: stone by stone, so that only what the versions do differently counts. False: two"
+        " lots, each of which might have had other stones. What both calibrations share cancels in either case"
+    )
+    sieve_set: str = Field(description="Sieves that were used for both")
+    figures: list[ComparedFigure] = Field(
+        description="Passing by rising sieve, then sizes, then indices of shape"
+    )
+
+
+def compare_lots(connection: sqlite3.Connection, a: Side, b: Side, request: Request) -> LotComparison | None:
+    """Return the comparison by the product of the first, or by any sieves; None if there is no such lot.
+
+    Raises
+    ------
+    UnknownYardstickError
+        As `yardstick_of` does.
+    UnknownChoiceError
+        As `stones_of_lot` does.
+    """
+    record = find_lot(connection, a.lot)
+    if record is None or find_lot(connection, b.lot) is None:
+        return None
+    product = find_product(connection, record.product, record.version)
+    stones = [stones_of_lot(connection, side.lot, side.choice) for side in (a, b)]
+    found = [figures_of(each, request, product, record) for each in stones]
+    return LotComparison(
+        a=_side(a, found[0]),
+        b=_side(b, found[1]),
+        is_paired=a.lot == b.lot,
+        sieve_set=found[0].sieve_set,
+        figures=_compared(stones, found, request.measured, is_paired=a.lot == b.lot),
+    )
+
+
+def _side(side: Side, figures: LotFigures) -> ComparedSide:
+    return ComparedSide(
+        lot=side.lot,
+        algorithm_version=side.algorithm_version,
+        measured=figures.measured,
+        calibration_ids=figures.calibration_ids,
+    )
+
+
+def _compared(
+    stones: list[Stones], found: list[LotFigures], measured: MeasuredRange, *, is_paired: bool
+) -> list[ComparedFigure]:
+    named = [named_figures(each) for each in found]
+    sieves_mm = [step.sieve_mm for step in found[0].curve]
+    first, second = (dict(_influences(each, sieves_mm, measured)) for each in stones)
+    differences: dict[str, Difference] = {}
+    for name, a in first.items():
+        b = second[name]
+        if a is not None and b is not None:
+            differences[name] = (
+                difference_of_versions(a, b, *(each.measured_ids for each in stones))
+                if is_paired
+                else difference_of_lots(a, b)
+            )
+    judged = {name: each.p_value for name, each in differences.items() if each.can_be_judged}
+    clear = significant(judged)
+    return [
+        ComparedFigure(
+            figure=name,
+            a=named[0][name],
+            b=named[1][name],
+            difference=None if (by := differences.get(name)) is None else by.value,
+            low=None if by is None else by.low,
+            high=None if by is None else by.high,
+            is_significant=name in clear if name in judged else None,
+        )
+        for name in first
+    ]
+
+
+def _influences(
+    stones: Stones, sieves_mm: list[float], measured: MeasuredRange
+) -> Iterator[tuple[str, Influences | None]]:
+    """Yield the figures by their names, each with the influences of the measured stones in their order."""
+    lot = lot_of(stones.stones)
+    for sieve_mm in sieves_mm:
+        is_inside = sieve_mm in measured
+        yield (
+            f"passing_{sieve_mm:g}_mm_percent",
+            share_influences(lot, passes(sieve_mm)) if is_inside else None,
+        )
+    for percent in PERCENTS:
+        yield f"d{percent}_mm", size_influences(lot, percent, measured)
+    yield "flakiness_percent", share_influences(lot, is_flaky(measured))
+    yield "shape_percent", share_influences(lot, is_non_cubical(measured))

@@ -1,0 +1,44 @@
+"""What has changed since an entry of the crusher's diary, in a sentence."""
+
+from datetime import datetime, timedelta, tzinfo
+
+from pipeline.gradation.estimates import State
+from service.language import Language
+from service.reports.words import Words, words
+from service.trends.changes import ChangedFigure, Changes, EntryChanges, FigureChange
+
+DECIMALS = {ChangedFigure.D50: 2}
+"""Decimals of a figure's amount; 1 of the others."""
+RECENT = timedelta(hours=20)
+"""An earlier entry is named with its day."""
+
+
+def with_sentences(changes: Changes, language: Language, now: str, zone: tzinfo | None = None) -> Changes:
+    """Return the changes with their sentences; clock times are of `zone`, by default the host's."""
+    say = words(language)
+    return changes.model_copy(update={"items": [_said(each, say, now, zone) for each in changes.items]})
+
+
+def _said(changed: EntryChanges, say: Words, now: str, zone: tzinfo | None) -> EntryChanges:
+    at, present = (datetime.fromisoformat(each).astimezone(zone) for each in (changed.entry.at, now))
+    clock = at.strftime(say("trend.clock" if present - at < RECENT else "trend.moment"))
+    entry = say(f"since.{changed.entry.kind}", at=clock)
+    figures = [each.model_copy(update={"sentence": sentence(each, entry, say)}) for each in changed.figures]
+    return changed.model_copy(update={"figures": figures})
+
+
+def sentence(change: FigureChange, entry: str, say: Words) -> str:
+    """Return the sentence on one figure; `entry` says since what, such as "the liner change of 06:10"."""
+    figure = say.known("changed", change.figure)
+    if change.state is State.NOT_MEASURED or change.difference is None:
+        return say("change.not_measured", figure=figure, entry=entry)
+    if change.state is State.INSUFFICIENT:
+        return say("change.few", figure=figure, entry=entry)
+    decimals = DECIMALS.get(change.figure, 1)
+    value = say.number(abs(change.difference), decimals)
+    judgement = say("change.significant" if change.is_significant else "change.not_significant")
+    if value == say.number(0.0, decimals):
+        return say("change.same", figure=figure, entry=entry, judgement=judgement)
+    amount = say(f"amount.{change.figure}", value=value)
+    way = "change.up" if change.difference > 0 else "change.down"
+    return say(way, figure=figure, amount=amount, entry=entry, judgement=judgement)
