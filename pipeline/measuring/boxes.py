@@ -69,15 +69,27 @@ def smallest_around_mm(body: ConvexBody) -> tuple[Vector, float]:
     directions: the smallest square around a projection, over all directions of projection.
     """
     one_mm, two_mm, three_mm = body.width_mm[near_frames()]
-    product_mm3 = one_mm * two_mm * three_mm
+    box_mm, _ = _least_widths(body, one_mm * two_mm * three_mm, True)
+    square_mm, _ = smallest_square(body)
+    return np.sort(box_mm)[::-1], square_mm
+
+
+def smallest_square(body: ConvexBody) -> tuple[float, Floats]:
+    """Return the edge of the smallest square hole that the body passes, and the frame (3, 3) in which it does.
+
+    Rows of the frame are the directions of the square's sides, and the direction in which the body passes.
+    """
+    one_mm, two_mm, three_mm = body.width_mm[near_frames()]
     median_mm = np.maximum(np.minimum(one_mm, two_mm), np.minimum(np.maximum(one_mm, two_mm), three_mm))
-    return np.sort(_least_widths_mm(body, product_mm3, True))[::-1], float(
-        _least_widths_mm(body, median_mm, False)[:2].max()
-    )
+    widths_mm, axes = _least_widths(body, median_mm, False)
+    return float(widths_mm[:2].max()), axes
 
 
-def _least_widths_mm(body: ConvexBody, scores: Floats, is_box: bool) -> Vector:
-    """Return the widths along the best frame's axes, given the scores of `near_frames`; the third for boxes only."""
+def _least_widths(body: ConvexBody, scores: Floats, is_box: bool) -> tuple[Vector, Floats]:
+    """Return the widths along the best frame's axes, the third for boxes only, and these axes, in rows.
+
+    `scores` are those of `near_frames`.
+    """
     neighborhoods = np.argpartition(scores.min(axis=0), N_COARSE)[:N_COARSE]
     best = scores[:, neighborhoods].argmin(axis=0)
     coarse = near_frames()[:, best, neighborhoods].T
@@ -87,9 +99,9 @@ def _least_widths_mm(body: ConvexBody, scores: Floats, is_box: bool) -> Vector:
     frames.axes[:N_COARSE] = half_sphere().directions[coarse]
     frames.touching[: 3 * N_COARSE] = body.touching[coarse.reshape(-1)]
     frames.score[:N_COARSE] = scores[best, neighborhoods]
-    widths_mm, best_mm = np.zeros((2, 3))
-    _search(body.edges, frames, kept, is_box, _turns(len(body.vertices_mm)), widths_mm, best_mm)
-    return best_mm
+    widths_mm, best_mm, best_axes = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    _search(body.edges, frames, kept, is_box, _turns(len(body.vertices_mm)), widths_mm, best_mm, best_axes)
+    return best_mm, best_axes
 
 
 def _empty_frames(n: int) -> _Frames:
@@ -115,8 +127,12 @@ def _search(
     turns: _Turns,
     widths_mm: Vector,
     best_mm: Vector,
+    best_axes: Floats,
 ) -> None:
-    """Set `best_mm` to the widths of the best frame; `frames` starts with the `N_COARSE` coarse ones."""
+    """Set `best_mm` to the widths of the best frame, and `best_axes` to its axes.
+
+    `frames` starts with the `N_COARSE` coarse ones.
+    """
     n_axes = ALL_AXES if is_box else TWO_AXES
     n_frames, n_most, spacing_rad, limit = N_COARSE, N_STARTS, START_SPACING_RAD, np.inf
     radius, best = COVERING_RAD, np.inf
@@ -133,6 +149,7 @@ def _search(
                 best = score
                 for axis in range(n_axes):
                     best_mm[axis] = widths_mm[axis]
+                best_axes[:] = kept.axes[n_kept]
             _drop_similar(frames, n_frames, nearest, cos_spacing)
             n_kept += 1
         if radius < FINAL_RADIUS_RAD:

@@ -29,8 +29,8 @@ RIM = 1e-9
 """A facet whose unit normal has no larger component along the axis belongs to both sides."""
 
 
-def max_feret(body: ConvexBody) -> Vector:
-    """Return the vector between the two vertices that are farthest apart.
+def farthest_vertices(body: ConvexBody) -> tuple[Vector, Vector]:
+    """Return the two vertices that are farthest apart.
 
     Some direction of `half_sphere()` is within d = COVERING_RAD of the diameter D, hence the body is
     at least D cos d wide along it and both ends of the diameter lie within D (1 - cos d) of its
@@ -43,7 +43,8 @@ def max_feret(body: ConvexBody) -> Vector:
     upper, lower = (body.vertices_mm.take(body.touching[:, end], axis=0) for end in (0, 1))
     spans_mm = upper - lower
     lengths_mm = np.sqrt(np.vecdot(spans_mm, spans_mm))
-    best, best_mm = spans_mm[lengths_mm.argmax()], lengths_mm.max()
+    widest = lengths_mm.argmax()
+    best, best_mm = (upper[widest], lower[widest]), lengths_mm[widest]
     wide = np.flatnonzero(body.width_mm >= best_mm * (1 - slack))
     for direction in directions[wide[body.width_mm[wide].argsort()[: -MAX_DIRECTIONS - 1 : -1]]]:
         heights = body.vertices_mm @ direction
@@ -52,23 +53,43 @@ def max_feret(body: ConvexBody) -> Vector:
         distances_mm = scipy.spatial.distance.cdist(upper, lower)
         i, j = np.unravel_index(distances_mm.argmax(), distances_mm.shape)
         if distances_mm[i, j] > best_mm:
-            best, best_mm = upper[i] - lower[j], distances_mm[i, j]
+            best, best_mm = (upper[i], lower[j]), distances_mm[i, j]
     return best
 
 
+def max_feret(body: ConvexBody) -> Vector:
+    """Return the vector between the two vertices that are farthest apart."""
+    upper, lower = farthest_vertices(body)
+    return upper - lower
+
+
 def min_feret_mm(body: ConvexBody) -> float:
-    """Return the least width of a body, exact within `WIDTH_TOLERANCE`.
+    """Return the least width of a body, exact within `WIDTH_TOLERANCE`."""
+    return min_feret(body)[0]
+
+
+def min_feret(body: ConvexBody) -> tuple[float, Vector]:
+    """Return the least width of a body, exact within `WIDTH_TOLERANCE`, and its unit direction (3,).
 
     Branch and bound over the triangles of `half_sphere()`: inside a triangle with corners u_i the
     width is nowhere less than max_i min_j (p_i - q_i).u_j. Triangles that cannot beat the least
     width found so far are dropped, the others split into four.
     """
     sphere = half_sphere()
-    least_mm = float(body.width_mm.min())
+    narrowest = body.width_mm.argmin()
+    direction = sphere.directions[narrowest].copy()
     corners, ends = np.empty((3 * MAX_OPEN, 3)), np.empty((3 * MAX_OPEN, 2), np.int32)
-    return _least_width_mm(
-        body.edges, sphere.directions, sphere.triangles, body.touching, corners, ends, least_mm
+    least_mm = _least_width_mm(
+        body.edges,
+        sphere.directions,
+        sphere.triangles,
+        body.touching,
+        corners,
+        ends,
+        float(body.width_mm[narrowest]),
+        direction,
     )
+    return least_mm, direction
 
 
 def least_width_within_mm(estimate_mm: float, hull_mm: float) -> float:
@@ -91,8 +112,12 @@ def _least_width_mm(
     corners: Floats,
     ends: Indices32,
     least_mm: float,
+    best: Vector,
 ) -> float:
-    """Return the least width; `corners` (3 P, 3) and `ends` (3 P, 2), their tangent vertices, are work arrays."""
+    """Return the least width, and set `best` to its direction if one is found below `least_mm`.
+
+    `corners` (3 P, 3) and `ends` (3 P, 2), their tangent vertices, are work arrays.
+    """
     for triangle in range(len(triangles)):
         for k in range(3):
             direction = triangles[triangle, k]
@@ -118,7 +143,10 @@ def _least_width_mm(
                 )
                 corners[middle + k, 0], corners[middle + k, 1], corners[middle + k, 2] = x, y, z
                 ends[middle + k, 0], ends[middle + k, 1] = ends[one, 0], ends[one, 1]
-                least_mm = min(least_mm, touch(edges, x, y, z, ends, middle + k))
+                width_mm = touch(edges, x, y, z, ends, middle + k)
+                if width_mm < least_mm:
+                    least_mm = width_mm
+                    best[0], best[1], best[2] = x, y, z
             # the parts at corners 1 and 2 are (m0, c1, m1) and (m2, m1, c2); (c0, m0, m2) replaces the whole
             _copy(corners, ends, part + 1, part + 4)
             _copy(corners, ends, part + 2, part + 8)
@@ -160,17 +188,24 @@ def extents_across(body: ConvexBody, axis: Vector) -> tuple[float, float]:
 
     Units are those of the body, mm. The axis need not be a unit vector.
     """
+    width_mm, thickness_mm, _ = widest_across(body, axis)
+    return width_mm, thickness_mm
+
+
+def widest_across(body: ConvexBody, axis: Vector) -> tuple[float, float, Vector]:
+    """Return the same two dimensions, and the unit direction (3,) of the first."""
     along = body.normals @ (axis / np.linalg.norm(axis))
     is_near, is_far = np.zeros((2, len(body.vertices_mm)), bool)
     is_near[body.facets.compress(along >= -RIM, axis=0)] = True
     is_far[body.facets.compress(along <= RIM, axis=0)] = True
-    flat_mm = body.vertices_mm.compress(is_near & is_far, axis=0) @ _across(axis).T
+    plane = _across(axis)
+    flat_mm = body.vertices_mm.compress(is_near & is_far, axis=0) @ plane.T
     if len(flat_mm) > MANY_POINTS:
         flat_mm = flat_mm[scipy.spatial.ConvexHull(flat_mm).vertices]
     distances_mm = scipy.spatial.distance.cdist(flat_mm, flat_mm)
     i, j = np.unravel_index(distances_mm.argmax(), distances_mm.shape)
     u, v = (flat_mm[i] - flat_mm[j]) / distances_mm[i, j]
-    return float(distances_mm[i, j]), float(np.ptp(flat_mm @ [-v, u]))
+    return float(distances_mm[i, j]), float(np.ptp(flat_mm @ [-v, u])), np.array([u, v]) @ plane
 
 
 def _across(axis: Vector) -> Floats:
