@@ -26,6 +26,7 @@ PAGES = {
     "/": "operator",
     "/compare": "compare",
     "/gallery": "gallery",
+    "/setup": "setup",
     "/sign-in": "sign-in",
     "/stones/{particle_id}": "passport",
 }

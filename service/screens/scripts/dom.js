@@ -18,6 +18,9 @@ function fill(made, attributes, children) {
   return made;
 }
 
+/** Return the children that are there: null, undefined and false are none. */
+const present = (children) => children.flat().filter((child) => child !== null && child !== undefined && child !== false);
+
 /** Return the drawing that this server sent as text. */
 export function svgFromServer(text) {
   const root = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;

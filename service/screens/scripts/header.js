@@ -4,7 +4,7 @@ import { get, remove, session } from "./api.js";
 import { byId, element, show } from "./dom.js";
 import { LANGUAGES, language, speak, word } from "./words.js";
 
-const PAGES = [["/", "header.operator"], ["/gallery", "header.gallery"], ["/compare", "header.compare"]];
+const PAGES = [["/", "header.operator"], ["/gallery", "header.gallery"], ["/compare", "header.compare"], ["/setup", "header.setup"]];
 const THEMES = ["auto", "light", "dark"];
 
 /** Fill `<header id="header">`; `current` is the address of this page. */

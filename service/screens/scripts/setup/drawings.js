@@ -1,0 +1,30 @@
+/** The rig from above and from the side, with its cameras; the tiles below say the same in words. */
+
+import { svgElement } from "../dom.js";
+
+const SIDE_AZIMUTH_RAD = -Math.PI / 6;
+/** The side is seen from beside the cameras' axes, so that none hides another. */
+
+/** Draw the rig as seen from above. */
+export const fromAbove = (rig, marks, choose) => draw(rig, marks, choose, ({ center_mm: [x, y, z] }) => ({ across: x, up: y, near: z }));
+
+/** Draw the rig as seen from the side. */
+export const fromTheSide = (rig, marks, choose) =>
+  draw(rig, marks, choose, ({ center_mm: [x, y, z] }) => {
+    const [cos, sin] = [Math.cos(SIDE_AZIMUTH_RAD), Math.sin(SIDE_AZIMUTH_RAD)];
+    return { across: x * cos - y * sin, up: z, near: -(x * sin + y * cos) };
+  });
+
+function draw({ cameras }, marks, choose, projected) {
+  const radius = Math.max(...cameras.map(({ center_mm: center }) => Math.hypot(...center)));
+  const seen = cameras.map((camera) => ({ ...camera, ...projected(camera) })).sort((a, b) => a.near - b.near);
+  const at = (mm) => (100 * mm) / radius;
+  const marker = ({ id, across, up, near }) =>
+    svgElement(
+      "g",
+      { class: `marker${near < 0 ? " far" : ""}${marks.has(id) ? " found" : ""}`, transform: `translate(${at(across)} ${-at(up)})`, onclick: () => choose(id) },
+      svgElement("circle", { r: near < 0 ? 10 : 12 }),
+      svgElement("text", { "text-anchor": "middle", y: 4 }, id.replace(/^c0?/, "")),
+    );
+  return svgElement("svg", { viewBox: "-122 -122 244 244", class: "rig", "aria-hidden": "true" }, svgElement("circle", { class: "sphere", r: 100 }), svgElement("circle", { class: "stone", r: 5 }), ...seen.map(marker));
+}
