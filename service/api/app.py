@@ -123,6 +123,7 @@ def build_routes() -> FastAPI:
         webhooks,
     ):
         app.include_router(module.router, prefix=BASE)
+    app.include_router(cameras.acting, prefix=BASE)
     readable = APIRouter(dependencies=[Depends(require(Scope.READ))])
     for module in (
         results,

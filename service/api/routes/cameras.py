@@ -15,6 +15,8 @@ from service.api.settings import Scope
 from service.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
+acting = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[Depends(require(Scope.OPERATE))])
+"""What needs another scope than `read`."""
 
 CameraName = Annotated[
     str, Path(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Place of the camera in the rig, such as `c01`")
@@ -99,10 +101,9 @@ async def snapshot(context: Context, camera: CameraName) -> Response:
     return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
 
 
-@router.post(
+@acting.post(
     "/{camera}/identify",
     response_model=IdentifiedCamera,
-    dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404, 409, 503),
 )
 async def identify_camera(
