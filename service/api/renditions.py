@@ -55,7 +55,7 @@ def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
     exact = folder / "mesh.ply"
     if mesh_format is MeshFormat.PLY and exact.exists():
         return exact.read_bytes()
-    mesh = _mesh(folder)
+    mesh = stored_mesh(folder)
     if mesh_format is MeshFormat.PLY:
         return ply_bytes(mesh.vertices, mesh.faces, _greys(mesh))
     if mesh_format is MeshFormat.GLB:
@@ -70,7 +70,7 @@ def preview_png(folder: Path) -> bytes:
     kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
     if kept.exists() and (png := kept.read_bytes()).endswith(PNG_END):  # else it was torn by a power cut
         return png
-    mesh = _mesh(folder)
+    mesh = stored_mesh(folder)
     greys = _greys(mesh)
     image_rgb = render_preview(
         mesh.vertices,
@@ -90,7 +90,7 @@ def preview_png(folder: Path) -> bytes:
 
 def view_png(folder: Path, camera: str) -> bytes:
     """Return the image of one camera from the archived bundle; raise `NotKeptError` where there is none."""
-    archive = _stored(folder / "bundle.tiff")
+    archive = stored_file(folder / "bundle.tiff")
     try:
         header = read_header(archive)
         bundle = read_bundle(archive, [*header.frames, *header.missing])
@@ -104,14 +104,19 @@ def view_png(folder: Path, camera: str) -> bytes:
 
 def silhouette_png(folder: Path, camera: str) -> bytes:
     """Return one silhouette (0 outside, 128 unknown, 255 inside); raise `NotKeptError` where there is none."""
+    return encode_png(stored_silhouette(folder, camera))
+
+
+def stored_silhouette(folder: Path, camera: str) -> Image:
+    """Return the labels (H, W) of one view; raise `NotKeptError` where there are none."""
     try:
-        silhouettes = read_silhouettes(_stored(folder / "silhouettes.tiff"))
+        silhouettes = read_silhouettes(stored_file(folder / "silhouettes.tiff"))
     except RecordingError as err:
         raise NotKeptError(err.problem) from err
     labels = silhouettes.get(CameraId(camera))
     if labels is None:
         raise NotKeptError("the view is missing")
-    return encode_png(labels)
+    return labels
 
 
 def snapshot_png(image: Image) -> bytes:
@@ -148,15 +153,16 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return encoded.tobytes()
 
 
-def _stored(path: Path) -> Path:
+def stored_file(path: Path) -> Path:
+    """Return the path of a file that is there; raise `NotKeptError` if it is not."""
     if not path.is_file():
         raise NotKeptError(f"{path.name} was not kept")
     return path
 
 
-def _mesh(folder: Path) -> "trimesh.Trimesh":
+def stored_mesh(folder: Path) -> "trimesh.Trimesh":
     """Return the mesh, whether it was stored compact or exact."""
-    path = folder / "mesh.ply" if (folder / "mesh.ply").exists() else _stored(folder / "mesh.sfmesh")
+    path = folder / "mesh.ply" if (folder / "mesh.ply").exists() else stored_file(folder / "mesh.sfmesh")
     try:
         if path.suffix == ".ply":
             mesh = parse_mesh(path)

@@ -146,7 +146,16 @@ async def test_preview_is_rendered_once(client: httpx.AsyncClient, store: Store,
 
 
 async def test_files_may_be_cached_for_ever(client: httpx.AsyncClient, particle_id: str) -> None:
-    paths = ["mesh.ply", "mesh.stl", "mesh.glb", "preview.png", "views/c01.png", "views/c01/silhouette.png"]
+    paths = [
+        "mesh.ply",
+        "mesh.stl",
+        "mesh.glb",
+        "preview.png",
+        "calipers",
+        "views/c01.png",
+        "views/c01/silhouette.png",
+    ]
+    paths.append("views/c01/outline.svg")
     answers = [await client.get(f"/particles/{particle_id}/{path}") for path in paths]
     tags = [answer.headers["ETag"] for answer in answers]
     assert len(set(tags)) == len(tags)
@@ -165,7 +174,14 @@ async def test_what_was_not_kept_says_why(
     client: httpx.AsyncClient, store: Store, session: int, tmp_path: Path
 ) -> None:
     await add(store, session, 1, {**rejected("multiple"), "views": ["c01"]})
-    for path in ("mesh", "preview.png", "views/c01.png", "views/c01/silhouette.png"):
+    for path in (
+        "mesh",
+        "preview.png",
+        "calipers",
+        "views/c01.png",
+        "views/c01/silhouette.png",
+        "views/c01/outline.svg",
+    ):
         problem = (await client.get(f"/particles/1/{path}")).json()
         assert problem["type"] == "urn:stonefall:problem:not-kept"
         assert (problem["status"], problem["outcome"], problem["reason"]) == (404, "rejected", "multiple")

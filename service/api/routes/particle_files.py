@@ -10,8 +10,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
+from service.api.calipers import CalipersDocument, calipers_json
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, Responses, has_version
+from service.api.outlines import outline_svg
 from service.api.problems import Problem, problem_responses
 from service.api.renditions import (
     MeshFormat,
@@ -37,6 +39,8 @@ MEDIA_TYPES = {
 CACHE_FOREVER = "private, max-age=31536000, immutable"
 ASK_AGAIN = "private, no-cache"
 """For what another revision may replace: it may be kept, and is asked for by its ETag."""
+OUTLINE_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+"""What a browser lets the SVG do that is opened by itself: it has no scripts and loads nothing."""
 
 IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)}
 MESH: Responses = {
@@ -83,6 +87,29 @@ async def mesh_file(
     return await _mesh_response(context, request, particle_id, mesh_format)
 
 
+@router.get(
+    "/{particle_id}/calipers",
+    response_model=CalipersDocument,
+    responses={**NOT_MODIFIED, **problem_responses(404, 410)},
+)
+async def calipers(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+    """Return where length, width, thickness, both Feret diameters and the sieve touch the mesh that is served.
+
+    Lengths may differ from those of the result by what is known beyond the mesh: corners that it cuts, and of an
+    estimate the hull around it. 404 `not-kept` without a mesh.
+    """
+    record = await find_record(context, particle_id)
+    return await _file(
+        context,
+        request,
+        record,
+        "calipers",
+        "application/json",
+        calipers_json,
+        is_fixed=particle_id.isdecimal(),
+    )
+
+
 @router.get("/{particle_id}/preview.png", response_class=Response, responses=IMAGE)
 async def preview(context: Context, request: Request, particle_id: ParticleKey) -> Response:
     """Return a rendered picture of the mesh, in the grey of its vertices if they have any."""
@@ -116,6 +143,33 @@ async def silhouette(
         camera,
         is_fixed=particle_id.isdecimal(),
     )
+
+
+@router.get(
+    "/{particle_id}/views/{camera}/outline.svg",
+    response_class=Response,
+    responses={200: {"content": {"image/svg+xml": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)},
+)
+async def outline(
+    context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
+) -> Response:
+    """Return the outline of the silhouette in one view, in pixels of the image: the stone, and dashed what is unknown.
+
+    Paths have the classes `stone`, its holes among it, and `unknown`.
+    """
+    record = await _record_with_view(context, particle_id, camera)
+    response = await _file(
+        context,
+        request,
+        record,
+        f"{camera}.outline",
+        "image/svg+xml",
+        outline_svg,
+        camera,
+        is_fixed=particle_id.isdecimal(),
+    )
+    response.headers["Content-Security-Policy"] = OUTLINE_POLICY
+    return response
 
 
 async def _record_with_view(context: ApiContext, key: str, camera: str) -> Record:
