@@ -121,6 +121,12 @@ class Verified(StrEnum):
     NEVER = "never"
 
 
+QualityCause = Literal[
+    "pixels", "focus", "motion", "noise", "unseen", "contrast", "views", "disagreement", "calibration"
+]
+"""Why a result may be further from the truth than `good` ones."""
+
+
 class Result(BaseModel):
     """The one outcome of one trigger, or a revision of it. Measured fields are null unless `outcome` is `measured`.
 
@@ -161,11 +167,9 @@ class Result(BaseModel):
         default=None,
         description="How far from the truth the result may be, by `[quality]` and by the number of views",
     )
-    quality_causes: list[
-        Literal[
-            "pixels", "focus", "motion", "noise", "unseen", "contrast", "views", "disagreement", "calibration"
-        ]
-    ] = Field(default=[], description="Why the quality is not `good`, the greatest cause first")
+    quality_causes: list[QualityCause] = Field(
+        default=[], description="Why the quality is not `good`, the greatest cause first"
+    )
     views: list[str] = Field(default=[], description="Cameras whose views were measured")
     dropped_views: dict[str, str] = Field(
         default={}, description="Cameras whose views were not used, each with the reason"

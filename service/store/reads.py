@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.frames import GateCount
+from pipeline.gradation.indices import EN_933_3, MAX_CUBICAL, SHAPE_RANGE_MM
 from service.results.fields import Outcome
 from service.store.accounting import Accounting
 from service.store.particle_files import revision_folder
@@ -36,6 +37,14 @@ class ParticleFilter:
     until: str | None = None  # captured before
     lot: str | None = None
     has_frames: bool | None = None  # whether raw frames may be kept: of one of the newest stones, or pinned
+    zingg_class: str | None = None
+    is_flaky: bool | None = None  # EN 933-3; neither outside of its fractions
+    is_non_cubical: bool | None = None  # EN 933-4; neither outside of its range
+    min_volume_sd_percent: float | None = None
+    max_volume_sd_percent: float | None = None
+    quality_cause: str | None = None
+    algorithm_version: str | None = None
+    body: str | None = None
 
 
 STATE = (
@@ -61,6 +70,18 @@ LISTED = {
     for name in ("outcome", "quality", "sieve_size_mm")
 }
 """Columns of the newest revisions, of `listed` and `revised`."""
+
+_SLOTS = " ".join(
+    f"WHEN stones.sieve_size_mm > {each.low_mm} AND stones.sieve_size_mm <= {each.high_mm} THEN {each.slot_mm}"
+    for each in EN_933_3
+)
+FLAKY = f"(stones.min_feret_mm <= CASE {_SLOTS} END)"
+"""Whether a stone passes the slot of its own fraction; null outside of all fractions."""
+NON_CUBICAL = (
+    f"CASE WHEN stones.sieve_size_mm BETWEEN {SHAPE_RANGE_MM[0]} AND {SHAPE_RANGE_MM[1]}"
+    f" THEN stones.max_feret_mm > {MAX_CUBICAL} * stones.min_feret_mm END"
+)
+"""Whether a stone is longer than three times its thickness; null outside of the range of the shape index."""
 
 
 def open_triggers(connection: sqlite3.Connection, live_session: int | None) -> list[tuple[int, str]]:
@@ -146,19 +167,28 @@ def particles(
     conditions = {
         f"{LISTED['outcome']} = ?": wanted.outcome,
         f"{LISTED['quality']} = ?": wanted.quality,
-        "kind = ?": wanted.kind,
+        "listed.kind = ?": wanted.kind,
         f"{LISTED['sieve_size_mm']} >= ?": wanted.min_sieve_size_mm,
         f"{LISTED['sieve_size_mm']} <= ?": wanted.max_sieve_size_mm,
-        "captured_at >= ?": wanted.since,
-        "captured_at < ?": wanted.until,
+        "listed.captured_at >= ?": wanted.since,
+        "listed.captured_at < ?": wanted.until,
         "listed.seq IN (SELECT seq FROM stones WHERE lot = ?)": wanted.lot,
         "(listed.seq >= (SELECT first_raw FROM store) OR listed.seq IN (SELECT seq FROM pins)) = ?": wanted.has_frames,
+        "stones.zingg_class = ?": wanted.zingg_class,
+        f"{FLAKY} = ?": wanted.is_flaky,
+        f"{NON_CUBICAL} = ?": wanted.is_non_cubical,
+        "stones.volume_sd_percent >= ?": wanted.min_volume_sd_percent,
+        "stones.volume_sd_percent <= ?": wanted.max_volume_sd_percent,
+        "? IN (SELECT value FROM json_each(stones.quality_causes))": wanted.quality_cause,
+        "stones.algorithm_version = ?": wanted.algorithm_version,
+        "stones.body = ?": wanted.body,
         "listed.seq < ?": before_seq,
     }
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
         f"{NEWEST} WHERE results.seq IN ("  # noqa: S608 - conditions are keys of the table above
         "SELECT listed.seq FROM listed LEFT JOIN revised ON revised.first = listed.seq"
+        " LEFT JOIN stones ON stones.seq = listed.seq"
         f" WHERE {' AND '.join(given) or 'TRUE'} ORDER BY listed.seq DESC LIMIT ?"
         ") ORDER BY results.seq DESC",
         (*given.values(), limit),

@@ -49,9 +49,42 @@ async def test_list_with_filters_and_cursor(client: httpx.AsyncClient, store: St
     assert second["next_cursor"] is None
 
 
+async def test_filters_by_form_uncertainty_and_what_measured_it(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    flat = {"zingg_class": "disc", "min_feret_mm": 6.0, "max_feret_mm": 19.0, "sieve_size_mm": 15.0}
+    round_ = {"zingg_class": "equant", "min_feret_mm": 12.0, "max_feret_mm": 36.0, "sieve_size_mm": 15.0}
+    tiny = {**flat, "sieve_size_mm": 3.0}  # below the fractions of EN 933-3 and the range of EN 933-4
+    doubtful = {"quality": "reduced", "quality_causes": ["pixels", "focus"], "volume_sd_percent": 3.0}
+    await add(store, session, 1, measured(**flat, **doubtful, body="estimate", algorithm_version="11"))
+    await add(
+        store, session, 2, measured(**round_, volume_sd_percent=0.5, body="photo", algorithm_version="12")
+    )
+    await add(store, session, 3, measured(**tiny, volume_sd_percent=9.0))
+    await add(store, session, 4, rejected("empty"))
+    for query, seqs in (
+        ("zingg_class=disc", [3, 1]),
+        ("is_flaky=true", [1]),
+        ("is_flaky=false", [2]),
+        ("is_non_cubical=true", [1]),
+        ("is_non_cubical=false", [2]),  # three times is not more than three times
+        ("min_volume_sd_percent=3", [3, 1]),
+        ("max_volume_sd_percent=3", [2, 1]),
+        ("quality_cause=focus", [1]),
+        ("quality_cause=noise", []),
+        ("algorithm_version=12", [2]),
+        ("body=estimate&quality=reduced&min_sieve_size_mm=10", [1]),
+    ):
+        assert await listed(client, **dict(each.split("=") for each in query.split("&"))) == seqs, query
+
+
 @pytest.mark.parametrize(
     "query",
     [
+        "zingg_class=square",
+        "quality_cause=mood",
+        "body=soul",
+        "min_volume_sd_percent=-1",
         "outcome=open",
         "min_sieve_size_mm=nan",
         "since=yesterday",

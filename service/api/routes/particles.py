@@ -6,6 +6,7 @@ from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 
+from pipeline.measuring.shape import ZinggClass
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, etag, unchanged
 from service.api.feeds import MAX_SEQ, MAX_SMALL
@@ -14,7 +15,7 @@ from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
 from service.api.routes.results import ChosenFields, Time
 from service.api.version import API_VERSION
-from service.results.fields import Result, completed
+from service.results.fields import QualityCause, Result, completed
 from service.store import ParticleFilter, Record, read
 
 router = APIRouter(prefix="/particles", tags=["particles"])
@@ -28,6 +29,10 @@ ParticleKey = Annotated[
 ]
 CHANGING = ("lot", "files_removed", "is_pinned", "pin_reason")
 """Fields of a result that change after it became durable."""
+SdPercent = Annotated[
+    float | None,
+    Query(ge=0, allow_inf_nan=False, description="Standard deviation of the volume, %; inclusive"),
+]
 SizeMm = Annotated[float | None, Query(ge=0, allow_inf_nan=False, description="Sieve size, mm; inclusive")]
 
 
@@ -62,6 +67,26 @@ async def particles(
             " pinned; false: only others"
         ),
     ] = None,
+    zingg_class: Annotated[ZinggClass | None, Query(description="Only of this form")] = None,
+    is_flaky: Annotated[
+        bool | None,
+        Query(description="Whether it passes the slot of its fraction (EN 933-3); from 4 to 100 mm"),
+    ] = None,
+    is_non_cubical: Annotated[
+        bool | None,
+        Query(description="Whether it is longer than three times its thickness (EN 933-4); from 4 to 63 mm"),
+    ] = None,
+    min_volume_sd_percent: SdPercent = None,
+    max_volume_sd_percent: SdPercent = None,
+    quality_cause: Annotated[
+        QualityCause | None, Query(description="Only with this among the causes of its quality")
+    ] = None,
+    algorithm_version: Annotated[
+        str | None, Query(max_length=16, description="Only measured by this version of the algorithm")
+    ] = None,
+    body: Annotated[
+        Literal["photo", "estimate", "hull"] | None, Query(description="Only with this body")
+    ] = None,
     cursor: Annotated[
         str | None, Query(pattern=r"^[0-9]{1,15}$", description="`next_cursor` of the page before")
     ] = None,
@@ -81,6 +106,14 @@ async def particles(
         until=until,
         lot=lot,
         has_frames=has_frames,
+        zingg_class=zingg_class,
+        is_flaky=is_flaky,
+        is_non_cubical=is_non_cubical,
+        min_volume_sd_percent=min_volume_sd_percent,
+        max_volume_sd_percent=max_volume_sd_percent,
+        quality_cause=quality_cause,
+        algorithm_version=algorithm_version,
+        body=body,
     )
     before_seq = MAX_SEQ if cursor is None else int(cursor)
     if limit > MAX_SMALL:
