@@ -44,10 +44,12 @@ function update(camera) {
     const text = camera.state === "armed" ? ne107Word(camera.ne107) : word(`operator.camera-${camera.state}`);
     show(place.querySelector(".state"), ne107Symbol(camera.ne107), camera.ne107 === "good" && camera.state === "armed" ? element("span", { class: "only-read" }, text) : text);
   }
-  for (const [field, unit, factor, digits] of VALUES) {
-    const value = camera[field] === null ? "–" : `${number(camera[field] * factor, digits)} ${unit}`.trim();
-    setText(place.querySelector(`[data-field="${field}"]`), `${word(`operator.camera-value-${field}`)} ${value}`);
-  }
+  VALUES.forEach((value) => setText(place.querySelector(`[data-field="${value[0]}"]`), told(camera, value)));
+}
+
+function told(camera, [field, unit, factor, digits]) {
+  const value = camera[field] === null ? "–" : `${number(camera[field] * factor, digits)} ${unit}`.trim();
+  return `${word(`operator.camera-value-${field}`)} ${value}`;
 }
 
 /** Load the pictures of all cameras as one, and show each tile its part. */
@@ -75,6 +77,7 @@ function enlarge(id) {
     { class: "camera", "aria-label": id, onclose: () => dialog.remove() },
     element("h2", {}, id, " · ", word(`operator.camera-${camera.state}`), " · ", ne107Word(camera.ne107)),
     camera.last_frame_age_s !== null && element("img", { src: `${BASE}/cameras/${encodeURIComponent(id)}/snapshot.png`, alt: word("operator.picture-of", { camera: id }) }),
+    element("p", {}, VALUES.map((value) => told(camera, value)).join(" · ")),
     element("p", { class: "weak" }, age),
     ...camera.warnings.map((each) => element("p", { class: "problem" }, each)),
     element("div", { class: "actions" }, element("button", { type: "button", class: "main", onclick: () => dialog.close() }, word("operator.close"))),
