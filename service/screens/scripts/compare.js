@@ -82,8 +82,9 @@ function showTable({ a, b, is_paired: isPaired, figures }) {
   );
 }
 
-const sideName = ({ lot, algorithm_version: version, measured }) =>
-  word(version === null ? "compare.side" : "compare.side-version", { lot, version, n: number(measured) });
+function sideName({ lot, algorithm_version: version, measured }) {
+  return word(version === null ? "compare.side" : "compare.side-version", { lot, version, n: number(measured) });
+}
 
 function row({ figure, a, b, difference, low, high, is_significant: isSignificant }) {
   const [unit, places] = figure.endsWith("_percent") ? ["%", 1] : figure.endsWith("_mm") ? ["mm", 2] : ["", 2];

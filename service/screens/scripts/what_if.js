@@ -27,7 +27,7 @@ export function showFigures(place, all, without, sieveMm) {
           "tr", {}, element("th", { scope: "row" }, name),
           ...columns.map((figures, i) => cell(figure(figures), figure(all), unit, places, i)))),
         element("tr", {}, element("th", { scope: "row" }, word("gallery.measured")), ...columns.map(({ measured }) => element("td", { class: "number" }, number(measured)))),
-        element("tr", {}, element("th", { scope: "row" }, word("gallery.verdict")), ...columns.map(({ verdict }) => element("td", { class: "number" }, word(`gallery.verdict-${verdict ?? "none"}`)))),
+        element("tr", {}, element("th", { scope: "row" }, word("gallery.verdict")), ...columns.map(({ verdict }) => element("td", { class: "number" }, verdictWord(verdict)))),
       ),
     ),
     without && element("p", { class: "note" }, word("gallery.what-if")),
@@ -42,6 +42,10 @@ function cell({ value, low, high }, before, unit, places, i) {
     value === null ? word("gallery.verdict-not_measured") : `${number(value, places)} ${unit}`,
     low === null ? null : element("div", { class: "weak interval" }, `${number(low, places)} – ${number(high, places)}`),
   );
+}
+
+function verdictWord(verdict) {
+  return verdict === null ? word("gallery.verdict-none") : word(`gallery.verdict-${verdict}`);
 }
 
 const passing = ({ curve }, sieveMm) => curve.find((step) => step.sieve_mm === sieveMm)?.passing_percent ?? { value: null, low: null, high: null };

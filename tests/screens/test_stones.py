@@ -1,0 +1,283 @@
+"""Gallery, passport and comparison on a running replay: a body that turns, a step of the curve and its stones."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Locator, Page, expect
+from support.browser import (
+    SIZES,
+    Watched,
+    origin_of,
+    reachable_by_tab,
+    screenshot,
+    until,
+    violations,
+    watched_page,
+)
+from support.daemon_process import DaemonProcess
+
+from service import screens
+
+PATIENCE_MS = 60_000
+N_STONES = 24
+WITHOUT_CALIPERS = re.compile(r"calipers|outline\.svg|GPU stall due to ReadPixels")
+"""What the console may say: older daemons have neither gauges nor outlines; how a software renderer is slow."""
+CALIPER = {"value_mm": 15.0, "a_mm": [-7.5, 0, 0], "b_mm": [7.5, 0, 0], "direction": [1, 0, 0]}
+GAUGES = {
+    "length": CALIPER,
+    "width": {"value_mm": 15.0, "a_mm": [0, -7.5, 0], "b_mm": [0, 7.5, 0], "direction": [0, 1, 0]},
+    "thickness": {"value_mm": 15.0, "a_mm": [0, 0, -7.5], "b_mm": [0, 0, 7.5], "direction": [0, 0, 1]},
+    "max_feret": CALIPER,
+    "min_feret": CALIPER,
+    "sieve": {
+        "value_mm": 15.0,
+        "direction": [0, 0, 1],
+        "corners_mm": [[-7.5, -7.5, 0], [7.5, -7.5, 0], [7.5, 7.5, 0], [-7.5, 7.5, 0]],
+        "touches_mm": [[7.5, 0, 0], [0, 7.5, 0]],
+    },
+    "volume_mm3": 1767.1,
+    "center_mm": [0, 0, 0],
+}
+"""Of a sphere of 15 mm in the middle of the rig."""
+NEEDS_THREE = pytest.mark.skipif(
+    not (Path(screens.__file__).parent / "packages/three").exists(), reason="deploy/packages was not run"
+)
+
+
+@pytest.fixture(scope="module")
+def lot(replay: DaemonProcess) -> str:
+    """A closed lot with some stones."""
+    product = {"title": "11/16", "density_kg_m3": 2850, "lower_mm": 11.2, "upper_mm": 16}
+    replay.put("/products/split", product)
+    replay.post("/lots", {"lot": "L-7", "product": "split"})
+    replay.wait_for("/lots/L-7", lambda lot: lot["n_stones"] >= N_STONES)
+    replay.post("/lots/L-7/close", {})
+    return "L-7"
+
+
+@pytest.fixture
+def page(watched: Watched) -> Iterator[Page]:
+    watched.is_expected = WITHOUT_CALIPERS
+    watched.page.set_default_timeout(PATIENCE_MS)
+    expect.set_options(timeout=PATIENCE_MS)
+    yield watched.page
+
+
+@pytest.fixture(scope="module")
+def stone(replay: DaemonProcess, lot: str) -> str:
+    return str(replay.get(f"/particles?lot={lot}&outcome=measured&limit=1")["items"][0]["id"])
+
+
+def address(replay: DaemonProcess, path: str) -> str:
+    return origin_of(replay.url("")) + path
+
+
+def with_gauges(page: Page) -> None:
+    page.route("**/calipers", lambda route: route.fulfill(json=GAUGES))
+
+
+def picture(canvas: Locator) -> bytes:
+    """Return what is drawn, once it is."""
+    canvas.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return canvas.screenshot()
+
+
+def n_colours(page: Page) -> int:
+    """Return how many different colours the canvas shows."""
+    return int(
+        page.evaluate(
+            """async () => {
+              const source = document.querySelector("canvas.body");
+              const copy = document.createElement("canvas");
+              Object.assign(copy, { width: source.width, height: source.height });
+              await new Promise((done) => requestAnimationFrame(done));
+              source.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft", cancelable: true }));
+              await new Promise((done) => requestAnimationFrame(done)); // drawn within this frame, before it is shown
+              const context = copy.getContext("2d");
+              context.drawImage(source, 0, 0);
+              return new Set(new Uint32Array(context.getImageData(0, 0, copy.width, copy.height).data.buffer)).size;
+            }"""
+        )
+    )
+
+
+@NEEDS_THREE
+def test_a_body_is_drawn_and_turned_by_hand_and_key(page: Page, replay: DaemonProcess, stone: str) -> None:
+    with_gauges(page)
+    page.goto(address(replay, f"/stones/{stone}"))
+    canvas = page.locator("canvas.body")
+    expect(canvas).to_be_visible()
+    assert n_colours(page) > 100  # a shaded body, not an empty canvas
+    first = picture(canvas)
+    box = canvas.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 200, box["y"] + 150, steps=5)
+    page.mouse.up()
+    dragged = picture(canvas)
+    assert dragged != first
+    canvas.focus()
+    page.keyboard.press("ArrowRight")
+    assert picture(canvas) != dragged
+
+
+@NEEDS_THREE
+def test_gauges_are_drawn_and_can_be_put_away(page: Page, replay: DaemonProcess, stone: str) -> None:
+    with_gauges(page)
+    page.goto(address(replay, f"/stones/{stone}"))
+    canvas = page.locator("canvas.body")
+    expect(page.locator(".gauge.length")).to_have_text("Length 15.00 mm")
+    expect(page.locator(".gauge.sieve")).to_be_visible()
+    expect(page.locator(".gauge.max_feret")).to_be_hidden()
+    for name in ("width", "thickness", "sieve"):
+        page.locator(f".switch.{name} input").uncheck()
+    shown = picture(canvas)
+    page.locator(".switch.length input").uncheck()
+    expect(page.locator(".gauge.length")).to_be_hidden()
+    assert picture(canvas) != shown
+
+
+@pytest.mark.parametrize("lack", ["package", "WebGL"])
+def test_without_3d_there_is_a_picture(page: Page, replay: DaemonProcess, stone: str, lack: str) -> None:
+    if lack == "package":
+        page.route("**/packages.json", lambda route: route.fulfill(json=[]))
+    else:
+        page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(address(replay, f"/stones/{stone}"))
+    shown = page.locator("#body img")
+    expect(shown).to_be_visible()
+    until(page, "() => document.querySelector('#body img').naturalWidth > 0")
+    expect(page.locator("#body .note")).to_contain_text("A picture instead of 3-D")
+    assert page.locator("canvas").count() == 0
+
+
+def test_the_passport_has_numbers_with_uncertainty_and_standard(
+    page: Page, replay: DaemonProcess, stone: str
+) -> None:
+    page.goto(address(replay, f"/stones/{stone}"))
+    record = replay.get(f"/particles/{stone}")
+    row = page.locator("[data-measure=length_mm]")
+    expect(row).to_contain_text(f"{record['length_mm']:.2f} mm")
+    expect(row).to_contain_text(f"± {2 * 2**0.5 * record['surface_sd_mm']:.2f}")
+    expect(row).to_contain_text("ASTM D4791")
+    expect(page.locator("#views figure")).to_have_count(len(record["views"]) + len(record["dropped_views"]))
+    expect(page.locator("#facts")).to_contain_text("L-7")
+    before = page.locator("#neighbours a[rel=prev]")
+    expect(before).to_have_attribute("href", re.compile(r"/stones/[0-9a-f]{8}-\d+$"))
+
+
+def test_a_pin_holds_until_it_is_taken_away(page: Page, replay: DaemonProcess, stone: str) -> None:
+    page.goto(address(replay, f"/stones/{stone}"))
+    page.locator("#pin-reason").fill("the lab checks it")
+    page.locator("#pin button").click()
+    expect(page.locator("#pin")).to_contain_text("the lab checks it")
+    assert replay.get(f"/particles/{stone}")["pin_reason"] == "the lab checks it"
+    page.locator("#pin button").click()
+    expect(page.locator("#pin-reason")).to_be_visible()
+    assert replay.get(f"/particles/{stone}")["is_pinned"] is False
+
+
+def test_in_print_is_a_picture_a_link_and_room_for_the_lab(
+    page: Page, replay: DaemonProcess, stone: str
+) -> None:
+    page.goto(address(replay, f"/stones/{stone}"))
+    expect(page.locator("[data-measure=length_mm]")).to_be_visible()
+    expect(page.locator("#picture")).to_be_hidden()
+    page.emulate_media(media="print")
+    expect(page.locator("#picture")).to_be_visible()
+    expect(page.locator("#address a")).to_have_text(re.compile(rf"/stones/{stone}$"))
+    expect(page.locator("td.box:visible")).to_have_count(4)
+    expect(page.locator(".by-hand")).to_be_visible()
+    expect(page.locator("#body")).to_be_hidden()
+    screenshot(page, "passport-print")
+
+
+def test_a_click_on_the_curve_shows_its_stones_and_one_less_moves_the_interval(
+    page: Page, replay: DaemonProcess, lot: str
+) -> None:
+    page.goto(address(replay, f"/gallery?lot={lot}"))
+    steps = replay.get(f"/lots/{lot}/gradation")["curve"]
+    sieve_mm = max(
+        step["sieve_mm"]
+        for step in steps
+        if replay.get(f"/lots/{lot}/particles?sieve={step['sieve_mm']}")["items"]
+    )
+    behind = [each["id"] for each in replay.get(f"/lots/{lot}/particles?sieve={sieve_mm}")["items"]]
+    page.locator(f"[data-sieve='{sieve_mm:g}']").click()
+    expect(page.locator("#tiles li")).to_have_count(len(behind))
+    assert page.locator("#tiles li").evaluate_all("(tiles) => tiles.map((e) => e.dataset.id)") == behind
+    page.locator("#tiles li button").first.click()
+    expect(page.locator("#figures")).to_contain_text("What if only")
+    passing = page.locator("#figures tbody tr", has_text=f"Passing {sieve_mm:g} mm").locator(".interval")
+    expect(passing).to_have_count(2)
+    assert passing.nth(0).inner_text() != passing.nth(1).inner_text()
+    assert page.url.endswith(f"without={behind[0]}")
+    page.reload()
+    expect(page.locator("#tiles li.out")).to_have_count(1)
+    page.locator("#tiles li.out button").click()
+    expect(page.locator("#figures")).not_to_contain_text("What if only")
+    expect(page.locator("#tiles li.out")).to_have_count(0)
+    assert "without" not in page.url
+
+
+def test_a_filter_is_in_the_address_and_the_list_has_no_end(
+    page: Page, replay: DaemonProcess, lot: str
+) -> None:
+    replay.wait_for("/accounting", lambda counts: counts["measured"] > 80)
+    page.goto(address(replay, "/gallery"))
+    until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
+    page.locator("#list-card").scroll_into_view_if_needed()
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    until(page, "() => document.querySelectorAll('#tiles li').length > 60")
+    ids = page.locator("#tiles li").evaluate_all("(tiles) => tiles.map((e) => e.dataset.id)")
+    assert len(ids) == len(set(ids))
+    page.locator("[name=min_sieve_size_mm]").fill("400")
+    page.locator("[name=min_sieve_size_mm]").blur()
+    expect(page.locator("#list-heading")).to_have_text("No stone passes these filters.")
+    assert "min_sieve_size_mm=400" in page.url
+    page.go_back()
+    until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
+
+
+def test_a_lot_is_compared_with_itself(page: Page, replay: DaemonProcess, lot: str) -> None:
+    page.goto(address(replay, f"/compare?a={lot}"))
+    page.locator("#b").select_option(lot)
+    expect(page.locator("#figures")).to_contain_text("The same stones, one by one")
+    expect(page.locator("#curves svg polyline.beside").first).to_be_visible()
+    differences = page.locator("#figures tbody tr td:last-child").all_inner_texts()
+    assert differences and all(re.match(r"–|0\.0+ ", text) for text in differences)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+def test_axe_core_finds_nothing(
+    browser: Browser, replay: DaemonProcess, lot: str, stone: str, size: str, theme: str
+) -> None:
+    with watched_page(browser, viewport=SIZES[size], color_scheme=theme, locale="de") as watched:
+        page = watched.page
+        watched.is_expected = WITHOUT_CALIPERS
+        page.set_default_timeout(PATIENCE_MS)
+        with_gauges(page)
+        for name, path, ready in (
+            ("passport", f"/stones/{stone}", "#facts dd"),
+            ("gallery", f"/gallery?lot={lot}", "[data-sieve]"),
+            ("compare", f"/compare?a={lot}&b={lot}", "#figures td"),
+        ):
+            page.goto(address(replay, path))
+            page.locator(ready).first.wait_for()
+            page.wait_for_load_state("networkidle")
+            screenshot(page, f"{name}-{size}-{theme}")
+            assert violations(page) == []
+        watched.assert_clean()
+
+
+def test_all_is_reached_by_keys(page: Page, replay: DaemonProcess, lot: str, stone: str) -> None:
+    page.goto(address(replay, f"/gallery?lot={lot}"))
+    page.locator("[data-sieve]").first.wait_for()
+    page.locator("#tiles li").first.wait_for()
+    reached = reachable_by_tab(page)
+    steps = page.locator("[data-sieve]").evaluate_all("(steps) => steps.map((e) => e.ariaLabel)")
+    assert {*steps, "Take out", "Clear filters"} <= reached
