@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-SHEET_S, TRENDS_S, PICTURE_PAUSE_S = 5.0, 60.0, 0.5
+SHEET_S, TRENDS_S, PICTURE_PAUSE_S = 5.0, 60.0, 0.25
 """How often the page asks for the contact sheet and the trends, and how long it waits after a stone's picture."""
 TRENDS = ("d50", "flakiness", "shape", "rate")
 MAX_STONES = 12

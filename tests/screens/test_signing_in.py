@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
-from support.browser import Watched, origin_of, until
+from support.browser import Watched, origin_of
 from support.daemon_process import DaemonProcess
 
 from service.api.key_file import create_key
@@ -45,4 +45,4 @@ def test_a_key_becomes_a_session_and_the_page_comes_to_life(
     assert token not in page.content() and token not in page.url
     assert page.evaluate("document.cookie") == ""  # no script sees the session
     page.get_by_role("button", name="Sign out").click()
-    until(page, "() => document.querySelector('.banner.sign-in') !== null")
+    expect(page.locator(".banner.sign-in")).to_be_visible()

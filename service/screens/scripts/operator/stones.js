@@ -5,7 +5,7 @@ import { byId, element } from "../dom.js";
 import { number, time, word } from "../words.js";
 
 const MAX_SHOWN = 12;
-const PICTURE_PAUSE_MS = 500;
+const PICTURE_PAUSE_MS = 250;
 const isShown = new Set();
 const waiting = []; // cards whose picture is not loaded yet, the newest last
 let isLoading = false;
