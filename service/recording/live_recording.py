@@ -66,6 +66,7 @@ class RecordingStatus:
     created_at: str  # RFC 3339
     bundles: int  # in it so far, exposures of the empty rig included
     bytes: int
+    stones: int | None = None  # of the bundles; None once it is not under way
     ended_by: str | None = None
     reason: str | None = None  # why it failed
     made_by: Mapping[str, Any] = field(default_factory=dict)  # as in recording.json
@@ -192,6 +193,7 @@ class LiveRecording:
             created_at=self._created_at,
             bundles=self.bundles,
             bytes=self._bytes,
+            stones=self.stones if state is RecordingState.RECORDING else None,
             ended_by=self.ended_by,
             reason=self.failure,
             made_by=self._made_by,

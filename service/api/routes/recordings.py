@@ -34,6 +34,10 @@ class Recording(BaseModel):
     created_at: str = Field(description="RFC 3339 UTC", json_schema_extra=TIME)
     bundles: int = Field(description="Bundles written so far, exposures of the empty rig included")
     bytes: int = Field(description="Size of the bundles on disk")
+    stones: int | None = Field(
+        description="Stones and balls among the bundles so far, those before it began included; null unless it is under"
+        " way"
+    )
     ended_by: str | None = Field(
         description="Why it ended: `count`, `duration` or `stop` as requested; `low_disk` or `slow_disk`: earlier than"
         " requested; null while it runs"

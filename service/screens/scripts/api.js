@@ -10,6 +10,9 @@ export class Problem extends Error {
   }
 }
 
+/** There was no answer: the network, or the daemon, is not there now. */
+export class Unreachable extends Error {}
+
 /** Return the document at `path`, which begins with a slash. */
 export const get = (path) => ask("GET", path).then(json);
 
@@ -42,6 +45,8 @@ async function ask(method, path, body = null, headers = {}) {
     method,
     headers: { Accept: "application/json, image/svg+xml", ...(hasBody && { "Content-Type": "application/json" }), ...headers },
     body: hasBody ? JSON.stringify(body) : undefined,
+  }).catch((error) => {
+    throw new Unreachable(error.message);
   });
   if (response.ok) return response;
   const fields = await response.json().catch(() => ({ title: response.statusText }));

@@ -56,10 +56,10 @@ function plane(centers, across, up, reach, goal, rig) {
     svgElement("path", { class: "axes", d: "M-100 0h200M0 -100v200" }),
     svgElement("rect", { class: "goal", x: -at(goal), y: -at(goal), width: 2 * at(goal), height: 2 * at(goal) }),
     ...centers.map((center, n) => svgElement("circle", { class: n === centers.length - 1 ? "ball newest" : "ball", cx: at(center[across]), cy: -at(center[up]), r: 5 })),
-    svgElement("text", { x: 98, y: -5, "text-anchor": "end" }, label(across, 1)),
-    svgElement("text", { x: -98, y: -5 }, label(across, -1)),
-    svgElement("text", { x: 5, y: -104 }, label(up, 1)),
-    svgElement("text", { x: 5, y: 114 }, label(up, -1)),
+    svgElement("text", { x: 100, y: 114, "text-anchor": "end" }, label(across, 1)),
+    svgElement("text", { x: -100, y: 114 }, label(across, -1)),
+    svgElement("text", { x: 0, y: -104, "text-anchor": "middle" }, label(up, 1)),
+    svgElement("text", { x: 0, y: 114, "text-anchor": "middle" }, label(up, -1)),
   );
 }
 

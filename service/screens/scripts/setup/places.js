@@ -24,7 +24,7 @@ export function mountPlaces(place) {
   let lit = null, live = null, isTakingPictures = false; // `lit`: the camera that blinks, and until when
   const again = poll(2, async (isCurrent) => {
     rig ??= await rigInUse();
-    configured ??= await get("/config").then(({ rig: { cameras: listed } }) => listed ?? [], () => []);
+    configured ??= await get("/config").then(({ settings }) => settings.rig.cameras ?? [], () => []);
     [{ items: cameras }, acquisition] = await Promise.all([get("/cameras"), get("/acquisition")]);
     if (isCurrent()) render();
   });

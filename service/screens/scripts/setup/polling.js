@@ -1,5 +1,7 @@
 /** Asking again and again while a wizard is open. */
 
+import { Problem, Unreachable } from "../api.js";
+
 let generation = 0;
 
 /** End all polling: another wizard is shown. */
@@ -20,8 +22,8 @@ export function poll(seconds, ask) {
     isAsking = true;
     try {
       await ask(() => mine === generation);
-    } catch {
-      // no answer now
+    } catch (error) {
+      if (!(error instanceof Problem || error instanceof Unreachable)) reportError(error);
     } finally {
       isAsking = false;
     }

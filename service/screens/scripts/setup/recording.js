@@ -69,11 +69,11 @@ export function mountRecording(place) {
     ];
   }
 
-  function showRunning({ name, bundles, bytes, created_at: since }, free) {
+  function showRunning({ name, bundles, stones, bytes, created_at: since }, free) {
     const goal = JSON.parse(localStorage.getItem(GOALS) ?? "null");
     const elapsed_s = Math.max(0, (Date.now() - Date.parse(since)) / 1000);
     showNew(live, [bundles, bytes, free, Math.round(elapsed_s)], () => [
-      goal?.name === name && goal.count !== null && progress(word("setup.recording-of-count", { n: number(bundles), count: number(goal.count + goal.before) }), bundles, goal.count + goal.before),
+      goal?.name === name && goal.count !== null && progress(word("setup.recording-of-count", { n: number(stones), count: number(goal.count + goal.before) }), stones, goal.count + goal.before),
       goal?.name === name && goal.duration_s !== null && progress(word("setup.recording-of-duration", { span: span(elapsed_s), duration: span(goal.duration_s) }), elapsed_s, goal.duration_s),
       element("p", {}, word("setup.recording-so-far", { n: number(bundles), size: size(bytes), span: span(elapsed_s), free: size(free) })),
     ]);
