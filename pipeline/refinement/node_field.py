@@ -14,6 +14,10 @@ MAX_SLOPE = 1.5
 CHANCE_MM = (0.02, 0.09)
 """Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
 CHANCE_ROUNDS = 4
+SPIKE_MM = 0.03
+"""Distance of a node from the median of its neighbours that is chance where they agree."""
+SPIKE_SPREADS = 2.0
+"""That distance elsewhere, in mean distances of the neighbours from their median."""
 
 
 def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
@@ -81,7 +85,7 @@ def depths_of(
 
 
 def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:
-    """Return shifts (K,) of which none is further than `most_mm` from the median of its neighbours.
+    """Return shifts (K,) of which none is much further from the median of its neighbours than they are, nor `most_mm`.
 
     A patch that reaches over an edge, or takes one of many equal crystals for another, is wrong alone.
     """
@@ -89,17 +93,19 @@ def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:
     around_mm = np.where(has, shifts_mm[nodes.neighbours], np.nan)
     around_mm[~has.any(axis=1), 0] = 0.0
     median_mm = np.nanmedian(around_mm, axis=1)
-    return np.asarray(np.clip(shifts_mm, median_mm - most_mm, median_mm + most_mm))
+    spreads_mm = np.nanmean(np.abs(around_mm - median_mm[:, None]), axis=1)
+    limits_mm = np.minimum(most_mm, SPIKE_MM + SPIKE_SPREADS * spreads_mm)
+    return np.asarray(np.clip(shifts_mm, median_mm - limits_mm, median_mm + limits_mm))
 
 
 def anchored(shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes) -> tuple[Values, Values]:
     """Return shifts (K,) and their weights with what the silhouettes say: `anchors` (K,) hold the estimate, 0 to 1.
 
-    Where the shifts of a neighbourhood are no larger than chance has them, they vanish (Wiener's filter).
+    Where the shifts of a neighbourhood are no larger than chance has them, they vanish; twice as large, they stay.
     """
     chance_mm = CHANCE_MM[1] + np.minimum(sure, 1) * (CHANCE_MM[0] - CHANCE_MM[1])
     energy_mm2 = smoothed(nodes, shifts_mm**2, CHANCE_ROUNDS)
-    shifts_mm = shifts_mm * energy_mm2 / (energy_mm2 + chance_mm**2)
+    shifts_mm = shifts_mm * energy_mm2**2 / (energy_mm2**2 + chance_mm**4)
     weights = sure + anchors
     return shifts_mm * sure / np.maximum(weights, 1e-9), weights
 

@@ -2,8 +2,9 @@
 
 The shift is a height field over the estimate's surface, along its smoothed normals. It is found at nodes, in passes
 from coarse to fine: where the patch around a node looks most alike in the views that see it, as far as its neighbours
-agree (belief propagation), and only where the neighbourhood has evidence. Elsewhere, at sharp convex edges and where a
-tangent ray touches, the estimate stays: there the silhouettes say more.
+agree (belief propagation), and only where the neighbourhood has evidence. Elsewhere, and where a tangent ray touches,
+the estimate stays: there the silhouettes say more. Sharp convex edges, which mislead flat patches, follow what lies
+beside them.
 """
 
 from collections.abc import Mapping
@@ -39,8 +40,10 @@ from pipeline.refinement.passes import (
     LEAST_SCALE,
     NOISE_GREY,
     NORMAL_ROUNDS,
+    OLDER,
     PASSES,
     PIN,
+    SURE,
     TRUNCATED_MM,
     Pass,
 )
@@ -164,7 +167,9 @@ def _passed(
 ) -> _Field:
     """Return the shifts after one pass."""
     half_mm = scale * each.half_mm
-    base_mm = np.zeros(len(nodes.points_mm)) if before is None else _carried_over(before, nodes)
+    base_mm, base_sure = np.zeros((2, len(nodes.points_mm)))
+    if before is not None:
+        base_mm, base_sure = _carried_over(before, nodes)
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
@@ -185,9 +190,8 @@ def _passed(
         each.pairs_share,
     )
     touches = touch_weights(nodes.points_mm, touches_mm)
-    pins = PIN * np.maximum(touches, 1 - gate)
     costs = gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
-    costs += pins[:, None] * np.abs(base_mm[:, None] + depths_mm)
+    costs += PIN * touches[:, None] * np.abs(base_mm[:, None] + depths_mm)
     stiffness = each.stiffness / nodes.spacing_mm
     beliefs = propagate(
         costs.astype(np.float32),
@@ -202,11 +206,12 @@ def _passed(
         found_mm = found_mm + patch_sagittas(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
+    if each is PASSES[-1]:  # what only larger patches show, as the bottom of a dent, stays as they found it
+        sure = np.maximum(sure, OLDER * gate * np.clip(base_sure / SURE - 1, 0, 1))
     shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
     shifts_mm = without_spikes(shifts_mm, nodes, each.spike_slope * nodes.spacing_mm)
     if each is PASSES[-1]:
-        anchors = np.maximum(touches**4, 1 - gate)  # at the very points
-        shifts_mm, weights = anchored(shifts_mm, sure, anchors, nodes)
+        shifts_mm, weights = anchored(shifts_mm, sure, touches**4, nodes)  # at the very points
     return _Field(
         nodes=nodes,
         shifts_mm=shifts_mm,
@@ -216,17 +221,17 @@ def _passed(
     )
 
 
-def _carried_over(field: _Field, nodes: Nodes) -> Values:
-    """Return the shifts of the pass before at other nodes (K,)."""
+def _carried_over(field: _Field, nodes: Nodes) -> tuple[Values, Values]:
+    """Return the shifts of the pass before at other nodes (K,), and their weights."""
     values = interpolated(
         nodes.points_mm,
         nodes.normals,
         field.nodes,
-        field.shifts_mm[:, None],
+        np.column_stack([field.shifts_mm, field.weights]),
         np.maximum(field.weights, LEAST_WEIGHT),
         SPREAD * field.nodes.spacing_mm,
     )
-    return np.asarray(values[:, 0])
+    return values[:, 0], values[:, 1]
 
 
 def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, room_mm: PointsMM) -> PointsMM:

@@ -3,7 +3,7 @@
 import numpy as np
 from unit.pipeline.refinement.test_nodes import SPACING_MM, ball, nodes_of
 
-from pipeline.refinement.node_field import without_spikes
+from pipeline.refinement.node_field import CHANCE_MM, SPIKE_MM, anchored, without_spikes
 
 
 def test_a_node_that_is_deep_alone_is_put_beside_its_neighbours_and_a_dent_stays():
@@ -13,6 +13,23 @@ def test_a_node_that_is_deep_alone_is_put_beside_its_neighbours_and_a_dent_stays
     alone = int(np.argmin(nodes.points_mm[:, 0]))
     spiked_mm[alone] = 2.0
     smooth_mm = without_spikes(spiked_mm, nodes, 0.4 * SPACING_MM)
-    assert smooth_mm[alone] == 0.4 * SPACING_MM
+    assert smooth_mm[alone] == SPIKE_MM
     np.testing.assert_allclose(np.delete(smooth_mm, alone), np.delete(dent_mm, alone), atol=0.15)
-    np.testing.assert_array_equal(without_spikes(spiked_mm, nodes, np.inf), spiked_mm)
+
+
+def test_a_node_leaves_its_neighbours_as_far_as_they_leave_each_other_and_no_further_than_asked():
+    nodes = nodes_of(ball())
+    uneven_mm = np.random.default_rng(0).normal(0, 0.1, len(nodes.points_mm))
+    free_mm = without_spikes(uneven_mm, nodes, np.inf)
+    assert (free_mm == uneven_mm).mean() > 0.8
+    limited_mm = without_spikes(uneven_mm, nodes, SPIKE_MM)
+    assert np.abs(limited_mm - uneven_mm).max() > 0.1
+
+
+def test_shifts_by_chance_vanish_and_larger_ones_stay():
+    nodes = nodes_of(ball())
+    sure, free = np.ones(len(nodes.points_mm)), np.zeros(len(nodes.points_mm))
+    for times, low, high in ((0.25, 0, 0.01), (1, 0.5, 0.5), (2, 0.9, 1), (5, 0.99, 1)):
+        shifts_mm = np.full(len(sure), times * CHANCE_MM[0])
+        share = anchored(shifts_mm, sure, free, nodes)[0] / shifts_mm
+        assert low - 1e-9 <= share.min() <= share.max() <= high + 1e-9

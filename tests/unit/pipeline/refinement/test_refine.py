@@ -27,13 +27,15 @@ from pipeline.views.prepared import PreparedViews, prepare_views
 PHOTO = PipelineParameters(body=BodyParameters("photo"))
 BLACK_NYLON = 15.0
 """Grey level; the light that facets receive is sampled, which on a brighter body is texture."""
-BODIES = ("dented", "plain sphere", "plain cube", "mottled cube")
+BODIES = ("dented", "plain sphere", "plain cube", "mottled cube", "rough")
 
 
 def body(name: str) -> Body:
     match name:
         case "dented":
             return irregular_body("dented", 14.0, stream(SEED, 31))
+        case "rough":
+            return irregular_body("rough", 14.0, stream(SEED, 34))
         case "plain sphere":
             return replace(sphere(), contrast=0.0, grey=BLACK_NYLON)
         case "plain cube":
@@ -88,6 +90,14 @@ def test_dents_are_found():
     assert dented.volume_percent(dented.estimate.mesh) > 1.5
     assert abs(dented.volume_percent(dented.refinement.mesh)) < 0.5
     assert dented.refinement.supported_share > 0.9
+
+
+def test_the_estimates_edges_do_not_stand_out_of_a_rough_body():
+    rough = case("rough")
+    before, after = (rough.distances(each.mesh) for each in (rough.estimate, rough.refinement))
+    assert before.signed_mm > 0.05
+    assert abs(after.signed_mm) < 0.008
+    assert after.mean_mm < 0.5 * before.mean_mm
 
 
 @pytest.mark.parametrize("name", ["plain sphere", "plain cube"])
