@@ -18,7 +18,7 @@ MAX_SEQ = 10**15
 MAX_SMALL = 20
 """Results of a page that the daemon itself makes, in 3 ms; bigger ones are made beside it."""
 KEEP_S = 1.0
-"""Time for which a small page, or a full one, is the answer to all who ask for it."""
+"""Time for which a small page, or a full one of a stream, is the answer to all who ask for it."""
 
 PageQuery = Callable[..., FeedPage]
 """Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
@@ -42,6 +42,7 @@ class Feed:
     is_large: bool  # a page of many items takes long
     last: Callable[[Store], int]
     wait_beyond: Callable[[Store, int], Awaitable[None]]
+    is_stream: bool = False  # its pages say nothing of what follows them
     more: tuple[Names | bool, ...] = ()  # that the query is given: what the client has chosen
 
 
@@ -63,11 +64,21 @@ async def _beyond_result(store: Store, after: int) -> None:
 
 EVENTS = Feed(kind="event", query=event_page, is_large=False, last=_last_event, wait_beyond=_beyond_event)
 EVENT_STREAM = Feed(
-    kind="event", query=event_stream, is_large=False, last=_last_event, wait_beyond=_beyond_event
+    kind="event",
+    query=event_stream,
+    is_large=False,
+    last=_last_event,
+    wait_beyond=_beyond_event,
+    is_stream=True,
 )
 RESULTS = Feed(kind="result", query=feed_page, is_large=True, last=_last_seq, wait_beyond=_beyond_result)
 RESULT_STREAM = Feed(
-    kind="result", query=result_stream, is_large=True, last=_last_seq, wait_beyond=_beyond_result
+    kind="result",
+    query=result_stream,
+    is_large=True,
+    last=_last_seq,
+    wait_beyond=_beyond_result,
+    is_stream=True,
 )
 
 
@@ -99,8 +110,8 @@ async def page_now(context: ApiContext, feed: Feed, after: int, limit: int) -> F
             return await context.reading.run(read, store.path, feed.query, store.instance_id, *wanted)
         return await store.read(feed.query, store.instance_id, *wanted)
 
-    is_big, is_full = feed.is_large and min(limit, last - after) > MAX_SMALL, after + limit <= last
-    # what follows a full page changes nothing on it
+    is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
+    is_full = feed.is_stream and after + limit <= last  # what follows changes nothing on it
     question = (feed.query, *wanted, None if is_full else last)
     return await context.shared.get(question, make, keep_s=KEEP_S if is_full or not is_big else 0)
 
