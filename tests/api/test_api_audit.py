@@ -162,6 +162,20 @@ async def write_webhooks(write: Writing) -> None:
     assert (again["before"]["after"], again["after"]["after"]) == (0, 1)
 
 
+async def write_by_browser(write: Writing, client: httpx.AsyncClient) -> None:
+    """Sign in, have a camera's lamp blink with the cookie, and sign out; the key itself looks for the last entry."""
+    await write("POST", "/session", {"token": "token"}, "session begun", "boss")
+    key = client.headers.pop("Authorization")
+    client.headers["Origin"] = "http://127.0.0.1:8080"
+    path = "/cameras/{camera}/identify"
+    await write("POST", path, {"seconds": 5}, "camera identified", "c02", camera="c02")
+    assert (await client.delete("/session")).status_code == 204
+    client.headers["Authorization"] = key
+    last = (await write.entries())[-1]
+    assert (last["who"], last["action"], last["subject"]) == ("key boss", "session ended", "boss")
+    write.written.add(("DELETE", "/session"))
+
+
 @pytest.mark.usefixtures("webhooks")
 async def test_every_route_that_writes_leaves_an_entry(
     store: Store, session: int, control: FakeControl, alarms: Alarms, again: AgainPool, tmp_path: Path
@@ -177,6 +191,8 @@ async def test_every_route_that_writes_leaves_an_entry(
         assert (await client.put("/consumers/mes/cursor", json={"after": 1})).status_code == 200
         assert len(await write.entries()) == n_entries
         await write("DELETE", "/consumers/{name}", None, "consumer deleted", "mes", name="mes")
+        control.state = AcquisitionState.DISARMED
+        await write_by_browser(write, client)
     routes = {
         (method.upper(), path.removeprefix(BASE))
         for path, methods in build_routes().openapi()["paths"].items()

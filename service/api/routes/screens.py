@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import Response
 
 from service import screens
 from service.api.etags import unchanged
 from service.api.gzipped import TakesGzip
-from service.api.problems import Problem
 
 router = APIRouter(include_in_schema=False)
 
@@ -125,7 +124,7 @@ async def screen_file(version: str, path: str, compressed: TakesGzip) -> Respons
     shown = installed_screens()
     found = shown.files.get(path) if version == shown.version else None
     if found is None:
-        raise Problem(404, "not-found", f"the pages have no file {path!r} of version {version!r}")
+        raise HTTPException(404, f"the pages have no file {path!r} of version {version!r}")
     return _response(found, compressed, {"Cache-Control": "public, max-age=31536000, immutable"})
 
 
