@@ -9,7 +9,7 @@ const SEEN_FROM = [0.55, -0.7, 0.45];
 const STONE_RGB = [0.8, 0.75, 0.68];
 const LIGHTS = [[-0.55, 0.65, 0.52, 2.0], [0.8, 0.1, 0.59, 0.75]];
 const MM_PER_M = 1000;
-const ROOM = 1.35;
+const ROOM = 1.6; // for what lies beside the body: beams, and corners of the sieve
 const BAR_LENGTHS_MM = [50, 20, 10, 5, 2, 1];
 const KEYS_TURN = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const TURN_OF_A_KEY = Math.PI / 18;
@@ -84,7 +84,7 @@ class Body {
     geometry.computeBoundingSphere();
     const isTextured = geometry.hasAttribute("color");
     const material = new this.three.MeshLambertMaterial({ vertexColors: isTextured });
-    if (!isTextured) material.color.setRGB(...STONE_RGB);
+    if (!isTextured) material.color.setRGB(...STONE_RGB, this.three.SRGBColorSpace);
     this.model = new this.three.Mesh(geometry, material);
     this.scene.add(this.model, this.camera);
     this.light();
