@@ -22,25 +22,8 @@ from service import screens
 
 PATIENCE_MS = 60_000
 N_STONES = 24
-WITHOUT_CALIPERS = re.compile(r"calipers|outline\.svg|GPU stall due to ReadPixels")
-"""What the console may say: older daemons have neither gauges nor outlines; how a software renderer is slow."""
-CALIPER = {"value_mm": 15.0, "a_mm": [-7.5, 0, 0], "b_mm": [7.5, 0, 0], "direction": [1, 0, 0]}
-GAUGES = {
-    "length": CALIPER,
-    "width": {"value_mm": 15.0, "a_mm": [0, -7.5, 0], "b_mm": [0, 7.5, 0], "direction": [0, 1, 0]},
-    "thickness": {"value_mm": 15.0, "a_mm": [0, 0, -7.5], "b_mm": [0, 0, 7.5], "direction": [0, 0, 1]},
-    "max_feret": CALIPER,
-    "min_feret": CALIPER,
-    "sieve": {
-        "value_mm": 15.0,
-        "direction": [0, 0, 1],
-        "corners_mm": [[-7.5, -7.5, 0], [7.5, -7.5, 0], [7.5, 7.5, 0], [-7.5, 7.5, 0]],
-        "touches_mm": [[7.5, 0, 0], [0, 7.5, 0]],
-    },
-    "volume_mm3": 1767.1,
-    "center_mm": [0, 0, 0],
-}
-"""Of a sphere of 15 mm in the middle of the rig."""
+SLOW_RENDERER = re.compile("GPU stall due to ReadPixels")
+"""What the browser says of its own way to draw without a graphics card."""
 NEEDS_THREE = pytest.mark.skipif(
     not (Path(screens.__file__).parent / "packages/three").exists(), reason="deploy/packages was not run"
 )
@@ -59,7 +42,7 @@ def lot(replay: DaemonProcess) -> str:
 
 @pytest.fixture
 def page(watched: Watched) -> Iterator[Page]:
-    watched.is_expected = WITHOUT_CALIPERS
+    watched.is_expected = SLOW_RENDERER
     watched.page.set_default_timeout(PATIENCE_MS)
     expect.set_options(timeout=PATIENCE_MS)
     yield watched.page
@@ -72,10 +55,6 @@ def stone(replay: DaemonProcess, lot: str) -> str:
 
 def address(replay: DaemonProcess, path: str) -> str:
     return origin_of(replay.url("")) + path
-
-
-def with_gauges(page: Page) -> None:
-    page.route("**/calipers", lambda route: route.fulfill(json=GAUGES))
 
 
 def picture(canvas: Locator) -> bytes:
@@ -105,7 +84,6 @@ def n_colours(page: Page) -> int:
 
 @NEEDS_THREE
 def test_a_body_is_drawn_and_turned_by_hand_and_key(page: Page, replay: DaemonProcess, stone: str) -> None:
-    with_gauges(page)
     page.goto(address(replay, f"/stones/{stone}"))
     canvas = page.locator("canvas.body")
     expect(canvas).to_be_visible()
@@ -126,10 +104,10 @@ def test_a_body_is_drawn_and_turned_by_hand_and_key(page: Page, replay: DaemonPr
 
 @NEEDS_THREE
 def test_gauges_are_drawn_and_can_be_put_away(page: Page, replay: DaemonProcess, stone: str) -> None:
-    with_gauges(page)
     page.goto(address(replay, f"/stones/{stone}"))
     canvas = page.locator("canvas.body")
-    expect(page.locator(".gauge.length")).to_have_text("Length 15.00 mm")
+    length_mm = replay.get(f"/particles/{stone}")["length_mm"]
+    expect(page.locator(".gauge.length")).to_have_text(f"Length {length_mm:.2f} mm")
     expect(page.locator(".gauge.sieve")).to_be_visible()
     expect(page.locator(".gauge.max_feret")).to_be_hidden()
     for name in ("width", "thickness", "sieve"):
@@ -164,6 +142,7 @@ def test_the_passport_has_numbers_with_uncertainty_and_standard(
     expect(row).to_contain_text(f"± {2 * 2**0.5 * record['surface_sd_mm']:.2f}")
     expect(row).to_contain_text("ASTM D4791")
     expect(page.locator("#views figure")).to_have_count(len(record["views"]) + len(record["dropped_views"]))
+    until(page, "() => document.querySelector('.view svg') !== null")  # its outline
     expect(page.locator("#facts")).to_contain_text("L-7")
     before = page.locator("#neighbours a[rel=prev]")
     expect(before).to_have_attribute("href", re.compile(r"/stones/[0-9a-f]{8}-\d+$"))
@@ -258,10 +237,9 @@ def test_axe_core_finds_nothing(
 ) -> None:
     with watched_page(browser, viewport=SIZES[size], color_scheme=theme, locale="de") as watched:
         page = watched.page
-        watched.is_expected = WITHOUT_CALIPERS
+        watched.is_expected = SLOW_RENDERER
         page.set_default_timeout(PATIENCE_MS)
-        with_gauges(page)
-        for name, path, ready in (
+            for name, path, ready in (
             ("passport", f"/stones/{stone}", "#facts dd"),
             ("gallery", f"/gallery?lot={lot}", "[data-sieve]"),
             ("compare", f"/compare?a={lot}&b={lot}", "#figures td"),

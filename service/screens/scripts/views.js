@@ -43,7 +43,9 @@ function figure(stone, camera, hasFrames) {
   async function fill() {
     const outline = await getText(`/particles/${stone.key}/views/${camera}/outline.svg`).catch(() => null);
     if (outline === null && !hasFrames) {
-      show(button, element("span", { class: "weak" }, word("passport.view-not-kept")));
+      show(button, element("span", {}, word("passport.view-not-kept")));
+      button.removeAttribute("aria-label");
+      button.disabled = true;
       return;
     }
     const drawing = outline === null ? bare() : svgFromServer(outline);
