@@ -239,7 +239,7 @@ def test_axe_core_finds_nothing(
         page = watched.page
         watched.is_expected = SLOW_RENDERER
         page.set_default_timeout(PATIENCE_MS)
-            for name, path, ready in (
+        for name, path, ready in (
             ("passport", f"/stones/{stone}", "#facts dd"),
             ("gallery", f"/gallery?lot={lot}", "[data-sieve]"),
             ("compare", f"/compare?a={lot}&b={lot}", "#figures td"),

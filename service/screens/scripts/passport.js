@@ -52,6 +52,7 @@ async function showMesh(stone) {
     mesh: `${path}/mesh.glb`,
     preview: `${path}/preview.png`,
     name: word("passport.stone", { id: stone.id }),
+    result: stone,
     calipers: get(`/particles/${stone.key}/calipers`).catch(() => null),
   });
   if (body === null || body.gauges.size === 0) return;

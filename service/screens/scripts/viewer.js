@@ -9,7 +9,7 @@ const SEEN_FROM = [0.55, -0.7, 0.45];
 const STONE_RGB = [0.8, 0.75, 0.68];
 const LIGHTS = [[-0.55, 0.65, 0.52, 2.0], [0.8, 0.1, 0.59, 0.75]];
 const MM_PER_M = 1000;
-const ROOM = 1.6; // for what lies beside the body: beams, and corners of the sieve
+const ROOM = 1.5; // for what lies beside the body: beams, and corners of the sieve
 const BAR_LENGTHS_MM = [50, 20, 10, 5, 2, 1];
 const KEYS_TURN = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const TURN_OF_A_KEY = Math.PI / 18;
@@ -18,8 +18,8 @@ const TURN_OF_A_KEY = Math.PI / 18;
  * Show the body of a stone in `place` and return it, or null where a picture had to do.
  *
  * @param {HTMLElement} place
- * @param {{mesh: string, preview: string, name: string, calipers: Promise<?object>}} stone addresses, its name, and
- *   what `/particles/{id}/calipers` will have returned
+ * @param {{mesh: string, preview: string, name: string, result: object, calipers: Promise<?object>}} stone addresses, its
+ *   name, its result, and what `/particles/{id}/calipers` will have returned: the places, on the mesh as it is served
  */
 export async function showBody(place, stone) {
   let why = "viewer.no-package";
@@ -91,7 +91,7 @@ class Body {
     show(this.place, this.canvas, this.labels, this.bar, element("p", { id: "viewer-help", class: "note" }, word("viewer.help")));
     if (calipers !== null) {
       this.gauges = gauges(this.three, calipers, geometry.attributes.position.array, (name) => this.colour(name));
-      for (const [name, gauge] of this.gauges) this.addGauge(name, gauge, calipers[name].value_mm);
+      for (const [name, gauge] of this.gauges) this.addGauge(name, gauge);
     }
     this.lookAt(geometry.boundingSphere);
     this.listen();
@@ -119,7 +119,8 @@ class Body {
     this.renderer.dispose();
   }
 
-  addGauge(name, gauge, valueMm) {
+  addGauge(name, gauge) {
+    const valueMm = this.stone.result[name === "sieve" ? "sieve_size_mm" : `${name}_mm`]; // what was measured is said
     gauge.text = element("span", { class: `gauge ${name}` }, `${word(`viewer.gauge-${name}`)} ${number(valueMm, 2)} mm`);
     this.labels.append(gauge.text);
     this.scene.add(gauge.object);

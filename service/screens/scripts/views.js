@@ -49,6 +49,8 @@ function figure(stone, camera, hasFrames) {
       return;
     }
     const drawing = outline === null ? bare() : svgFromServer(outline);
+    drawing.querySelector("style")?.remove(); // it is that of a file of its own, and would hold for the whole page
+    drawing.classList.add("outlined");
     drawing.setAttribute("role", "img");
     drawing.setAttribute("aria-label", word("passport.view-label", { camera }));
     drawing.removeAttribute("width");
