@@ -76,7 +76,7 @@ function showTable({ a, b, is_paired: isPaired, figures }) {
       "table",
       {},
       element("thead", {}, element("tr", {}, element("td", {}), ...heads.map((head) => element("th", { scope: "col", class: "number" }, head)))),
-      element("tbody", {}, ...figures.map(row)),
+      element("tbody", {}, ...figures.filter(({ a: first, b: second }) => first.value !== null || second.value !== null).map(row)),
     ),
     element("p", { class: "note" }, word(isPaired ? "compare.paired" : "compare.unpaired")),
   );
@@ -103,7 +103,7 @@ function cell(value, low, high, unit, places, sign = "", isSignificant = false) 
     "td",
     { class: isSignificant ? "number changed" : "number" },
     value === null ? "–" : `${sign}${number(value, places)} ${unit}`,
-    low === null ? null : element("div", { class: "weak interval" }, `${number(low, places)} – ${number(high, places)}`),
+    low === null ? null : element("div", { class: "weak interval" }, word("compare.interval", { low: number(low, places), high: number(high, places) })),
     isSignificant ? element("div", {}, word("compare.significant")) : null,
   );
 }
