@@ -142,7 +142,8 @@ def test_the_passport_has_numbers_with_uncertainty_and_standard(
     expect(row).to_contain_text(f"± {2 * 2**0.5 * record['surface_sd_mm']:.2f}")
     expect(row).to_contain_text("ASTM D4791")
     expect(page.locator("#views figure")).to_have_count(len(record["views"]) + len(record["dropped_views"]))
-    until(page, "() => document.querySelector('.view svg') !== null")  # its outline
+    page.locator("#views").scroll_into_view_if_needed()
+    until(page, "() => document.querySelector('.view svg .stone') !== null")  # its outline
     expect(page.locator("#facts")).to_contain_text("L-7")
     before = page.locator("#neighbours a[rel=prev]")
     expect(before).to_have_attribute("href", re.compile(r"/stones/[0-9a-f]{8}-\d+$"))
