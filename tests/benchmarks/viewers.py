@@ -8,8 +8,7 @@ from typing import Any
 from urllib.parse import quote, urlsplit
 
 SHEET_S, TRENDS_S, PICTURE_PAUSE_S = 5.0, 60.0, 0.25
-"""How often the page asks for the contact sheet and the trends, and how long it waits after a stone's picture."""
-TRENDS = ("d50", "flakiness", "shape", "rate")
+"""How often the page asks for the contact sheet and a trend, and how long it waits after a stone's picture."""
 MAX_STONES = 12
 
 
@@ -68,7 +67,7 @@ class Viewer:
         if self._is_due("sheet", SHEET_S, now_s):
             questions.append("/cameras/contact-sheet.jpg")
         if self._is_due("trends", TRENDS_S, now_s):
-            questions += ["/diary/changes?hours=1", *(f"/trends/{name}.svg?hours=1" for name in TRENDS)]
+            questions += ["/diary/changes?hours=1", "/trends/d50.svg?hours=1"]
         if self._pictures and self._is_due("picture", PICTURE_PAUSE_S, now_s):
             questions.append(f"/particles/{self._pictures.pop()}/preview.png")
         return questions

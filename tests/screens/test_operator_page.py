@@ -95,7 +95,21 @@ def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
 
 
 def test_every_figure_has_its_trend(operator: Watched) -> None:
-    expect(operator.page.locator(".tile .trend svg")).to_have_count(4)
+    titles = set()
+    for name in ("d50", "flakiness", "shape", "rate"):
+        operator.page.locator(f"#tile-{name}").click()
+        expect(operator.page.locator("#trend")).to_have_attribute(
+            "data-asked", re.compile(f"/{name}[.]svg.hours=1&")
+        )
+        until(
+            operator.page,
+            "(seen) => !seen.includes(document.querySelector('#trend svg title')?.textContent ?? '')",
+            ["", *titles],
+        )
+        titles.add(operator.page.locator("#trend svg title").first.text_content())
+    assert len(titles) == 4
+    operator.page.get_by_role("button", name="12 h").click()
+    expect(operator.page.locator("#trend")).to_have_attribute("data-asked", re.compile("hours=12&"))
 
 
 def test_every_camera_has_a_tile_and_the_dim_one_stands_out(operator: Watched, replay: DaemonProcess) -> None:
@@ -165,6 +179,10 @@ def test_it_is_accessible_at_every_size(
         expect(page.locator("#newest li")).to_have_count(12)
         assert page.evaluate("document.documentElement.lang") == language
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "it scrolls sideways"
+        if size == "wall":
+            assert page.evaluate("document.documentElement.scrollHeight <= innerHeight"), (
+                "nobody scrolls a wall"
+            )
         page.emulate_media(reduced_motion="reduce")
         until(page, "() => document.querySelector('#newest img')?.naturalWidth > 100")
         screenshot(page, f"operator-{size}-{theme}-{language}")
@@ -181,7 +199,7 @@ def test_everything_is_reached_by_keyboard(operator: Watched) -> None:
         ".map((each) => each.innerText.trim())"
     )
     reached = reachable_by_tab(page)
-    values = re.compile(r"\s*(Light|Dust|Focus|Frames|Temperature).*", re.DOTALL)  # they change meanwhile
+    values = re.compile(r"\s*(Light|Dust|Focus|Lost|Temp).*", re.DOTALL)  # they change meanwhile
     assert {values.sub("", each) for each in wanted} <= {values.sub("", each) for each in reached}
 
 

@@ -16,12 +16,12 @@ export function mountDiary(onNoted) {
 /** Show what changed since the entries of the last hours. */
 export async function showChanges(hours) {
   const { items } = await get(`/diary/changes?hours=${hours}&language=${language()}`).catch(() => ({ items: [] }));
-  const told = items.filter((each) => each.significant);
+  const told = items.flatMap((each) => each.figures).filter((each) => each.is_significant);
   show(byId("changes"), told.map((each) => element("li", {}, each.sentence)));
 }
 
 function form(onNoted) {
-  const text = element("textarea", { name: "text", maxlength: 2000, required: true });
+  const text = element("textarea", { name: "text", maxlength: 500, required: true });
   const value = element("input", { name: "value", type: "number", step: "any", min: 0 });
   const valueLabel = element("label", {}, word("diary.value"), value);
   const problem = element("p", { class: "problem", role: "alert" });

@@ -10,17 +10,17 @@ const REFRESH_MS = 60_000;
 /** Name of the trend, field of `figures`, unit, digits after the point. */
 const TILES = [["d50", "d50_mm", "mm", 1], ["flakiness", "flakiness_percent", "%", 1], ["shape", "shape_percent", "%", 1], ["rate", null, "/min", 0]];
 let hours = Number(localStorage.getItem("hours") ?? HOURS[0]);
+let drawn = localStorage.getItem("trend") ?? TILES[0][0]; // one drawing that can be read rather than four that cannot
 
 /** Make the tiles, the choice of hours and the diary. */
 export function mountTrends() {
   show(byId("tiles"), TILES.map(([name, , unit]) =>
     element(
-      "article",
-      { class: "tile", id: `tile-${name}` },
-      element("h3", {}, word(`operator.figure-${name}`)),
-      element("p", { class: "value" }, element("b", {}, "–"), " ", element("span", { class: "unit" }, unit)),
-      element("p", { class: "interval" }),
-      element("div", { class: "trend" }),
+      "button",
+      { type: "button", class: "tile", id: `tile-${name}`, onclick: () => draw(name) },
+      element("span", { class: "name" }, word(`operator.figure-${name}`)),
+      element("span", { class: "value" }, element("b", {}, "–"), " ", element("span", { class: "unit" }, unit)),
+      element("span", { class: "interval" }),
     )));
   show(byId("hours"), HOURS.map((each) =>
     element("button", { type: "button", "data-hours": each, onclick: () => choose(each) }, word("operator.last-hours", { hours: each }))));
@@ -53,12 +53,18 @@ function choose(chosen) {
   refresh();
 }
 
+function draw(name) {
+  drawn = name;
+  localStorage.setItem("trend", drawn);
+  refresh();
+}
+
 async function refresh() {
-  const asked = hours;
-  showChanges(asked);
-  for (const [name] of TILES) { // one after the other: all pages together ask one process
-    const text = await getText(`/trends/${name}.svg?hours=${asked}&language=${language()}`).catch(() => null);
-    if (asked !== hours) return;
-    if (text !== null) show(byId(`tile-${name}`).querySelector(".trend"), svgFromServer(text));
-  }
+  if (!TILES.some(([name]) => name === drawn)) [[drawn]] = TILES;
+  for (const [name] of TILES) byId(`tile-${name}`).setAttribute("aria-pressed", String(name === drawn));
+  const asked = `/trends/${drawn}.svg?hours=${hours}&language=${language()}`;
+  byId("trend").dataset.asked = asked;
+  showChanges(hours);
+  const text = await getText(asked).catch(() => null);
+  if (text !== null && byId("trend").dataset.asked === asked) show(byId("trend"), svgFromServer(text));
 }
