@@ -244,9 +244,10 @@ def test_new_pictures_of_all_cameras(page: Page, live: LiveRig) -> None:
     expect(page.get_by_role("button", name="Take new pictures")).to_be_enabled()
     now = {each["id"]: each["frames"] for each in live.daemon.get("/cameras")["items"]}
     assert all(now[name] > frames[name] for name in now)
-    page.wait_for_function(
-        "[...document.querySelectorAll('.tile img')].filter((image) => image.naturalWidth > 0).length === 16"
+    shown = (
+        "() => [...document.querySelectorAll('.tile img')].filter((image) => image.naturalWidth > 0).length"
     )
+    eventually(lambda: page.evaluate(shown) == 16)
     live.daemon.put("/acquisition", {"state": "armed"})
     live.wait_until_whole()
 
@@ -266,6 +267,8 @@ def test_every_wizard_by_keyboard_in_german_in_every_size(
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
             assert violations(page) == []
             screenshot(page, f"setup-{wizard}-{size}-{theme}")
-            buttons = page.locator("main button:enabled").all_inner_texts()
-            assert set(buttons) <= reachable_by_tab(page)
+            buttons = page.locator("main button:enabled")  # some come while the page is looked at
+            eventually(
+                lambda buttons=buttons, page=page: set(buttons.all_inner_texts()) <= reachable_by_tab(page)
+            )
             watched.assert_clean()
