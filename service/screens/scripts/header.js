@@ -11,7 +11,8 @@ const THEMES = ["auto", "light", "dark"];
 export function mountHeader(current) {
   const links = PAGES.map(([address, key]) =>
     element("a", { href: address, "aria-current": address === current && "page" }, word(key)));
-  byId("header").append(
+  show(
+    byId("header"),
     element("a", { class: "skip", href: "#main" }, word("header.skip")),
     element(
       "div",

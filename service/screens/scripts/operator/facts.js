@@ -3,6 +3,7 @@
 import { byId, element, setText } from "../dom.js";
 import { number, span, word } from "../words.js";
 
+const CALIBRATION_LETTERS = 12; // enough to tell one from another
 /** Key of the label and the text of each fact. */
 const FACTS = [
   ["operator.accounting", ({ accounting: a }) =>
@@ -13,7 +14,7 @@ const FACTS = [
   ["operator.disk", ({ disk_days: days }) => (days === null ? word("operator.disk-unknown") : word("operator.disk-value", { days: number(days) }))],
   ["operator.verification", ({ verification: { verdict, age_h: age } }) =>
     word(`operator.verification-${verdict}`) + (age === null ? "" : ` · ${word("operator.ago", { span: span(age * 3600) })}`)],
-  ["operator.calibration", ({ calibration_id: id }) => id ?? "–"],
+  ["operator.calibration", ({ calibration_id: id }) => id.slice(0, CALIBRATION_LETTERS)],
 ];
 
 /** Show the facts. */
