@@ -6,12 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import RejectReason
+from pipeline.errors import ProblemCode, RejectReason
 from pipeline.gradation.specification import Verdict
+from pipeline.segmentation.silhouette import ViewStatus
 from service import screens
 from service.alarms.alarm import ANNOUNCED
 from service.alarms.rules import Priority
+from service.calibration.states import CalibrationState
+from service.calibration.verifications import VerificationState
 from service.language import Language
+from service.recording.live_recording import EndedBy, RecordingState
 from service.results.fields import LossReason, Outcome, Verified
 from service.status import AcquisitionState, DeviceState, Ne107
 
@@ -75,6 +79,12 @@ def test_no_word_is_left_over() -> None:
         ("operator.reason-", [*RejectReason, *LossReason]),
         ("operator.form-", ["equant", "disc", "rod", "blade"]),
         ("operator.quality-", ["reduced", "degraded"]),
+        ("setup.problem-", list(ProblemCode)),
+        ("setup.refused-", [status for status in ViewStatus if status is not ViewStatus.OK]),
+        ("setup.calibration-state-", list(CalibrationState)),
+        ("setup.verification-state-", list(VerificationState)),
+        ("setup.recording-state-", list(RecordingState)),
+        ("setup.recording-ended-", list(EndedBy)),
     ],
 )
 def test_every_value_that_is_told_has_words(prefix: str, values: list[str]) -> None:
