@@ -17,7 +17,7 @@ CHANCE_ROUNDS = 4
 SPIKE_MM = 0.03
 """Distance of a node from the median of its neighbours that is chance where they agree."""
 SPIKE_SPREADS = 2.0
-"""That distance elsewhere, in mean distances of the neighbours from their median."""
+"""Further distance that is allowed, in mean distances of the neighbours from their median."""
 
 
 def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:

@@ -32,7 +32,7 @@ SHEET_TILE_PX = 320
 SHEET_GREY = 128
 """Where a camera has no picture."""
 SHEET_QUALITY = 80
-"""Of the JPEG: people look at it, nothing is measured in it."""
+"""Quality of the JPEG: people look at it, nothing is measured in it."""
 PNG_END = b"IEND\xaeB`\x82"
 MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From the frame of the rig to that of glTF 2.0, section 3.4: right-handed, metres, +y up; x stays, z becomes y."""

@@ -24,7 +24,7 @@ class DiaryKind(StrEnum):
     LINER = "liner"
     """Its liners were changed or turned."""
     FEED = "feed"
-    """What it is fed; the value is in t/h."""
+    """The feed of the crusher was changed; the value is in t/h."""
     OTHER = "other"
 
 

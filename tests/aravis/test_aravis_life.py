@@ -28,7 +28,7 @@ from pipeline.frames import Frame
 FOUND_OUT_S = 2.5
 """How soon `examine` knows: 0.25 s, and before the heartbeat's 3 s on any machine."""
 STROBE_BANK, EXPOSURE_ACTIVE = 1, 1
-"""Of the registers of the lines, that of Line2; entry of its `LineSource`."""
+"""Bank of Line2 among the registers of the lines, and an entry of its `LineSource`."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Somebody who looks at the operator's page: what the page's scripts ask for, without a browser."""
+"""A viewer of the operator's page without a browser: it asks for what the page's scripts ask for."""
 
 import asyncio
 import json
