@@ -39,6 +39,7 @@ class OverviewDecision(BaseModel):
     index: Literal["FI", "SI"] | None = Field(
         description="Flakiness index (EN 933-3) or shape index (EN 933-4); null: a sieve is judged"
     )
+    percent: Figure = Field(description="Passing by mass, or the index, %")
     decision: Decision = Field(description="The verdict, and what would decide it")
 
 

@@ -130,11 +130,17 @@ def overview_figures(
 def _decisions(figures: LotFigures) -> Iterator[OverviewDecision]:
     for step in sorted(figures.curve, key=lambda step: -step.sieve_mm):
         if step.decision is not None:
-            yield OverviewDecision(sieve_mm=step.sieve_mm, index=None, decision=step.decision)
+            yield OverviewDecision(
+                sieve_mm=step.sieve_mm, index=None, percent=step.passing_percent, decision=step.decision
+            )
     if figures.flakiness_decision is not None:
-        yield OverviewDecision(sieve_mm=None, index="FI", decision=figures.flakiness_decision)
+        percent = figures.indices.flakiness_percent
+        yield OverviewDecision(
+            sieve_mm=None, index="FI", percent=percent, decision=figures.flakiness_decision
+        )
     if figures.shape_decision is not None:
-        yield OverviewDecision(sieve_mm=None, index="SI", decision=figures.shape_decision)
+        percent = figures.indices.shape_percent
+        yield OverviewDecision(sieve_mm=None, index="SI", percent=percent, decision=figures.shape_decision)
 
 
 def _version(figures: LotFigures, lot: str | None) -> str:

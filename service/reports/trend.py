@@ -33,6 +33,8 @@ LOTS_TOP, LOTS_BOTTOM = BOTTOM + 24, BOTTOM + 40
 MAX_TICKS = 8
 MARGIN = 0.08
 """Part of the range of values that is left free above and below."""
+LEAST_SPAN = 0.02
+"""What is drawn spans at least so much of the greatest value: a hundredth of it is no trend."""
 LEAST_PART = 0.2
 """Part of its time that the last bucket must have seen for its rate to be drawn."""
 STEPS = (
@@ -103,7 +105,8 @@ class _Axes:
         low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
         if starts_at_zero:
             low = 0.0
-        span = (high - low) or abs(high) or 1.0
+        span = max(high - low, LEAST_SPAN * abs(high)) or 1.0
+        low, high = min(low, (low + high - span) / 2), max(high, (low + high + span) / 2)
         self.least = max(low - MARGIN * span, 0.0)
         self.greatest = high + MARGIN * span
         self.step = _nice_step((self.greatest - self.least) / 4)

@@ -53,6 +53,9 @@ async def test_a_lot_has_what_falls_while_it_is_open(
     assert figures["product"]["specification"] == "GC85-20 8/16"
     assert figures["mass_kg"] == pytest.approx(2700e-9 * 0.6 * (11**3 + 12**3))
     (behind,) = (await client.get("/lots/L1/particles?sieve=12.5&sieve_set=en-basic-1")).json()["items"][:1]
+    heaviest = (await client.get("/lots/L1/particles?limit=1")).json()
+    assert (heaviest["above_mm"], heaviest["up_to_mm"]) == (0, None)
+    assert heaviest["items"][0]["volume_mm3"] >= behind["volume_mm3"]
     assert (behind["seq"], behind["sieve_size_mm"]) == (4, 12.0)
 
 

@@ -222,6 +222,21 @@ def test_a_filter_is_in_the_address_and_the_list_has_no_end(
     until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
 
 
+def test_the_largest_stones_of_a_lot_come_first(page: Page, replay: DaemonProcess, lot: str) -> None:
+    page.goto(address(replay, f"/gallery?lot={lot}"))
+    page.get_by_role("button", name="Largest stones first").click()
+    expect(page.locator("#list-heading")).to_contain_text("heaviest stones of the lot")
+    expect(page.locator("#conditions")).to_be_hidden()
+    heaviest = replay.get(f"/lots/{lot}/particles?limit=60")["items"]
+    assert [each["volume_mm3"] for each in heaviest] == sorted(
+        (each["volume_mm3"] for each in heaviest), reverse=True
+    )
+    shown = page.locator("#tiles li").evaluate_all("(tiles) => tiles.map((tile) => tile.dataset.id)")
+    assert shown == [each["id"] for each in heaviest]
+    page.get_by_role("button", name="All stones of the lot").click()
+    expect(page.locator("#list-heading")).to_contain_text("newest first")
+
+
 def test_a_lot_is_compared_with_itself(page: Page, replay: DaemonProcess, lot: str) -> None:
     page.goto(address(replay, f"/compare?a={lot}"))
     page.locator("#b").select_option(lot)
@@ -259,4 +274,4 @@ def test_all_is_reached_by_keys(page: Page, replay: DaemonProcess, lot: str, sto
     page.locator("#tiles li").first.wait_for()
     reached = reachable_by_tab(page)
     steps = page.locator("[data-sieve]").evaluate_all("(steps) => steps.map((e) => e.ariaLabel)")
-    assert {*steps, "Take out", "Clear filters"} <= reached
+    assert {*steps, "What if without it", "Clear filters"} <= reached

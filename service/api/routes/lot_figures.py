@@ -1,6 +1,7 @@
 """The figures of a lot, its reports, and the stones behind each step of its curve."""
 
 from dataclasses import asdict
+from math import inf
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -52,12 +53,12 @@ class StoneBehindStep(BaseModel):
 
 
 class StonesBehindStep(BaseModel):
-    """The stones that pass one sieve and not the next smaller one, the heaviest first."""
+    """The stones of a lot, or those that pass one sieve and not the next smaller one, the heaviest first."""
 
     above_mm: float = Field(
-        description="Aperture of the next smaller sieve of the set, mm; 0 below the smallest"
+        description="Aperture of the next smaller sieve of the set, mm; 0 below the smallest, and of all stones"
     )
-    up_to_mm: float = Field(description="Aperture of the upper sieve, mm")
+    up_to_mm: float | None = Field(description="Aperture of the upper sieve, mm; null: all stones of the lot")
     items: list[StoneBehindStep] = Field(description="The heaviest first")
 
 
@@ -184,17 +185,24 @@ async def report_file(
 async def particles_behind_step(
     context: Context,
     lot: LotName,
-    sieve: Annotated[float, Query(gt=0, le=1000, description="Aperture of the upper sieve, mm")],
     measuring: Measuring,
+    sieve: Annotated[
+        float | None,
+        Query(gt=0, le=1000, description="Aperture of the upper sieve, mm; all stones when absent"),
+    ] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Stones of the answer, at most")] = 100,
 ) -> dict[str, Any]:
-    """Return the stones behind a step of the curve: that pass this sieve and not the next smaller one of the set."""
+    """Return the heaviest stones of a lot, or those behind a step of its curve.
+
+    Behind a step are the stones that pass this sieve and not the next smaller one of the set.
+    """
     record = existing(await context.store.read(find_lot, lot), "lot", lot)
     product = await context.store.read(find_product, record.product, record.version)
     definition = None if product is None else product.definition
     apertures_mm = yardstick_of(definition, measuring).apertures_mm
-    above_mm = max((each for each in apertures_mm if each < sieve), default=0.0)
-    items = await context.store.read(stones_behind, lot, above_mm, sieve, limit)
+    above_mm = max((each for each in apertures_mm if sieve is not None and each < sieve), default=0.0)
+    up_to_mm = inf if sieve is None else sieve
+    items = await context.store.read(stones_behind, lot, above_mm, up_to_mm, limit)
     return {"above_mm": above_mm, "up_to_mm": sieve, "items": [asdict(each) for each in items]}
 
 

@@ -11,6 +11,8 @@ import { showFigures } from "./what_if.js";
 const PAGE = 60;
 const FIELDS = "captured_at,sieve_size_mm,quality,volume_sd_percent,zingg_class,reason";
 const TIMES = ["since", "until"];
+/** Expanded uncertainty by standard deviation, as everywhere on the pages. */
+const COVERAGE = 2;
 /** What is an unfavourable shape, as the parameter of REST. */
 const SHAPES = { flaky: ["is_flaky", true], "not-flaky": ["is_flaky", false], "non-cubical": ["is_non_cubical", true], cubical: ["is_non_cubical", false] };
 
@@ -27,6 +29,8 @@ const form = byId("filters");
 await fillChoices();
 form.addEventListener("change", () => go(fromForm()));
 form.addEventListener("submit", (event) => event.preventDefault());
+form.addEventListener("wheel", ({ target }) => target.type === "number" && target.blur(), { passive: true }); // it scrolls the page
+byId("heaviest").addEventListener("click", () => go(withChoice("order", asked.has("order") ? null : "heaviest")));
 form.addEventListener("reset", (event) => {
   event.preventDefault();
   go(new URLSearchParams());
@@ -61,8 +65,8 @@ function option(value, text) {
 function fromForm() {
   const chosen = new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== "" && value !== "measured"));
   if (chosen.get("lot") !== asked.get("lot")) return chosen;
-  for (const [name, value] of asked) if (name === "sieve" || name === "without") chosen.append(name, value);
-  if (asked.has("sieve")) for (const [name, value] of asked) if (form.elements[name]?.matches("#conditions *")) chosen.append(name, value);
+  for (const [name, value] of asked) if (["sieve", "order", "without"].includes(name)) chosen.append(name, value);
+  if (isOfLot()) for (const [name, value] of asked) if (form.elements[name]?.matches("#conditions *")) chosen.append(name, value);
   return chosen;
 }
 
@@ -83,7 +87,8 @@ function changed(name, value, isOn) {
 function render() {
   generation += 1;
   for (const field of form.elements) if (field.name) field.value = asked.get(field.name) ?? (field.name === "outcome" ? "measured" : "");
-  byId("conditions").disabled = asked.has("sieve");
+  byId("conditions").hidden = isOfLot();
+  byId("heaviest").setAttribute("aria-pressed", String(asked.has("order")));
   setText(byId("problem"), "");
   showLot(generation);
   const list = new URLSearchParams(asked);
@@ -94,7 +99,13 @@ function render() {
   byId("more").hidden = true;
   cursor = null;
   byId("tiles").replaceChildren();
+  setText(byId("list-heading"), word("gallery.loading"));
   showMore();
+}
+
+/** Return whether stones are those of a step of the curve, or the heaviest: other filters than the lot do not hold then. */
+function isOfLot() {
+  return asked.has("lot") && (asked.has("sieve") || asked.has("order"));
 }
 
 function lotPath() {
@@ -116,7 +127,7 @@ async function showLot(shown) {
     ]);
     if (shown !== generation) return;
     setText(byId("curve-heading"), word("gallery.curve", { lot, product: all.product?.title ?? "" }));
-    showSteps(byId("curve"), svg, fewer ?? all, sieveMm, (chosenMm) => go(withStep(chosenMm === sieveMm ? null : chosenMm)));
+    showSteps(byId("curve"), svg, fewer ?? all, sieveMm, (chosenMm) => go(withChoice("sieve", chosenMm === sieveMm ? null : chosenMm)));
     showFigures(byId("figures"), all, fewer, sieveMm);
     if (out.length > 0) byId("figures").append(takenOut(out));
   } catch (error) {
@@ -124,10 +135,11 @@ async function showLot(shown) {
   }
 }
 
-function withStep(sieveMm) {
+/** Return what is asked for with one of two ways to choose among the stones of a lot, or none of them. */
+function withChoice(name, value) {
   const next = new URLSearchParams(asked);
-  next.delete("sieve");
-  if (sieveMm !== null) next.set("sieve", sieveMm);
+  for (const each of ["sieve", "order"]) next.delete(each);
+  if (value !== null) next.set(name, value);
   return next;
 }
 
@@ -145,7 +157,7 @@ async function showMore() {
   const shown = listGeneration;
   more.disabled = true;
   try {
-    const { items, title } = asked.has("sieve") ? await stonesOfStep() : await stonesOfPage();
+    const { items, title } = isOfLot() ? await stonesOfLot() : await stonesOfPage();
     if (shown !== listGeneration) return;
     byId("tiles").append(...items.map(tileOf));
     markOut(byId("tiles"), asked.getAll("without"));
@@ -161,9 +173,11 @@ async function showMore() {
   }
 }
 
-async function stonesOfStep() {
-  const { items, above_mm: aboveMm, up_to_mm: upToMm } = await get(`${lotPath()}/particles?sieve=${asked.get("sieve")}&limit=1000`);
+async function stonesOfLot() {
+  const query = asked.has("sieve") ? `sieve=${asked.get("sieve")}&limit=1000` : `limit=${PAGE}`;
+  const { items, above_mm: aboveMm, up_to_mm: upToMm } = await get(`${lotPath()}/particles?${query}`);
   cursor = null;
+  if (upToMm === null) return { items, title: word("gallery.heaviest-of", { n: number(items.length) }) };
   const size = (sizeMm) => number(sizeMm, digits(sizeMm));
   return { items, title: word("gallery.stones-of-step", { n: number(items.length), below: size(aboveMm), sieve: size(upToMm) }) };
 }
@@ -182,6 +196,7 @@ function forRest() {
   for (const [name, value] of asked) {
     if (name === "without" || name === "language") continue;
     if (name === "shape") query.set(...SHAPES[value]);
+    else if (name === "max_volume_percent") query.set("max_volume_sd_percent", value / COVERAGE);
     else query.set(name, TIMES.includes(name) ? new Date(value).toISOString() : value);
   }
   if (cursor !== null) query.set("cursor", cursor);
@@ -194,5 +209,5 @@ function tileOf(stone) {
 }
 
 function showStep() {
-  show(byId("step"), !asked.has("sieve") ? null : element("button", { type: "button", onclick: () => go(withStep(null)) }, word("gallery.all-steps")));
+  show(byId("step"), !isOfLot() ? null : element("button", { type: "button", onclick: () => go(withChoice("sieve", null)) }, word("gallery.all-steps")));
 }

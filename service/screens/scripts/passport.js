@@ -7,7 +7,7 @@ import { measuresTable } from "./measures.js";
 import { qualityMark } from "./quality.js";
 import { showBody } from "./viewer.js";
 import { showViews } from "./views.js";
-import { language, loadWords, number, word } from "./words.js";
+import { loadWords, locale, number, word } from "./words.js";
 
 await loadWords();
 mountHeader("/gallery");
@@ -114,7 +114,7 @@ function showFacts(stone) {
 }
 
 function fullTime(rfc3339) {
-  return new Date(rfc3339).toLocaleString(language(), { dateStyle: "medium", timeStyle: "medium" });
+  return new Date(rfc3339).toLocaleString(locale(), { dateStyle: "medium", timeStyle: "medium" });
 }
 
 function showPin(stone) {

@@ -41,11 +41,14 @@ export function number(value, digits = 0) {
   return value.toLocaleString(language(), { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 
+/** How dates and times are written: of the English ones not the American. */
+export const locale = () => (language() === "en" ? "en-GB" : language());
+
 /** Return the local time of day of an RFC 3339 time, with the date unless it is today's. */
 export function time(rfc3339) {
   const at = new Date(rfc3339);
   const isToday = at.toDateString() === new Date().toDateString();
-  return at.toLocaleString(language(), { ...(!isToday && { day: "numeric", month: "short" }), hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
+  return at.toLocaleString(locale(), { ...(!isToday && { day: "numeric", month: "short" }), hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 }
 
 /** Return a span of time in its greatest fitting unit, such as `3 min`. */

@@ -11,7 +11,7 @@ export function showState({ acquisition, ne107, reasons }) {
   byId("state").dataset.ne107 = ne107;
   const text = acquisition.state === "armed" ? word(`operator.activity-${acquisition.activity}`) : word(`operator.state-${acquisition.state}`);
   setText(byId("state-word"), text);
-  setText(byId("ne107"), ne107Word(ne107));
+  setText(byId("ne107"), word("operator.rig-is", { state: ne107Word(ne107) }));
   if (byId("state-symbol").dataset.ne107 !== ne107) {
     byId("state-symbol").dataset.ne107 = ne107;
     show(byId("state-symbol"), ne107Symbol(ne107));
@@ -20,6 +20,7 @@ export function showState({ acquisition, ne107, reasons }) {
   if (byId("reasons").dataset.told !== told.join("\n")) {
     byId("reasons").dataset.told = told.join("\n");
     show(byId("reasons"), [...new Set(told)].map((each) => element("li", {}, each)));
+    byId("reasons").title = told.join("\n"); // there is room for the first
   }
   document.title = `${text} · stonefall`;
 }
@@ -27,6 +28,8 @@ export function showState({ acquisition, ne107, reasons }) {
 /** Show which lot takes what falls. */
 export function showLot({ lot }) {
   setText(byId("lot-name"), lot === null ? word("operator.no-lot") : lot.lot);
+  byId("largest").hidden = lot === null;
+  byId("largest").href = `/gallery?${new URLSearchParams({ lot: lot?.lot ?? "", order: "heaviest" })}`;
   setText(
     byId("lot-product"),
     lot === null
@@ -44,10 +47,12 @@ export function showVerdict({ figures }) {
     show(place, verdictSymbol(verdict), element("span", {}, word(`operator.verdict-${verdict}`)));
   }
   const partial = figures?.is_partial ? word("operator.partial") : "";
-  setText(byId("countdown"), [countdown(figures?.decisions ?? []), partial].join(" ").trim());
+  const told = [countdown(figures?.decisions ?? []), partial].join(" ").trim();
+  setText(byId("countdown"), told);
+  byId("countdown").title = told; // a wall has room for its beginning
 }
 
-/** Return what is decided and what is not, as "4 mm (about 220 stones, 2 min more): undecided; 16 mm, FI: conforms". */
+/** Return what is decided and what is not, as "12.5 mm (11 %, allowed 85 to 99 %): does not conform; 16 mm: conforms". */
 function countdown(decisions) {
   return GRAVEST_FIRST.map((verdict) => [verdict, decisions.filter(({ decision }) => decision.verdict === verdict)])
     .filter(([, those]) => those.length > 0)
@@ -55,8 +60,12 @@ function countdown(decisions) {
     .join("; ");
 }
 
-function judged({ sieve_mm, index, decision: { more_stones, more_s } }) {
+function judged({ sieve_mm, index, percent, decision: { verdict, limits, more_stones, more_s } }) {
   const name = index === null ? `${number(sieve_mm, Number.isInteger(sieve_mm) ? 0 : 1)} mm` : index;
+  if (verdict === "does_not_conform") {
+    const [value, low, high] = [percent.value, limits.min_percent, limits.max_percent].map((each) => number(each));
+    return word("operator.judged-outside", { name, percent: value, low, high });
+  }
   if (more_stones === null) return name;
   const stones = number(more_stones);
   return more_s === null

@@ -5,11 +5,14 @@ import { mountDiary, showChanges } from "./diary.js";
 import { byId, element, setText, show, svgFromServer } from "../dom.js";
 import { language, number, word } from "../words.js";
 
-const HOURS = [1, 12, 24];
-const REFRESH_MS = 60_000;
+/** Which hours are looked at, and how often they are drawn anew: an hour is quick to draw, and its end is watched. */
+const REFRESH_MS = { 1: 10_000, 12: 60_000, 24: 60_000 };
+const HOURS = Object.keys(REFRESH_MS).map(Number);
+const CHANGES_MS = 60_000;
 /** Name of the trend, field of `figures`, unit, digits after the point. */
 const TILES = [["d50", "d50_mm", "mm", 1], ["flakiness", "flakiness_percent", "%", 1], ["shape", "shape_percent", "%", 1], ["rate", null, "/min", 0]];
 let hours = Number(localStorage.getItem("hours") ?? HOURS[0]);
+let drawnAt = 0;
 let drawn = localStorage.getItem("trend") ?? TILES[0][0]; // one drawing that can be read rather than four that cannot
 
 /** Make the tiles, the choice of hours and the diary. */
@@ -26,7 +29,8 @@ export function mountTrends() {
     element("button", { type: "button", "data-hours": each, onclick: () => choose(each) }, word("operator.last-hours", { hours: each }))));
   mountDiary(refresh);
   choose(hours);
-  setInterval(refresh, REFRESH_MS);
+  setInterval(() => showChanges(hours), CHANGES_MS);
+  setInterval(() => performance.now() - drawnAt >= REFRESH_MS[hours] && drawTrend(), REFRESH_MS[HOURS[0]]);
 }
 
 /** Show the figures of now. */
@@ -56,15 +60,20 @@ function choose(chosen) {
 function draw(name) {
   drawn = name;
   localStorage.setItem("trend", drawn);
-  refresh();
+  drawTrend();
 }
 
-async function refresh() {
+function refresh() {
+  showChanges(hours);
+  drawTrend();
+}
+
+async function drawTrend() {
+  drawnAt = performance.now();
   if (!TILES.some(([name]) => name === drawn)) [[drawn]] = TILES;
   for (const [name] of TILES) byId(`tile-${name}`).setAttribute("aria-pressed", String(name === drawn));
   const asked = `/trends/${drawn}.svg?hours=${hours}&language=${language()}`;
   byId("trend").dataset.asked = asked;
-  showChanges(hours);
   const text = await getText(asked).catch(() => null);
   if (text !== null && byId("trend").dataset.asked === asked) show(byId("trend"), svgFromServer(text));
 }
