@@ -18,7 +18,14 @@ from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
-from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
+from service.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    AcquisitionTarget,
+    CameraStatus,
+    ConfigurationState,
+    Health,
+)
 
 
 class Control(Protocol):
@@ -54,6 +61,10 @@ class Control(Protocol):
 
     def configuration(self) -> Mapping[str, Any]:
         """Return all settings by section, secrets included."""
+        ...
+
+    def configuration_state(self) -> ConfigurationState:
+        """Return what became of the file that they are from."""
         ...
 
     def facts(self) -> Facts:

@@ -38,6 +38,7 @@ from service.status import (
     AcquisitionTarget,
     CameraStatus,
     CheckStatus,
+    ConfigurationState,
     Health,
     HealthCheck,
     Ne107,
@@ -69,6 +70,9 @@ SICK_HEALTH = Health(
 )
 
 
+JUST_LOADED = ConfigurationState(loaded_at="2026-11-24T06:00:00Z", restart_needed_for=(), problem=None)
+
+
 @dataclass
 class FakeControl:
     """Fake of the daemon, whose state a test sets; it arms and disarms at once."""
@@ -82,6 +86,7 @@ class FakeControl:
     delays: Histogram = field(default_factory=result_delays)
     latest_delays_s: Sequence[float] = ()
     settings: dict[str, Any] = field(default_factory=dict)
+    configured: ConfigurationState = JUST_LOADED
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None
     remeasuring: Remeasuring | None = None
@@ -100,6 +105,9 @@ class FakeControl:
 
     def configuration(self) -> dict[str, Any]:
         return self.settings
+
+    def configuration_state(self) -> ConfigurationState:
+        return self.configured
 
     def facts(self) -> Facts:
         assert self.calibrations is not None
