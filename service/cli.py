@@ -15,6 +15,8 @@ from service.compiled_code import isolate_numba_cache
 COMMANDS = {
     "serve": "service.commands.serve",
     "check-config": "service.commands.check_config",
+    "check-host": "service.commands.check_host",
+    "doctor": "service.commands.doctor",
     "compile": "service.commands.compile",
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.import_images",
