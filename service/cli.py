@@ -13,6 +13,7 @@ import typer
 from service.compiled_code import isolate_numba_cache
 
 COMMANDS = {
+    "init": "service.commands.init",
     "serve": "service.commands.serve",
     "check-config": "service.commands.check_config",
     "check-host": "service.commands.check_host",
