@@ -18,6 +18,7 @@ COMMANDS = {
     "check-config": "service.commands.check_config",
     "check-host": "service.commands.check_host",
     "doctor": "service.commands.doctor",
+    "diagnostics": "service.commands.diagnostics",
     "compile": "service.commands.compile",
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.import_images",

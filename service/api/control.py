@@ -14,6 +14,7 @@ from pipeline.frames import CameraId, Image
 from service.alarms.alarms import Alarms
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
+from service.diagnostics.inputs import Inputs
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
@@ -65,6 +66,10 @@ class Control(Protocol):
 
     def configuration_state(self) -> ConfigurationState:
         """Return what became of the file that they are from."""
+        ...
+
+    def diagnostic_inputs(self) -> Inputs:
+        """Return what an archive for support is made from, without what the daemon adds; reads files: on a thread."""
         ...
 
     def facts(self) -> Facts:

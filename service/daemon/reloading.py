@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.api.redaction import redacted
 from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, StoreError
+from service.redaction import redacted
 from service.status import ConfigurationState
 from service.store import Store
 from service.store.audit import note_alone

@@ -18,6 +18,7 @@ from service.acquisition.acquisition import Acquisition
 from service.alarms.alarms import Alarms
 from service.api.key_ring import KeyRing
 from service.calibration.calibrations import Calibrations
+from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import Settings
 from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
@@ -27,6 +28,7 @@ from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
 from service.delivery.file_drop import FileDrop
 from service.delivery.webhooks import Webhooks
+from service.diagnostics.inputs import Inputs
 from service.health.assessment import Facts, assess
 from service.health.device_words import camera_ne107
 from service.health.optical_watch import OpticalWatch
@@ -110,6 +112,9 @@ class Daemon:
 
     def configuration(self) -> dict[str, Any]:
         return self.settings.model_dump(mode="json")
+
+    def diagnostic_inputs(self) -> Inputs:
+        return diagnostic_inputs(self.settings)
 
     def configuration_state(self) -> ConfigurationState:
         return self.configured.state

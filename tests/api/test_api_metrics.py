@@ -10,9 +10,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from support.rest import FakeControl, add, app_of, client_of, measured, rejected, trigger
 
 from service.api.metrics import DELAYS_S, Snapshot, metrics_text
-from service.api.redaction import redacted
 from service.api.settings import ApiSettings
 from service.configuration.settings import Settings, load_settings
+from service.redaction import redacted
 from service.results.fields import Verified
 from service.store import Store
 from service.store.outcome_counts import OutcomeCounts, outcome_counts

@@ -1,10 +1,13 @@
 """The real daemon reads its configuration again on SIGHUP: good, bad, and with what needs a restart."""
 
+import json
 import signal
+import subprocess
+import tarfile
 from pathlib import Path
 
 import pytest
-from support.daemon_process import DaemonProcess
+from support.daemon_process import STONEFALL, DaemonProcess
 from support.eventually import eventually
 from support.small_recording import write_small_recording
 from support.webhook_receiver import SECRET
@@ -62,4 +65,21 @@ def test_good_bad_and_partly_appliable_configurations(daemon: DaemonProcess) -> 
         changes = [entry for entry in daemon.get("/audit")["items"] if entry["who"] == "SIGHUP"]
         assert len(changes) == 2
         assert SECRET not in str(changes)
+
+        out = daemon.folder / "out.tar.gz"
+        command = [
+            STONEFALL,
+            "diagnostics",
+            out,
+            "--config",
+            daemon.config_path,
+            "--url",
+            daemon.url("")[:-7],
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert "of the daemon at" in done.stdout, done
+        with tarfile.open(out) as archive:
+            state = archive.extractfile("stonefall-diagnostics/configuration-state.json")
+            assert state is not None
+            assert json.load(state)["restart_needed_for"] == ["workers.slots"]
         assert daemon.stop() == 0

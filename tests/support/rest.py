@@ -27,6 +27,7 @@ from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
+from service.diagnostics.inputs import Inputs
 from service.health.assessment import Facts
 from service.health.refinement_watch import RefinementTrend
 from service.lots.shifts import LotsSettings
@@ -87,6 +88,7 @@ class FakeControl:
     latest_delays_s: Sequence[float] = ()
     settings: dict[str, Any] = field(default_factory=dict)
     configured: ConfigurationState = JUST_LOADED
+    diagnosed: Inputs | None = None
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None
     remeasuring: Remeasuring | None = None
@@ -105,6 +107,10 @@ class FakeControl:
 
     def configuration(self) -> dict[str, Any]:
         return self.settings
+
+    def diagnostic_inputs(self) -> Inputs:
+        assert self.diagnosed is not None
+        return self.diagnosed
 
     def configuration_state(self) -> ConfigurationState:
         return self.configured

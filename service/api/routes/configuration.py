@@ -8,8 +8,8 @@ from pydantic import Field
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import problem_responses
-from service.api.redaction import redacted
 from service.api.settings import Scope
+from service.redaction import redacted
 from service.status import ConfigurationState
 
 router = APIRouter(prefix="/config", tags=["configuration"])
