@@ -179,6 +179,8 @@ async def check_pulse(settings: Settings) -> list[Finding]:
         ]
     finally:
         acquisition.stop()
+        if not (await asyncio.wait([acquiring], timeout=PULSE_S))[0]:  # a device hangs
+            acquisition.abandon()
         await acquiring
         await asyncio.to_thread(devices.close)
 

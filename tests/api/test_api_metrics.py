@@ -162,6 +162,12 @@ def test_the_guide_names_every_metric_and_the_rules_name_no_other(control: FakeC
     assert in_rules <= families | conditional
 
 
+def test_no_rule_adds_up_several_rigs() -> None:
+    rules = ALERTS.read_text(encoding="utf-8")
+    assert "sum without (" in rules
+    assert re.findall(r"\b(?:sum|avg|min|max|count)(?: by)? ?\((?!outcome)", rules) == []
+
+
 async def test_the_configuration_is_served_without_secrets(
     store: Store, control: FakeControl, tmp_path: Path
 ) -> None:
