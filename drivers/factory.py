@@ -102,7 +102,7 @@ def _live_devices(backend: AravisBackend) -> Devices:
         settings.id: RemoteCamera(replace(settings, may_be_simulated=is_simulated), process)
         for settings in backend.cameras
     }
-    gate = _gate(backend.gate)
+    gate = build_gate(backend.gate)
     match backend.fired_by:
         case "software":
             gate = FiringGate(gate, SoftwareTrigger([camera.software_trigger for camera in cameras.values()]))
@@ -111,7 +111,8 @@ def _live_devices(backend: AravisBackend) -> Devices:
     return Devices(cameras=cameras, gate=gate, is_simulated=is_simulated, close=process.close)
 
 
-def _gate(device: GateDevice) -> LightGate:
+def build_gate(device: GateDevice) -> LightGate:
+    """Return the light gate alone, not yet opened."""
     match device:
         case SerialGateSettings():
             return SerialGate(device)

@@ -13,8 +13,12 @@ import typer
 from service.compiled_code import isolate_numba_cache
 
 COMMANDS = {
+    "init": "service.commands.init",
     "serve": "service.commands.serve",
     "check-config": "service.commands.check_config",
+    "check-host": "service.commands.check_host",
+    "doctor": "service.commands.doctor",
+    "diagnostics": "service.commands.diagnostics",
     "compile": "service.commands.compile",
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.import_images",

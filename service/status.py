@@ -21,6 +21,18 @@ class Report(BaseModel):
     model_config = ConfigDict(frozen=True, json_schema_extra=always_present)
 
 
+class ConfigurationState(Report):
+    """What became of the configuration file since the daemon has read it."""
+
+    loaded_at: str = Field(description="When the settings in use were read")
+    restart_needed_for: tuple[str, ...] = Field(
+        description="Settings, as `section.name`, that the file says otherwise by now and a restart alone applies"
+    )
+    problem: str | None = Field(
+        description="Why the file was refused at the last SIGHUP; the settings before stay in use"
+    )
+
+
 class DeviceState(StrEnum):
     """State of one camera or of the light gate."""
 

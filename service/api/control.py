@@ -14,11 +14,19 @@ from pipeline.frames import CameraId, Image
 from service.alarms.alarms import Alarms
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
+from service.diagnostics.inputs import Inputs
 from service.health.assessment import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
-from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
+from service.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    AcquisitionTarget,
+    CameraStatus,
+    ConfigurationState,
+    Health,
+)
 
 
 class Control(Protocol):
@@ -54,6 +62,14 @@ class Control(Protocol):
 
     def configuration(self) -> Mapping[str, Any]:
         """Return all settings by section, secrets included."""
+        ...
+
+    def configuration_state(self) -> ConfigurationState:
+        """Return what became of the file that they are from."""
+        ...
+
+    def diagnostic_inputs(self) -> Inputs:
+        """Return what an archive for support is made from, without what the daemon adds; reads files: on a thread."""
         ...
 
     def facts(self) -> Facts:

@@ -36,6 +36,10 @@ class KeyRing:
         """Whether no key was ever made; after the last one was revoked, or when the file is damaged, it is not."""
         return not self._configured and not self.stored and self.trouble is None
 
+    def use(self, configured: Sequence[ApiKey]) -> None:
+        """Take other keys of the configuration in the place of those before."""
+        self._configured = tuple(configured)
+
     def refresh(self) -> None:
         """Read the file if it is another one than at the last time; a look at the file takes microseconds."""
         try:

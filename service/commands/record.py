@@ -6,7 +6,6 @@ Devices, acquisition and recorder are those of the daemon; nothing is measured.
 import asyncio
 import json
 import signal
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -17,8 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from drivers.factory import build_devices
 from drivers.files.durable import require_unused
 from drivers.files.rig_file import read_rig
-from pipeline.frames import GateCount, Trigger
 from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition
+from service.acquisition.triggers import NoAccounting
 from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
@@ -68,18 +67,6 @@ def command(
         raise ServiceError(f"{out}: ended early by {status.ended_by}; what was recorded until then is kept")
 
 
-class _NoAccounting:
-    """In the place of the store: triggers of a recording need no outcome."""
-
-    async def record_triggers(
-        self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
-    ) -> None:
-        pass
-
-    async def forget_gate_count(self, session: int) -> None:
-        pass
-
-
 async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecording:
     calibration = read_rig(settings.rig.calibration_path)
     devices = build_devices(settings.rig.backend_for(calibration))
@@ -99,7 +86,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     acquisition = Acquisition(
         devices,
         session=0,
-        triggers=_NoAccounting(),
+        triggers=NoAccounting(),
         bundling=settings.rig.bundling_for(settings.bundling),
         min_cameras=settings.views.min,
         empty_rig=settings.empty_rig,

@@ -32,7 +32,7 @@ def command(
         raise SettingsError(f"{config}: {wrong}")
     configure_logging(os.environ)
     try:
-        asyncio.run(run(settings, service_manager(os.environ, os.getpid())))
+        asyncio.run(run(settings, service_manager(os.environ, os.getpid()), config))
     except BaseExceptionGroup:
         log.critical("fatal, the daemon ends", exc_info=True)
         _exit(1)

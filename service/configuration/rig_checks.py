@@ -1,5 +1,6 @@
 """Checks of the rig's settings against its files, against physics and against the network."""
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,6 +13,9 @@ from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 
+PLACEHOLDER = re.compile(r"SERIAL-\d*")
+PLACEHOLDER_PORT = "/dev/serial/by-id/usb-gate"
+"""What deploy/stonefall.toml has in the place of a site's own."""
 BUSY_SLACK_MS = 30.0
 """Slack of the dead time, for a gate without a clock; a stone within it is lost for lack of frames."""
 
@@ -40,6 +44,7 @@ def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
 
 def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Yield what cannot work with the cameras and the gate."""
+    yield from _placeholders(settings)
     yield from timing_problems(settings, bundling)
     try:
         calibration = read_rig(settings.calibration)
@@ -62,6 +67,18 @@ def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) ->
             )
     yield from blur_problems(settings, calibration)
     yield from transfer_problems(settings, calibration, bundling)
+
+
+def _placeholders(settings: AravisRigSettings) -> Iterator[str]:
+    """Yield what was never filled in since deploy/stonefall.toml was copied."""
+    copied = [camera.id for camera in settings.cameras if PLACEHOLDER.fullmatch(camera.serial or "")]
+    if copied:
+        yield (
+            f"rig.cameras: {', '.join(copied)}: the serial numbers SERIAL-... are placeholders: `stonefall"
+            " cameras` lists the cameras that answer, `stonefall init` enters them"
+        )
+    if settings.gate.serial is not None and settings.gate.serial.port == PLACEHOLDER_PORT:
+        yield f"rig.gate.serial.port: {PLACEHOLDER_PORT} is a placeholder: ls /dev/serial/by-id shows the gate's name"
 
 
 def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:

@@ -240,6 +240,12 @@ class AravisRigSettings:
             fall=self.fall,
         )
 
+    def sought_cameras(self) -> tuple[GigeCameraSettings, ...]:
+        """Return the cameras as `find_camera` looks for them; it needs no rig file, which has the image sizes."""
+        return tuple(
+            replace(self._camera(place, (1, 1)), may_be_simulated=self.is_simulated) for place in self.cameras
+        )
+
     @property
     def optical_settings(self) -> list[Any]:
         """Return the settings that change what the cameras see, as JSON has them."""

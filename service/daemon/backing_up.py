@@ -21,17 +21,28 @@ class BackingUp:
         self._store = store
         self._every_s = 3600 * every_h
         self._keep = keep
+        self._is_changed = asyncio.Event()
         self.trouble: str | None = None
         """Why the last backup failed, None if it did not."""
 
+    def use(self, *, every_h: float, keep: int) -> None:
+        """Take another interval and number at once."""
+        self._every_s = 3600 * every_h
+        self._keep = keep
+        self._is_changed.set()
+
     async def run(self) -> None:
         """Make a backup whenever the newest one is too old."""
-        if self._every_s == 0:
-            return
-        await asyncio.sleep(self._due_in_s())
+        pause_s = await asyncio.to_thread(self._due_in_s)
         while True:
-            await self._back_up()
-            await asyncio.sleep(self._every_s if self.trouble is None else min(RETRY_S, self._every_s))
+            self._is_changed.clear()
+            try:
+                async with asyncio.timeout(pause_s if self._every_s > 0 else None):
+                    await self._is_changed.wait()
+                pause_s = await asyncio.to_thread(self._due_in_s)
+            except TimeoutError:
+                await self._back_up()
+                pause_s = self._every_s if self.trouble is None else min(RETRY_S, self._every_s)
 
     def _due_in_s(self) -> float:
         try:

@@ -27,6 +27,7 @@ from service.daemon.alarming import Alarming, acquisition_changed, verification_
 from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import Daemon, Watches
 from service.delivery.file_drop import open_file_drop
@@ -65,15 +66,16 @@ N_LATEST = 100
 """Outcomes whose delays are remembered one by one."""
 
 
-async def build(settings: Settings, store: Store) -> Daemon:
+async def build(configured: Configuration, store: Store) -> Daemon:
     """Build all parts, none of which runs yet.
 
     Of the triggers that a killed daemon left open, those whose bundle is still on tmpfs are measured; the others are
     recorded as lost.
     """
-    configured = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
-    devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(configured))
-    found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", configured)
+    settings = configured.settings
+    initial_rig = await asyncio.to_thread(read_rig, settings.rig.calibration_path)
+    devices = await asyncio.to_thread(build_devices, settings.rig.backend_for(initial_rig))
+    found = await asyncio.to_thread(load_calibrations, settings.store.dir / "calibrations", initial_rig)
     source = settings.rig.source(devices, found.rig)
     session = await _begin_session(settings, store, devices, source, found)
     spool_folder = settings.spool.dir / store.instance_id  # daemons with other stores keep theirs
@@ -93,7 +95,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
     watches = Watches(
         loop=LoopWatch(),
         rig=RigWatch(found.rig, source.fall),
-        optics=OpticalWatch(configured, settings.optics),
+        optics=OpticalWatch(initial_rig, settings.optics),
         segmentation=SegmentationWatch(segmentation),
         refinement=RefinementWatch(),
     )
@@ -157,7 +159,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         pool=pool,
         results=WatchedResults(store, watches.rig, watches.optics, watches.refinement),
         calibration=calibrations,
-        kept_background=_kept_background(settings, configured),
+        kept_background=_kept_background(settings, initial_rig),
         quarantine=quarantine,
         on_empty_rig=watches.optics.feed_optics,
         on_network=watches.segmentation.feed,
@@ -165,7 +167,7 @@ async def build(settings: Settings, store: Store) -> Daemon:
         on_outcome=on_outcome,
     )
     return Daemon(
-        settings=settings,
+        configured=configured,
         segmentation=segmentation,
         store=store,
         keys=KeyRing(settings.api.keys, settings.store.dir),

@@ -65,6 +65,11 @@ class Retaining:
         self._is_ended = threading.Event()
         self.facts = RetentionFacts(warn_days=limits.warn_days)
 
+    def use(self, limits: RetentionLimits) -> None:
+        """Take other limits from the next look on."""
+        self._limits = limits
+        self.facts = replace(self.facts, warn_days=limits.warn_days)
+
     async def run(self) -> None:
         """Remove what is due, whenever something is."""
         looked_s = swept_s = -math.inf

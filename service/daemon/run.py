@@ -9,6 +9,7 @@ import logging
 import shutil
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
 from socket import socket
 
 from service.addresses import is_loopback
@@ -18,9 +19,10 @@ from service.api.report_requests import files_maker
 from service.api.server import RestServer, listen, server_config
 from service.configuration.settings import Settings
 from service.daemon.build import build
+from service.daemon.reloading import Configuration
 from service.daemon.running_daemon import Daemon
 from service.daemon.stopping import StopRequests
-from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog
+from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.errors import StoreError
 from service.processing.process_memory import freeze_gc, keep_freed_memory
 from service.status import AcquisitionTarget
@@ -41,8 +43,8 @@ ARCHIVE_S = 5.0
 """Longest wait for frames that are still to be archived, which no result needs."""
 
 
-async def run(settings: Settings, manager: ServiceManager) -> None:
-    """Measure stones until a signal asks to stop.
+async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
+    """Measure stones until a signal asks to stop; on SIGHUP read the configuration `file` again.
 
     Raises
     ------
@@ -60,7 +62,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
         if store is None:
             return
         resources.push_async_callback(asyncio.to_thread, store.close)
-        daemon = await build(settings, store)
+        daemon = await build(Configuration(settings, file), store)
         resources.push_async_callback(asyncio.to_thread, daemon.devices.close)
         resources.push_async_exit(_end_of_spool(daemon))
         resources.callback(daemon.pool.close)
@@ -81,6 +83,7 @@ async def run(settings: Settings, manager: ServiceManager) -> None:
                 _remeasuring(daemon),
                 _calibrating(daemon, tasks),
                 _acquiring(daemon, tasks, manager, requests),
+                _reloading(daemon, tasks, manager, requests),
             ):
                 await parts.enter_async_context(part)
             await requests.stop.wait()
@@ -263,3 +266,22 @@ async def _acquiring(
         log.error("the rig did not disarm in time: its devices are abandoned")
         daemon.acquisition.abandon()
         await acquiring
+
+
+@asynccontextmanager
+async def _reloading(
+    daemon: Daemon, tasks: asyncio.TaskGroup, manager: ServiceManager, requests: StopRequests
+) -> AsyncIterator[None]:
+    """Read the configuration again whenever SIGHUP asks for it, also while the rig was being armed."""
+
+    async def run() -> None:
+        while True:
+            await requests.reload.wait()
+            requests.reload.clear()
+            manager.notify(*reloading())
+            await daemon.configured.reload(daemon.apply, daemon.store)
+            manager.notify("READY=1")
+
+    reloads = tasks.create_task(run())
+    yield
+    reloads.cancel()

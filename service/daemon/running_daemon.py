@@ -18,14 +18,17 @@ from service.acquisition.acquisition import Acquisition
 from service.alarms.alarms import Alarms
 from service.api.key_ring import KeyRing
 from service.calibration.calibrations import Calibrations
+from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import Settings
 from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Part
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
 from service.delivery.file_drop import FileDrop
 from service.delivery.webhooks import Webhooks
+from service.diagnostics.inputs import Inputs
 from service.health.assessment import Facts, assess
 from service.health.device_words import camera_ne107
 from service.health.optical_watch import OpticalWatch
@@ -41,7 +44,14 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
-from service.status import AcquisitionState, AcquisitionStatus, AcquisitionTarget, CameraStatus, Health
+from service.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    AcquisitionTarget,
+    CameraStatus,
+    ConfigurationState,
+    Health,
+)
 from service.store import Store, StoreTrouble
 
 log = logging.getLogger(__name__)
@@ -62,7 +72,7 @@ class Watches:
 class Daemon:
     """The parts of the running daemon; implements `service.api.control.Control`."""
 
-    settings: Settings
+    configured: Configuration
     segmentation: SegmenterPlan
     store: Store
     keys: KeyRing
@@ -89,6 +99,10 @@ class Daemon:
     watches: Watches
 
     @property
+    def settings(self) -> Settings:
+        return self.configured.settings
+
+    @property
     def lots(self) -> LotsSettings:
         return self.settings.lots
 
@@ -98,6 +112,28 @@ class Daemon:
 
     def configuration(self) -> dict[str, Any]:
         return self.settings.model_dump(mode="json")
+
+    def diagnostic_inputs(self) -> Inputs:
+        return diagnostic_inputs(self.settings)
+
+    def configuration_state(self) -> ConfigurationState:
+        return self.configured.state
+
+    async def apply(self, old: Settings, new: Settings) -> None:
+        """Put the settings that need no restart into the parts that work with them; `lots` is read from the settings.
+
+        Raises
+        ------
+        StoreError
+            The store cannot note new endpoints; nothing is changed.
+        """
+        if new.webhooks != old.webhooks:
+            await self.webhooks.use(new.webhooks)
+        self.watches.optics.limits = new.optics
+        self.calibrations.verifications.parameters = new.verification
+        self.retaining.use(new.store.retention)
+        self.backing_up.use(every_h=new.store.backup_every_h, keep=new.store.keep_backups)
+        self.keys.use(new.api.keys)
 
     def acquisition_status(self) -> AcquisitionStatus:
         return self.acquisition.status()
@@ -169,6 +205,7 @@ class Daemon:
             archive_trouble=self.archive.trouble,
             webhook_troubles=self.webhooks.troubles,
             file_drop_trouble=self.file_drop.trouble,
+            configuration=self.configured.state,
             suspicions=self.watches.rig.suspicions(),
             optical_findings=self.watches.optics.findings(),
             refinement=self.watches.refinement.trend,

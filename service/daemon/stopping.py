@@ -1,4 +1,4 @@
-"""Requests to stop the daemon: in order by the first SIGTERM or SIGINT, at once by the second one."""
+"""Requests by signals: stop in order (the first SIGTERM or SIGINT), at once (the second), reload (SIGHUP)."""
 
 import asyncio
 import logging
@@ -16,15 +16,15 @@ class StopRequests:
     """Stop in order: measure what was seen."""
     stop_now: asyncio.Event = field(default_factory=asyncio.Event)
     """Give up what is not measured yet."""
+    reload: asyncio.Event = field(default_factory=asyncio.Event)
+    """Read the configuration again."""
 
     def listen(self) -> None:
         """Install the signal handlers of this process."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._on_stop, number)
-        loop.add_signal_handler(
-            signal.SIGHUP, log.warning, "SIGHUP ignored: a new configuration needs a restart"
-        )
+        loop.add_signal_handler(signal.SIGHUP, self.reload.set)
 
     async def wait_for(self, task: "asyncio.Task[None]", timeout_s: float) -> None:
         """Return when the task is done, at the time-out, or when a second signal requests to stop at once."""

@@ -8,6 +8,7 @@ import asyncio
 import logging
 import os
 import socket
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -47,6 +48,11 @@ def service_manager(environ: Mapping[str, str], pid: int) -> ServiceManager:
         address=environ.get("NOTIFY_SOCKET") or None,
         watchdog_s=int(watchdog_us) / 1e6 if watchdog_us.isdigit() and is_ours else None,
     )
+
+
+def reloading() -> tuple[str, str]:
+    """Return the assignments that announce a reload, which `READY=1` ends; as `Type=notify-reload` wants them, too."""
+    return "RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}"
 
 
 async def feed_watchdog(

@@ -59,9 +59,9 @@ async def _wait(event: asyncio.Event, timeout_s: float) -> None:
 
 async def open_webhooks(store: Store, settings: WebhooksSettings) -> "Webhooks":
     """Return the endpoints, as an earlier run of the daemon has left them; new ones are told of what comes."""
-    if settings.endpoints:
-        await store.write(table.begin, [endpoint.name for endpoint in settings.endpoints])
-    return Webhooks(store, settings)
+    webhooks = Webhooks(store, settings)
+    await webhooks.use(settings)
+    return webhooks
 
 
 class Webhooks:
@@ -77,12 +77,23 @@ class Webhooks:
         wait: Callable[[asyncio.Event, float], Awaitable[None]] = _wait,
     ) -> None:
         self._store = store
-        self._settings = settings
         self._now = now
         self._chance = chance
         self._wait = wait
+        self._is_changed = asyncio.Event()
+        self._take(settings)
+
+    async def use(self, settings: WebhooksSettings) -> None:
+        """Tell these endpoints from now on, and no others; a message under way may be sent once more."""
+        if settings.endpoints:
+            await self._store.write(table.begin, [endpoint.name for endpoint in settings.endpoints])
+        self._take(settings)
+
+    def _take(self, settings: WebhooksSettings) -> None:
+        self._settings = settings
         self._endpoints = {endpoint.name: endpoint for endpoint in settings.endpoints}
         self._told = {name: _Told() for name in self._endpoints}
+        self._is_changed.set()
 
     @property
     def troubles(self) -> list[str]:
@@ -95,8 +106,16 @@ class Webhooks:
 
     async def run(self) -> None:
         """Tell all endpoints of what happens, until waiting in the store is ended."""
-        if not self._endpoints:
-            return
+        while not self._store.is_released:
+            self._is_changed.clear()
+            async with asyncio.TaskGroup() as tasks:
+                telling = tasks.create_task(self._tell_all())
+                changing = tasks.create_task(self._is_changed.wait())
+                await asyncio.wait((telling, changing), return_when=asyncio.FIRST_COMPLETED)
+                telling.cancel()
+                changing.cancel()
+
+    async def _tell_all(self) -> None:
         async with asyncio.TaskGroup() as tasks:
             for endpoint in self._endpoints.values():
                 tasks.create_task(self._tell(endpoint))

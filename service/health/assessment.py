@@ -19,6 +19,7 @@ from service.status import (
     CalibrationFacts,
     CameraStatus,
     CheckStatus,
+    ConfigurationState,
     DeviceState,
     Health,
     HealthCheck,
@@ -78,6 +79,7 @@ class Facts:
     archive_trouble: str | None = None  # why frames were not archived lately
     webhook_troubles: Sequence[str] = ()  # endpoints that are told nothing any more
     file_drop_trouble: str | None = None  # why files of closed lots cannot be written
+    configuration: ConfigurationState | None = None  # what became of its file
 
 
 def assess(facts: Facts) -> Health:
@@ -337,6 +339,16 @@ def _file_drop(facts: Facts) -> HealthCheck:
     return HealthCheck(status=_status(warn=trouble is not None), detail=trouble)
 
 
+def _configuration(facts: Facts) -> HealthCheck:
+    """Check that the daemon works with what the configuration file says."""
+    state = facts.configuration
+    if state is None or (state.problem is None and not state.restart_needed_for):
+        return HealthCheck(status=CheckStatus.PASS)
+    waiting = f"a restart is needed for {', '.join(state.restart_needed_for)}"
+    refused = f"the configuration was refused, the one of {state.loaded_at} stays in use: {state.problem}"
+    return HealthCheck(status=CheckStatus.WARN, detail=waiting if state.problem is None else refused)
+
+
 def _rig(facts: Facts) -> HealthCheck:
     """Check whether cameras still are where their calibration says, by the outlines of the stones."""
     scores_px = [camera.tangency_px for camera in facts.cameras if camera.tangency_px is not None]
@@ -407,6 +419,7 @@ CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "archive": _archive,
     "webhooks": _webhooks,
     "file_drop": _file_drop,
+    "configuration": _configuration,
     "rig": _rig,
     "optics": _optics,
     "refinement": _refinement,

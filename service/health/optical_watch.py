@@ -141,7 +141,7 @@ class OpticalWatch:
 
     def __init__(self, rig: RigCalibration, limits: OpticalParameters) -> None:
         self._rig = rig  # the configured one, for any calibration has the same neighbours
-        self._limits = limits
+        self.limits = limits
         self._cameras = {camera.id: _Camera() for camera in rig.cameras}
 
     def feed(self, record: Mapping[str, Any]) -> None:
@@ -152,7 +152,7 @@ class OpticalWatch:
         """Take the optics of one exposure into account, as `service.results.record.optics_record` writes them."""
         for name, camera in self._cameras.items():
             if name in optics:
-                camera.add(optics[name], self._limits)
+                camera.add(optics[name], self.limits)
 
     def optics(self) -> dict[CameraId, CameraOptics]:
         """Return the optics of every camera of the rig."""

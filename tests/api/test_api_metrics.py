@@ -10,9 +10,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from support.rest import FakeControl, add, app_of, client_of, measured, rejected, trigger
 
 from service.api.metrics import DELAYS_S, Snapshot, metrics_text
-from service.api.redaction import redacted
 from service.api.settings import ApiSettings
 from service.configuration.settings import Settings, load_settings
+from service.redaction import redacted
 from service.results.fields import Verified
 from service.store import Store
 from service.store.outcome_counts import OutcomeCounts, outcome_counts
@@ -160,6 +160,12 @@ def test_the_guide_names_every_metric_and_the_rules_name_no_other(control: FakeC
     rules = re.findall(r"\b(stonefall_\w+)", ALERTS.read_text(encoding="utf-8").replace("job=", ""))
     in_rules = {re.sub(r"_(total|bucket)$", "", name) for name in rules}
     assert in_rules <= families | conditional
+
+
+def test_no_rule_adds_up_several_rigs() -> None:
+    rules = ALERTS.read_text(encoding="utf-8")
+    assert "sum without (" in rules
+    assert re.findall(r"\b(?:sum|avg|min|max|count)(?: by)? ?\((?!outcome)", rules) == []
 
 
 async def test_the_configuration_is_served_without_secrets(

@@ -16,6 +16,7 @@ from drivers.interfaces import EventSink
 from service.configuration.rig_settings import ReplayRigSettings
 from service.configuration.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
 from service.daemon import build, run
+from service.daemon.reloading import Configuration
 from service.daemon.systemd import ServiceManager
 from service.store import open_store
 
@@ -83,7 +84,7 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     monkeypatch.setattr(build, "ACQUISITION_SILENCE_S", 0.1)
     manager = ListeningManager(watchdog_s=0.15)
     try:
-        await asyncio.wait_for(run.run(settings, manager), 100)
+        await asyncio.wait_for(run.run(settings, manager, Path("stonefall.toml")), 100)
     finally:
         gate.is_over.set()
     assert "READY=1" not in manager.heard
@@ -94,7 +95,7 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
 
 async def test_only_who_looks_after_the_parts_calls_an_idle_one_alive(settings: Settings):
     store = await asyncio.to_thread(open_store, settings.store.dir)
-    built = await build.build(settings, store)
+    built = await build.build(Configuration(settings, Path("stonefall.toml")), store)
     for part in ("acquisition", "processing"):
         built.heartbeats.beat(part, time.monotonic() - 1000)
     assert built.late() == built.late() == ["acquisition", "processing"]

@@ -27,6 +27,7 @@ from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
+from service.diagnostics.inputs import Inputs
 from service.health.assessment import Facts
 from service.health.refinement_watch import RefinementTrend
 from service.lots.shifts import LotsSettings
@@ -38,6 +39,7 @@ from service.status import (
     AcquisitionTarget,
     CameraStatus,
     CheckStatus,
+    ConfigurationState,
     Health,
     HealthCheck,
     Ne107,
@@ -69,6 +71,9 @@ SICK_HEALTH = Health(
 )
 
 
+JUST_LOADED = ConfigurationState(loaded_at="2026-11-24T06:00:00Z", restart_needed_for=(), problem=None)
+
+
 @dataclass
 class FakeControl:
     """Fake of the daemon, whose state a test sets; it arms and disarms at once."""
@@ -82,6 +87,8 @@ class FakeControl:
     delays: Histogram = field(default_factory=result_delays)
     latest_delays_s: Sequence[float] = ()
     settings: dict[str, Any] = field(default_factory=dict)
+    configured: ConfigurationState = JUST_LOADED
+    diagnosed: Inputs | None = None
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None
     remeasuring: Remeasuring | None = None
@@ -100,6 +107,13 @@ class FakeControl:
 
     def configuration(self) -> dict[str, Any]:
         return self.settings
+
+    def diagnostic_inputs(self) -> Inputs:
+        assert self.diagnosed is not None
+        return self.diagnosed
+
+    def configuration_state(self) -> ConfigurationState:
+        return self.configured
 
     def facts(self) -> Facts:
         assert self.calibrations is not None

@@ -3,19 +3,20 @@
 from typing import Any
 
 from fastapi import APIRouter, Depends
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import problem_responses
-from service.api.redaction import redacted
 from service.api.settings import Scope
+from service.redaction import redacted
+from service.status import ConfigurationState
 
 router = APIRouter(prefix="/config", tags=["configuration"])
 
 
-class ConfigurationDocument(BaseModel):
-    """All settings by section, defaults included."""
+class ConfigurationDocument(ConfigurationState):
+    """All settings in use by section, defaults included, and what became of their file."""
 
     settings: dict[str, Any] = Field(
         description="As `stonefall check-config --json` prints them; hashes, tokens and secrets are `redacted`"
@@ -29,8 +30,9 @@ class ConfigurationDocument(BaseModel):
     responses=problem_responses(),
 )
 async def configuration(context: Context) -> dict[str, Any]:
-    """Return the settings that the daemon was started with; the file may have changed since.
+    """Return the settings that the daemon works with: of its start, or of the last reload (SIGHUP).
 
     It names paths, addresses and devices of the plant, which readers of results need not know: scope `configure`.
     """
-    return {"settings": redacted(context.control.configuration())}
+    state = context.control.configuration_state()
+    return {"settings": redacted(context.control.configuration()), **state.model_dump()}

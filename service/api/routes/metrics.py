@@ -22,8 +22,12 @@ KEEP_S = 1.0
 )
 async def metrics(context: Context) -> Response:
     """Return counts and states in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""
-    content = await context.shared.get("metrics", lambda: _text(context), keep_s=KEEP_S)
-    return Response(content, media_type=CONTENT_TYPE_PLAIN_0_0_4)
+    return Response(await metrics_of(context), media_type=CONTENT_TYPE_PLAIN_0_0_4)
+
+
+async def metrics_of(context: ApiContext) -> bytes:
+    """Return the text."""
+    return await context.shared.get("metrics", lambda: _text(context), keep_s=KEEP_S)
 
 
 async def _text(context: ApiContext) -> bytes:

@@ -446,3 +446,25 @@ def test_check_config_prints_live_rigs_that_it_reads_again(name: str, tmp_path: 
     again = tmp_path / "again.toml"
     again.write_text(printed, encoding="utf-8")
     assert load_settings(again) == load_settings(DEPLOY / name)
+
+
+@pytest.mark.parametrize("is_of_the_unit", [True, False])
+def test_a_credential_is_read_where_the_service_manager_puts_it(
+    is_of_the_unit: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "credentials" if is_of_the_unit else Path("/run/credentials/stonefall.service")
+    if is_of_the_unit:
+        monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(folder))
+        folder.mkdir()
+        (folder / "mes.secret").write_text(f"whsec_{32 * 'A'}\n")
+    else:
+        monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    endpoint = (
+        '[webhooks]\nallowed_hosts = ["127.0.0.1"]\n[[webhooks.endpoints]]\nname = "mes"\nurl = "http://127.0.0.1/"\n'
+        'secret_files = ["$CREDENTIALS_DIRECTORY/mes.secret"]\n'
+    )
+    settings = settings_of(tmp_path, LIVE + endpoint)
+    (webhook,) = settings.webhooks.endpoints
+    assert webhook.secret_files == (folder / "mes.secret",)
+    told = [each for each in shortcomings(settings) if "mes" in each]
+    assert told == [] if is_of_the_unit else f"{folder / 'mes.secret'}: No such file" in told[0]

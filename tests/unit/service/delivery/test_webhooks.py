@@ -299,3 +299,14 @@ async def test_a_stop_ends_all_waiting(store: Store, n_endpoints: int) -> None:
         store.release_waiters()
         async with asyncio.timeout(30):
             await running
+
+
+async def test_other_endpoints_are_taken_while_it_runs(store: Store) -> None:
+    async with Receiver() as before, Receiver() as after, telling(await webhooks_of(store)) as webhooks:
+        for receiver, name in ((before, "old"), (after, "new")):
+            settings = WebhooksSettings(allowed_hosts=("127.0.0.1",), endpoints=(endpoint(receiver, name),))
+            await webhooks.use(settings)
+            await happen(store, EventType.LOT_OPENED)
+            await receiver.received(1)
+        assert webhooks.find("old") is None
+        assert (before.events, after.events) == ([1], [2])

@@ -77,6 +77,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
         "archive",
         "webhooks",
         "file_drop",
+        "configuration",
         "rig",
         "optics",
         "refinement",

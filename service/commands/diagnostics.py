@@ -1,0 +1,56 @@
+"""`stonefall diagnostics`: one archive for support, of the running daemon or of what one has left."""
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands.daemon_client import DaemonError, Key, fetch
+from service.commands.doctor_daemon import is_running, url_of
+from service.configuration.diagnostic_inputs import diagnostic_inputs
+from service.configuration.settings import load_settings
+from service.diagnostics.archive import build_archive
+from service.errors import UsageError
+
+ANSWER_S = 90.0
+"""The archive may wait for other answers of the daemon."""
+
+
+def command(
+    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
+    out: Annotated[
+        Path | None, typer.Argument(help="File to write; default: stonefall-TIME.tar.gz here.")
+    ] = None,
+    url: Annotated[
+        str | None,
+        typer.Option(help="Address of the daemon; default: as [api] says.", envvar="STONEFALL_URL"),
+    ] = None,
+    key: Key = None,
+    offline: Annotated[
+        bool,
+        typer.Option("--offline", help="Do not ask the daemon, even if it runs: without health and metrics."),
+    ] = False,
+) -> None:
+    """Write an archive with configuration, versions, health, alarms, host, calibrations and log, without secrets."""
+    out = out or Path(f"stonefall-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
+    if out.exists():
+        raise UsageError(f"{out}: is there already")
+    settings = load_settings(config)
+    address = url or url_of(settings.api)
+    if not offline and is_running(address):
+        try:
+            content = fetch(address, "/diagnostics", key, timeout_s=ANSWER_S)
+        except DaemonError as err:
+            raise DaemonError(f"{err}; --offline does without the daemon", err.kind) from err
+        source = f"the daemon at {address}"
+    else:
+        os.nice(10)  # it may run beside a daemon
+        content, source = build_archive(diagnostic_inputs(settings)), "files alone: no daemon was asked"
+    descriptor = os.open(
+        out, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600
+    )  # for its reader only, redacted as it is
+    with open(descriptor, "wb") as file:  # noqa: PTH123 - of a descriptor
+        file.write(content)
+    typer.echo(f"{out}: {len(content) / 1e3:.0f} kB, of {source}")

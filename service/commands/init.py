@@ -1,0 +1,230 @@
+"""`stonefall init`: the first configuration of a rig, asked for or from options, and what comes next."""
+
+import csv
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivers.files.durable import replacing
+from drivers.files.rig_file import read_rig, write_rig
+from drivers.gvcp import DiscoveredCamera, discover, local_addresses
+from pipeline.frames import CameraId
+from pipeline.rig.design import nominal_rig
+from service.commands.cameras import ipv4_address
+from service.commands.init_file import Answers, configuration_text
+from service.configuration.rig_settings import CameraPlace
+from service.configuration.settings import load_settings, problems, shortcomings
+from service.errors import SettingsError, UsageError
+
+GATES = Path("/dev/serial/by-id")
+COLUMNS = ("serial", "address", "user_name")
+
+
+def command(
+    file: Annotated[
+        Path, typer.Argument(help="Configuration file to write, such as /etc/stonefall/stonefall.toml.")
+    ],
+    interface: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="IP",
+            parser=ipv4_address,
+            help="Address of this machine towards the cameras; may be repeated.",
+        ),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PLACE=SERIAL",
+            help="Serial number of the camera in a place, such as c01=12345; may be repeated.",
+        ),
+    ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file with the columns id and serial, address or user_name, in the place of --camera."
+        ),
+    ] = None,
+    gate: Annotated[str | None, typer.Option(help="Port of a light gate with a serial line.")] = None,
+    store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall"),
+    spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall"),
+    product: Annotated[
+        str | None, typer.Option(help="Name of the product, for the steps that are told.")
+    ] = None,
+    density_g_cm3: Annotated[
+        float | None, typer.Option(min=0.1, max=20, help="Particle density (EN 1097-6).")
+    ] = None,
+    simulated: Annotated[bool, typer.Option("--simulated", help="The rig is a simulated one.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write a configuration with comments, and say what is missing in it and what to do next; exit 0 if nothing is.
+
+    On a terminal it asks for what no option says. Cameras that answer are entered in any order when there is one for
+    each place. A rig file that is there is kept; without one the design is written, until the rig is calibrated.
+    """
+    if file.exists() and not force:
+        raise UsageError(f"{file}: is there already; --force replaces it")
+    is_asked = sys.stdin.isatty()
+    interfaces = tuple(interface or (_asked_interfaces() if is_asked else ()))
+    rig_file = file.resolve().parent / "rig.json"
+    rig = read_rig(rig_file) if rig_file.exists() else nominal_rig()
+    named: Mapping[str, CameraPlace] = (
+        _from_csv(cameras) if cameras is not None else _from_options(camera or [])
+    )
+    if unknown := sorted(named.keys() - set(rig.camera_ids)):
+        raise UsageError(f"{', '.join(unknown)}: no place of the rig, which has {', '.join(rig.camera_ids)}")
+    if not named:
+        named = _placed(rig.camera_ids, _answering(interfaces), is_asked=is_asked)
+    answers = Answers(
+        interfaces=interfaces,
+        cameras=named,
+        places=rig.camera_ids,
+        gate=gate or _found_gate(is_asked=is_asked),
+        calibration=rig_file,
+        spool=spool.resolve(),
+        store=store.resolve(),
+        density_g_cm3=density_g_cm3 or (_asked_density() if is_asked else None),
+        is_simulated=simulated,
+    )
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if not rig_file.exists():
+        write_rig(rig_file, rig)
+        typer.echo(f"{rig_file}: the rig's design, until it is calibrated")
+    with replacing(file) as temporary:
+        temporary.write_text(configuration_text(answers), encoding="utf-8")
+    missing = _missing(file, answers)
+    typer.echo(f"{file}: {'written; nothing is missing' if not missing else 'written, and not ready:'}")
+    for each in missing:
+        typer.echo(f"  - {each}")
+    typer.echo(_next_steps(file, product, answers.density_g_cm3))
+    if missing:
+        raise typer.Exit(1)
+
+
+def _from_options(given: Sequence[str]) -> dict[str, CameraPlace]:
+    named: dict[str, CameraPlace] = {}
+    for each in given:
+        place, separator, serial = each.partition("=")
+        if not (place and separator and serial):
+            raise UsageError(f"--camera {each}: must be PLACE=SERIAL, such as c01=12345")
+        if place in named:
+            raise UsageError(f"--camera {each}: {place} is there twice")
+        named[place] = CameraPlace(id=CameraId(place), serial=serial)
+    return named
+
+
+def _from_csv(path: Path) -> dict[str, CameraPlace]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = list(csv.DictReader(file))
+    named: dict[str, CameraPlace] = {}
+    for number, row in enumerate(rows, 2):
+        serial, address, user_name = ((row.get(name) or "").strip() or None for name in COLUMNS)
+        place = (row.get("id") or "").strip()
+        if not place or place in named or not (serial or address or user_name):
+            raise UsageError(
+                f"{path}: line {number}: needs an id of its own, and a serial, address or user_name"
+            )
+        named[place] = CameraPlace(id=CameraId(place), serial=serial, address=address, user_name=user_name)
+    return named
+
+
+def _answering(interfaces: tuple[str, ...]) -> list[DiscoveredCamera]:
+    found = discover(interfaces or None)
+    typer.echo(f"{len(found)} cameras answer on the networks of {', '.join(interfaces or local_addresses())}")
+    return found
+
+
+def _placed(
+    places: Sequence[str], found: Sequence[DiscoveredCamera], *, is_asked: bool
+) -> Mapping[str, CameraPlace]:
+    """Return which camera is in which place: as its user name says, else in the order of their addresses."""
+    by_name = {device.user_name: device for device in found if device.user_name in places}
+    others = iter(device for device in found if device.user_name not in places)
+    suggested = {place: by_name.get(place) or next(others, None) for place in places}
+    if not is_asked:
+        complete = len(found) == len(places) and all(suggested.values())
+        return (
+            {place: _place(place, device.serial) for place, device in suggested.items() if device}
+            if complete
+            else {}
+        )
+    for device in found:
+        typer.echo(
+            f"  {device.serial:20} {device.address:15} {device.user_name} ({device.vendor} {device.model})"
+        )
+    answers = {
+        place: typer.prompt(
+            f"serial number of camera {place} (- if there is none yet)",
+            default=device.serial if device else "-",
+        )
+        for place, device in suggested.items()
+    }
+    return {place: _place(place, serial) for place, serial in answers.items() if serial != "-"}
+
+
+def _place(place: str, serial: str) -> CameraPlace:
+    return CameraPlace(id=CameraId(place), serial=serial)
+
+
+def _asked_interfaces() -> Sequence[str]:
+    typer.echo(f"this machine has the addresses {', '.join(local_addresses())}")
+    said = typer.prompt("addresses towards the cameras, separated by spaces (- for all)", default="-")
+    return [] if said == "-" else [ipv4_address(each) for each in said.replace(",", " ").split()]
+
+
+def _found_gate(*, is_asked: bool) -> str | None:
+    ports = sorted(map(str, GATES.glob("*")))
+    if not is_asked:
+        return ports[0] if len(ports) == 1 else None
+    for port in ports:
+        typer.echo(f"  {port}")
+    said: str = typer.prompt(
+        "port of the light gate (- if there is none yet)", default=ports[0] if ports else "-"
+    )
+    return None if said == "-" else said
+
+
+def _asked_density() -> float | None:
+    return (
+        typer.prompt("particle density of the product, g/cm3 (0 if it is not known)", type=float, default=0.0)
+        or None
+    )
+
+
+def _missing(file: Path, answers: Answers) -> list[str]:
+    """Return what is missing or wrong, as `check-config` would say it."""
+    absent = [place for place in answers.places if place not in answers.cameras]
+    missing = [f"rig.cameras: no camera for {', '.join(absent)}"] if absent else []
+    if answers.gate is None:
+        missing.append(
+            f"rig.gate: no light gate; {GATES} has {len(list(GATES.glob('*')))} ports: say --gate PORT"
+        )
+    if missing:
+        return missing
+    try:
+        settings = load_settings(file)
+    except SettingsError as err:
+        return [str(err)]
+    return [*problems(settings), *shortcomings(settings)]
+
+
+def _next_steps(file: Path, product: str | None, density_g_cm3: float | None) -> str:
+    density = f"{1000 * density_g_cm3:g}" if density_g_cm3 else "KG_M3"
+    return f"""
+Next:
+  1. stonefall check-config {file}
+  2. stonefall doctor --config {file} --pulse       host, cameras, gate and one exposure, each fault with its remedy
+  3. systemctl enable --now stonefall               or: stonefall serve --config {file}
+  4. which camera is where: open /setup#places on a tablet at the rig, or compare the pictures of /cameras
+  5. calibrate; it takes a quarter of an hour, with a matte ball whose diameter you know:
+       stonefall calibration start --ball-diameter-mm 10 --by NAME --follow
+       drop the ball twenty times through the whole field of view; each drop is printed
+       stonefall calibration solve 0002             if it says where drops are missing: drop there, solve again
+       stonefall calibration accept 0002 --by NAME
+       stonefall calibration activate 0002 --by NAME
+       stonefall calibration verify --diameter-mm 15 --count 5      with another ball: exit 0 if it is right
+  6. stonefall lots product {product or "PRODUCT"} --density-kg-m3 {density}
+  7. stonefall keys create mes --scope read --config {file}     before [api] host is an address of the network"""

@@ -1,0 +1,100 @@
+"""The configuration of the running daemon: read again on SIGHUP, what can be applied at once is, the rest is named.
+
+A configuration with a problem changes nothing: the daemon goes on with the last good one, and health says why.
+"""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from drivers.files.times import utc_now
+from service.configuration.settings import Settings, load_settings, problems
+from service.errors import ServiceError, StoreError
+from service.redaction import redacted
+from service.status import ConfigurationState
+from service.store import Store
+from service.store.audit import note_alone
+
+log = logging.getLogger(__name__)
+
+LIVE_SECTIONS = ("lots", "optics", "verification", "webhooks")
+LIVE_FIELDS = {"store": ("retention", "backup_every_h", "keep_backups"), "api": ("keys",)}
+"""What is applied without a restart. All else is built into the devices, the workers, the store or the sockets."""
+
+
+class Configuration:
+    """The settings in use, and what became of the file since; `reload` reads it again. Call it on the event loop."""
+
+    def __init__(self, settings: Settings, file: Path) -> None:
+        self.settings = settings
+        """What the daemon works with now."""
+        self.state = ConfigurationState(loaded_at=utc_now(), restart_needed_for=(), problem=None)
+        self._file = file
+
+    async def reload(self, apply: Callable[[Settings, Settings], Awaitable[None]], store: Store) -> None:
+        """Read the file, have `apply(old, new)` put the live settings into the parts, and note it in the audit."""
+        try:
+            wanted, live = await asyncio.to_thread(_read, self._file, self.settings)
+            await apply(self.settings, live)
+        except (ServiceError, OSError) as err:
+            log.error("configuration refused, the last good one stays in use: %s", err)
+            self.state = self.state.model_copy(update={"problem": str(err)})
+            return
+        old, self.settings = self.settings, live
+        applied, pending = differences(old, live), tuple(differences(live, wanted))
+        self.state = ConfigurationState(loaded_at=utc_now(), restart_needed_for=pending, problem=None)
+        log.info("configuration read again file=%s applied=%s", self._file, ", ".join(applied) or "nothing")
+        if pending:
+            log.warning("configuration: a restart is needed for %s", ", ".join(pending))
+        if applied:
+            before, after = ({name: _at(settings, name) for name in applied} for settings in (old, live))
+            try:
+                await store.write(note_alone, "SIGHUP", "configuration", str(self._file), before, after)
+            except StoreError as err:  # of a store that is damaged, which health has told
+                log.error("the audit cannot note the configuration: %s", err)
+
+
+def differences(one: Settings, other: Settings) -> list[str]:
+    """Return the fields, as `section.field`, in which two configurations differ."""
+    first, second = _flat(one), _flat(other)
+    return [name for name in {**first, **second} if first.get(name) != second.get(name)]
+
+
+def with_live(now: Settings, wanted: Settings) -> Settings:
+    """Return the settings in use, with those of `wanted` that can be applied without a restart."""
+    fields = {
+        section: replace(
+            getattr(now, section), **{name: getattr(getattr(wanted, section), name) for name in names}
+        )
+        for section, names in LIVE_FIELDS.items()
+    }
+    return now.model_copy(update={name: getattr(wanted, name) for name in LIVE_SECTIONS} | fields)
+
+
+def _read(file: Path, now: Settings) -> tuple[Settings, Settings]:
+    """Return the settings of the file, and what of them is to be used now; raise `ServiceError` if either is wrong."""
+    wanted = load_settings(file)
+    live = with_live(now, wanted)
+    # parts of two good configurations can make a bad one: keys gone now, the address of the network until the restart
+    for settings, where in ((wanted, ""), (live, " (together with what needs a restart)")):
+        if wrong := "; ".join(problems(settings)):
+            raise ServiceError(f"{file}{where}: {wrong}")
+    return wanted, live
+
+
+def _flat(settings: Settings) -> Mapping[str, Any]:
+    # in Python's own values: as JSON two secrets are the same stars
+    sections = settings.model_dump()
+    return {
+        f"{section}.{name}": value
+        for section, values in sections.items()
+        for name, value in (values or {}).items()
+    }
+
+
+def _at(settings: Settings, name: str) -> Any:
+    section, _, field = name.partition(".")
+    return redacted({field: settings.model_dump(mode="json")[section][field]})[field]

@@ -1,0 +1,1 @@
+"""One archive for support: what the daemon, its store and its host say, without secrets."""

@@ -1,0 +1,42 @@
+"""One thing that was looked at on the host or on the rig: what is there, what is wanted, and the remedy."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """What a finding means."""
+
+    GOOD = "good"
+    FAULT = "fault"
+    """It costs stones or results, now or later; `remedy` says what to do."""
+    UNKNOWN = "unknown"
+    """It cannot be read here, or does not exist on this machine."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What was looked at."""
+
+    subject: str
+    verdict: Verdict
+    found: str
+    wanted: str
+    remedy: str | None = None  # a command, or a file of deploy/host and where it goes; only of a fault
+
+
+def judged(subject: str, *, is_good: bool, found: str, wanted: str, remedy: str) -> Finding:
+    """Return a finding that is good, or a fault with its remedy."""
+    if is_good:
+        return Finding(subject=subject, verdict=Verdict.GOOD, found=found, wanted=wanted)
+    return Finding(subject=subject, verdict=Verdict.FAULT, found=found, wanted=wanted, remedy=remedy)
+
+
+def unknown(subject: str, found: str, wanted: str) -> Finding:
+    """Return a finding of what cannot be read."""
+    return Finding(subject=subject, verdict=Verdict.UNKNOWN, found=found, wanted=wanted)
+
+
+def installed(file: str, folder: str, then: str) -> str:
+    """Return the remedy that puts a file of deploy/host where it goes, and the command that makes it count."""
+    return f"install -Dt {folder} deploy/host/{file} && {then}"

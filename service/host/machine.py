@@ -1,0 +1,211 @@
+"""Checks of the machine itself: processor, memory, disk, spool, gate, clock, journal, descriptors."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from service.host.finding import Finding, installed, judged, unknown
+from service.host.host import Host, Mount
+from service.host.needs import GateKind, HostNeeds
+
+FILES = 4096
+"""Open files and connections: cameras, workers, and what REST admits; as the unit sets it."""
+KERNEL_NAME = re.compile(r"/dev/tty(USB|ACM)\d+")
+"""Names that the kernel gives in the order of plugging in."""
+LATENCY_MS = 1
+UNIT = "/etc/systemd/system/stonefall.service"
+GATE_RULES = installed(
+    "90-stonefall-gate.rules", "/etc/udev/rules.d", "udevadm control --reload && udevadm trigger"
+)
+GOVERNOR = installed("stonefall-governor.conf", "/etc/tmpfiles.d", "systemd-tmpfiles --create")
+CHRONY = "apt-get install chrony && " + installed(
+    "50-stonefall-chrony.conf", "/etc/chrony/conf.d", "editor /etc/chrony/conf.d/50-stonefall-chrony.conf"
+)
+JOURNAL = installed(
+    "50-stonefall-journald.conf", "/etc/systemd/journald.conf.d", "systemctl restart systemd-journald"
+)
+
+
+def check_machine(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+    """Yield what was found on the machine."""
+    yield _governor(host)
+    yield from _gate(host, needs)
+    yield _clock(host)
+    yield _journal(host)
+    yield from _spool(host, needs)
+    yield _descriptors(host)
+    yield _disk(host, needs)
+    yield from _memory(host, needs)
+
+
+def _governor(host: Host) -> Finding:
+    governors = {
+        host.text(path) for path in host.glob("/sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
+    }
+    if not governors:
+        return unknown("CPU governor", "this machine does not set the frequency itself", "performance")
+    return judged(
+        "CPU governor",
+        is_good=governors == {"performance"},
+        found=", ".join(sorted(map(str, governors))),
+        wanted="performance: a core that wakes slowly reads frames late",
+        remedy=GOVERNOR,
+    )
+
+
+def _gate(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+    if needs.gate is None:
+        return
+    kind, port = needs.gate
+    wanted = "a device that the group dialout may use"
+    try:
+        mode = host.path(port).stat().st_mode
+    except OSError as err:
+        yield judged(
+            "light gate",
+            is_good=False,
+            found=f"{port}: {err.strerror}",
+            wanted=wanted,
+            remedy="plug it in; ls -l /dev/serial/by-id shows the name for [rig.gate]",
+        )
+        return
+    is_stable = KERNEL_NAME.fullmatch(str(port)) is None
+    if not is_stable:
+        yield judged(
+            "light gate's name",
+            is_good=False,
+            found=f"{port}, which another device may have after the next start",
+            wanted="a name that stays",
+            remedy="use the name below /dev/serial/by-id (or by-path) in [rig.gate]",
+        )
+    device = host.path(port).resolve()
+    yield judged(
+        "light gate",
+        is_good=mode & 0o060 == 0o060 or device.is_relative_to("/dev/pts"),  # where a simulated one is
+        found=f"{port}, mode {mode & 0o777:o}",
+        wanted=wanted,
+        remedy=GATE_RULES,
+    )
+    latency = f"/sys/class/tty/{device.name}/device/latency_timer"
+    if kind is GateKind.TTY and (ms := host.number(latency)) is not None:
+        yield judged(
+            "light gate's latency",
+            is_good=ms <= LATENCY_MS,
+            found=f"{ms} ms",
+            wanted=f"{LATENCY_MS} ms: its driver collects bytes for so long",
+            remedy=GATE_RULES,
+        )
+
+
+def _clock(host: Host) -> Finding:
+    services = {
+        "chrony": host.glob("/run/chrony/chronyd.pid"),
+        "systemd-timesyncd": host.glob("/run/systemd/timesync/synchronized"),
+        "ntpsec": host.glob("/run/ntpd.pid"),
+    }
+    by = ", ".join(name for name, found in services.items() if found) or "no time service"
+    is_synchronised = host.is_synchronised()
+    words = {True: "synchronised", False: "not synchronised", None: "state not known"}[is_synchronised]
+    return judged(
+        "clock",
+        is_good=any(services.values()) if is_synchronised is None else is_synchronised,
+        found=f"{words}, {by}",
+        wanted="synchronised: results, lots and audit are dated by it",
+        remedy=CHRONY,
+    )
+
+
+def _journal(host: Host) -> Finding:
+    wanted = "kept on disk (/var/log/journal), with SystemMaxUse"
+    files = [Path("/etc/systemd/journald.conf")]
+    for folder in ("/usr/lib", "/run", "/etc"):
+        files += host.glob(f"{folder}/systemd/journald.conf.d/*.conf")
+    texts = [text for file in files if (text := host.text(file)) is not None]
+    if not texts:
+        return unknown("journal", "no journald is configured here", wanted)
+    limits = [limit for text in texts for limit in re.findall(r"(?m)^\s*SystemMaxUse\s*=\s*(\S+)", text)]
+    is_kept = host.path("/var/log/journal").is_dir()
+    kept = "kept on disk" if is_kept else "lost at each start"
+    return judged(
+        "journal",
+        is_good=bool(limits) and is_kept,
+        found=f"{kept}, SystemMaxUse {limits[-1] if limits else 'not set'}",
+        wanted=wanted,
+        remedy=JOURNAL,
+    )
+
+
+def _spool(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+    wanted = f"tmpfs with room for {needs.spool_bytes / 1e9:.2f} GB of bundles"
+    if (mount := host.mount(needs.spool_dir)) is None:
+        yield unknown("spool", "the mounts cannot be read", wanted)
+        return
+    room = host.free_bytes(needs.spool_dir)
+    size = _size_bytes(mount)
+    is_large = all(known is None or known >= needs.spool_bytes for known in (room, size))
+    yield judged(
+        "spool",
+        is_good=mount.kind == "tmpfs" and is_large,
+        found=f"{needs.spool_dir} is on {mount.kind}"
+        + (f" of {size / 1e9:.2f} GB" if size is not None else "")
+        + (f", {room / 1e9:.2f} GB free" if room is not None else ""),
+        wanted=wanted,
+        remedy="spool.dir on tmpfs: /run/stonefall, which the unit makes"
+        if mount.kind != "tmpfs"
+        else f"a smaller spool.max_bundles, or: mount -o remount,size={needs.spool_bytes // 2**20 * 2}m {mount.place}",
+    )
+
+
+def _size_bytes(mount: Mount) -> int | None:
+    """Return the size that a tmpfs is limited to, as in size=1638400k; None if it is not."""
+    size = re.search(r"(?:^|,)size=(\d+)([kmg]?)", ",".join(mount.options))
+    return None if size is None else int(size[1]) << {"": 0, "k": 10, "m": 20, "g": 30}[size[2]]
+
+
+def _descriptors(host: Host) -> Finding:
+    drop_ins = host.glob("/etc/systemd/system/stonefall.service.d/*.conf")
+    texts = [text for file in (Path(UNIT), *drop_ins) if (text := host.text(file)) is not None]
+    set_there = [int(each) for text in texts for each in re.findall(r"(?m)^LimitNOFILE=(\d+)", text)]
+    ours = re.search(r"Max open files\s+(\d+)", host.text("/proc/self/limits") or "")
+    if set_there:
+        n_files, where = set_there[-1], "of the unit"
+    elif ours is not None:
+        n_files, where = int(ours[1]), "of this process"
+    else:
+        return unknown("open files", "the limit cannot be read", f"at least {FILES}")
+    return judged(
+        "open files",
+        is_good=n_files >= FILES,
+        found=f"{n_files} {where}",
+        wanted=f"at least {FILES}",
+        remedy=f"LimitNOFILE={FILES} in the unit, as systemd/stonefall.service has it; in a shell: ulimit -n {FILES}",
+    )
+
+
+def _disk(host: Host, needs: HostNeeds) -> Finding:
+    wanted = f"more than store.retention.min_free_gb = {needs.min_free_bytes / 1e9:g}"
+    if (free := host.free_bytes(needs.store_dir)) is None:
+        return unknown("disk", f"the file system of {needs.store_dir} does not answer", wanted)
+    return judged(
+        "disk",
+        is_good=free > needs.min_free_bytes,
+        found=f"{free / 1e9:.1f} GB free at {needs.store_dir}",
+        wanted=wanted,
+        remedy="make room; without it the oldest meshes are removed: set limits in [store.retention]",
+    )
+
+
+def _memory(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+    wanted = f"{needs.memory_bytes / 1e9:.1f} GB for {needs.workers} workers and the spool"
+    total = re.search(r"MemTotal:\s+(\d+) kB", host.text("/proc/meminfo") or "")
+    if total is None:
+        yield unknown("memory", "/proc/meminfo cannot be read", wanted)
+        return
+    n_bytes = int(total[1]) << 10
+    yield judged(
+        "memory",
+        is_good=n_bytes >= needs.memory_bytes,
+        found=f"{n_bytes / 1e9:.1f} GB",
+        wanted=wanted,
+        remedy="fewer workers.slots, a smaller spool.max_bundles, or more memory",
+    )

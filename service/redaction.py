@@ -1,0 +1,68 @@
+"""Show a configuration, or any text, without what must stay secret."""
+
+import re
+from collections.abc import Collection, Iterable
+from typing import Any
+
+SECRET_NAME = re.compile(
+    r"sha256|secret|token|password|passphrase|credential|private|signature", re.IGNORECASE
+)
+USER_IN_URL = re.compile(r"(?<=://)[^/@\s]+@")
+REDACTED = "redacted"
+SECRET_TEXTS = tuple(
+    re.compile(pattern, re.IGNORECASE | re.DOTALL)
+    for pattern in (
+        r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*PRIVATE KEY-----|\Z)",
+        r"\bwhsec_[A-Za-z0-9+/_=-]+",  # of webhooks
+        r"\bstonefall_[A-Za-z0-9_-]{43,}",  # tokens of `stonefall keys`; names of metrics are shorter
+        r"(?<=\bBearer )[^\s\"',]+",
+        r"(?<=\bBasic )[A-Za-z0-9+/=]{6,}",
+        r"(?<=://)[^/@\s\"]+(?=@)",  # user and password in an URL
+        r"(?<=[?&])[^\s\"'<>]+=[^\s\"'<>]*",  # the query of an URL, which may be a token
+        r"(?<=sha256)[\"']?\s*[=:]\s*[\"']?[0-9a-f]{64}",
+        r"(?:password|passphrase|token|secret)[\"']?\s*[=:]\s*[\"']?[^\s\"',}]+",
+    )
+)
+"""What is secret wherever it stands, such as in a log."""
+
+
+def redacted(document: Any) -> Any:
+    """Return a document with the value of every member whose name tells of a secret replaced, and users in URLs."""
+    match document:
+        case dict():
+            return {
+                name: REDACTED
+                if SECRET_NAME.search(name) and value not in (None, "", (), [])
+                else redacted(value)
+                for name, value in document.items()
+            }
+        case list() | tuple():
+            return [redacted(each) for each in document]
+        case str():
+            return USER_IN_URL.sub(f"{REDACTED}@", document)
+    return document
+
+
+def scrubbed(text: str, known: Iterable[str] = ()) -> str:
+    """Return a text without what looks like a secret, and without those that are known, however they look."""
+    for secret in sorted(filter(None, known), key=len, reverse=True):  # one may be a part of another
+        text = text.replace(secret, REDACTED)
+    for pattern in SECRET_TEXTS:
+        text = pattern.sub(REDACTED, text)
+    return text
+
+
+def scrubbed_document(document: Any, known: Collection[str] = ()) -> Any:
+    """Return a document as `redacted` does, with each text and name in it scrubbed."""
+
+    def walk(part: Any) -> Any:
+        match part:
+            case dict():
+                return {scrubbed(str(name), known): walk(value) for name, value in part.items()}
+            case list() | tuple():
+                return [walk(each) for each in part]
+            case str():
+                return scrubbed(part, known)
+        return part
+
+    return walk(redacted(document))

@@ -1,0 +1,72 @@
+"""`stonefall doctor` on a simulated rig: broken, whole with a test pulse, and while the daemon has it."""
+
+import json
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from support import broken_host
+from support.broken_host import Tree
+from support.daemon_process import STONEFALL
+from support.live_rig import live_rig, live_section, simulated_rig
+from support.small_recording import write_small_recording
+
+
+def doctor(config: Path, *more: str | Path) -> tuple[int, dict[str, Any]]:
+    """Return the exit code, and the findings by subject."""
+    command: Sequence[str | Path] = [STONEFALL, "doctor", "--config", config, "--json", *more]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout, done.stderr
+    return done.returncode, {
+        finding["subject"]: finding for part in json.loads(done.stdout).values() for finding in part
+    }
+
+
+def test_each_planted_fault_is_named_with_its_remedy() -> None:
+    assert len(broken_host.FAULTS) >= 10
+    assert broken_host.main() == 0
+
+
+def test_a_whole_rig_exposes_at_the_test_pulse(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "source", n_stones=1)
+    config = tmp_path / "stonefall.toml"
+    with simulated_rig(tmp_path, tmp_path / "source", number=4) as rig:
+        section = live_section(rig, tmp_path, tmp_path / "source")
+        rest = '[spool]\ndir = "/run/stonefall"\n[store]\ndir = "state"\nretention.min_free_gb = 0.0\n[api]\nport = 1\n'
+        config.write_text(section + rest)
+        tree = Tree(tmp_path / "host", port="lo", gate=str(tmp_path / "gate"))
+        code, found = doctor(config, "--pulse", "--root", tree.root)
+        assert [finding for finding in found.values() if finding["verdict"] == "fault"] == []
+        assert code == 0
+        assert found["cameras"]["found"] == "16 of 16 answer"
+        assert found["test pulse"]["found"] == "16 of 16 cameras exposed"
+        assert found["light"]["found"] == "all views are lit"
+
+        config.write_text(
+            section.replace('interfaces = ["127.0.0.1"]', 'interfaces = ["198.51.100.9"]') + rest
+        )
+        code, found = doctor(config, "--root", tree.root)
+        assert code == 1
+        assert "it answers at 127." in found["camera c01"]["found"]
+        assert found["port of 198.51.100.9"]["remedy"]
+
+
+def test_a_running_daemon_is_asked_and_keeps_its_devices(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "source", n_stones=1)
+    with live_rig(tmp_path, tmp_path / "source", number=5) as live:
+        config, url = live.daemon.config_path, live.daemon.url("").removesuffix("/api/v1")
+        code, found = doctor(config, "--pulse", "--url", url)
+        assert found["daemon"]["verdict"] == "good"
+        assert "camera c01" not in found
+        assert found["test pulse"]["verdict"] == "unknown"
+        silent, said = doctor(config, "--url", "http://127.0.0.1:1")
+        assert silent == 1
+        assert "journalctl" in said["daemon"]["remedy"]
+
+        live.rig.cameras["c03"].unplug()
+        live.daemon.check("camera:c03", lambda check: check["status"] == "fail")
+        code, found = doctor(config, "--url", url)
+        assert code == 1
+        assert "switch port" in found["camera:c03"]["remedy"]
+        assert live.daemon.get("/acquisition")["state"] == "armed"

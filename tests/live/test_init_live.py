@@ -1,0 +1,55 @@
+"""`stonefall init` on a terminal, with simulated cameras that answer: what is said becomes the file."""
+
+import os
+import pty
+import subprocess
+from pathlib import Path
+
+from support.daemon_process import STONEFALL
+from support.live_rig import simulated_rig
+from support.small_recording import write_small_recording
+
+from drivers.files.rig_file import read_rig, write_rig
+from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.settings import load_settings
+
+
+def test_what_is_asked_for_becomes_the_configuration(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "source", n_stones=1)
+    rig_file = read_rig(tmp_path / "source" / "rig.json")
+    write_rig(tmp_path / "rig.json", rig_file)
+    config = tmp_path / "stonefall.toml"
+    ours, theirs = pty.openpty()
+    with simulated_rig(tmp_path, tmp_path / "source", number=6) as rig:
+        interfaces, serials, gate, density = "127.0.0.1", "", str(tmp_path / "gate"), "2.7"
+        # the suggestions are in the order of the user names, which a simulated camera has from the recording
+        os.write(ours, "\n".join([interfaces, *[serials] * 16, gate, density, ""]).encode())
+        done = subprocess.run(
+            [
+                STONEFALL,
+                "init",
+                config,
+                "--store",
+                tmp_path / "state",
+                "--spool",
+                tmp_path / "spool",
+                "--simulated",
+            ],
+            stdin=theirs,
+            capture_output=True,
+            text=True,
+            timeout=100,
+            check=False,
+        )
+        os.close(ours)
+        os.close(theirs)
+        assert "16 cameras answer" in done.stdout, done
+        expected = {camera.design.id: camera.design.serial for camera in rig.cameras.values()}
+    assert done.returncode == 0, done
+    settings = load_settings(config)
+    assert isinstance(settings.rig, AravisRigSettings)
+    assert {camera.id: camera.serial for camera in settings.rig.cameras} == expected
+    assert settings.rig.interfaces == ("127.0.0.1",)
+    assert settings.measuring.density_g_cm3 == 2.7
+    checked = subprocess.run([STONEFALL, "check-config", config], capture_output=True, check=False)
+    assert checked.returncode == 0, checked

@@ -1,0 +1,122 @@
+"""`stonefall init` from options: what it writes passes `check-config`, or it says what is missing."""
+
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from drivers.files.rig_file import read_rig, write_rig
+from pipeline.rig.design import nominal_rig
+from service.cli import build_app
+from service.commands import init
+from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.settings import load_settings, problems
+
+PLACES = [f"c{number:02d}" for number in range(1, 17)]
+DEPLOY = Path(__file__).parents[4] / "deploy"
+
+
+def started(folder: Path, *more: str) -> Result:
+    command = [
+        "init",
+        str(folder / "stonefall.toml"),
+        "--store",
+        str(folder / "state"),
+        "--spool",
+        str(folder / "spool"),
+    ]
+    return CliRunner().invoke(build_app(["init"]), [*command, *more])
+
+
+def complete(folder: Path, *more: str) -> Result:
+    cameras = [word for place in PLACES for word in ("--camera", f"{place}=S-{place}")]
+    return started(
+        folder, *cameras, "--gate", "/dev/serial/by-id/usb-ours", "--interface", "10.77.0.1", *more
+    )
+
+
+def test_what_it_writes_passes_check_config_and_it_says_what_comes_next(tmp_path: Path) -> None:
+    done = complete(tmp_path, "--product", "8-16", "--density-g-cm3", "2.65")
+    assert done.exit_code == 0, done.output
+    assert "nothing is missing" in done.output
+    checked = CliRunner().invoke(
+        build_app(["check-config"]), ["check-config", str(tmp_path / "stonefall.toml")]
+    )
+    assert checked.exit_code == 0, checked.output
+    settings = load_settings(tmp_path / "stonefall.toml")
+    assert isinstance(settings.rig, AravisRigSettings)
+    assert [(camera.id, camera.serial) for camera in settings.rig.cameras] == [
+        (place, f"S-{place}") for place in PLACES
+    ]
+    assert settings.rig.interfaces == ("10.77.0.1",)
+    assert settings.rig.gate.device.port == "/dev/serial/by-id/usb-ours"
+    assert settings.measuring.density_g_cm3 == 2.65
+    assert read_rig(tmp_path / "rig.json").calibration_id == nominal_rig().calibration_id
+    for step in (
+        "doctor --config",
+        "calibration start",
+        "calibration verify",
+        "lots product 8-16 --density-kg-m3 2650",
+    ):
+        assert step in done.output
+
+
+def test_nothing_is_replaced_without_being_told(tmp_path: Path) -> None:
+    rig = nominal_rig("2026-01-01T00:00:00Z")
+    write_rig(tmp_path / "rig.json", rig)
+    (tmp_path / "stonefall.toml").write_text("mine")
+    refused = complete(tmp_path)
+    assert refused.exit_code == 1
+    assert "--force replaces it" in str(refused.exception)
+    assert (tmp_path / "stonefall.toml").read_text() == "mine"
+    assert complete(tmp_path, "--force").exit_code == 0
+    assert read_rig(tmp_path / "rig.json").created_at == rig.created_at
+
+
+def test_what_is_missing_is_said_and_marked_in_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(init, "GATES", tmp_path / "no-ports")
+    done = started(tmp_path, "--camera", "c01=S-1")
+    assert done.exit_code == 1
+    assert "rig.cameras: no camera for c02, c03" in done.output
+    assert "rig.gate: no light gate" in done.output
+    text = (tmp_path / "stonefall.toml").read_text()
+    assert text.count("MISSING") == 16  # fifteen cameras, and the gate
+
+
+def test_cameras_from_a_file(tmp_path: Path) -> None:
+    table = tmp_path / "cameras.csv"
+    rows = [f"{place},,10.77.0.{number}," for number, place in enumerate(PLACES[1:], 12)]
+    table.write_text("\n".join(["id,serial,address,user_name", "c01,123,,left", *rows]), encoding="utf-8-sig")
+    assert started(tmp_path, "--cameras", str(table), "--gate", "/dev/gate").exit_code == 0
+    settings = load_settings(tmp_path / "stonefall.toml")
+    assert isinstance(settings.rig, AravisRigSettings)
+    first, second, *_ = settings.rig.cameras
+    assert (first.serial, first.user_name, first.address) == ("123", "left", None)
+    assert (second.serial, second.address) == (None, "10.77.0.12")
+    table.write_text("id,serial\nc01,\n")
+    wrong = started(tmp_path, "--cameras", str(table), "--force")
+    assert "line 2" in str(wrong.exception)
+
+
+@pytest.mark.parametrize(
+    ("option", "problem"),
+    [("c01", "must be PLACE=SERIAL"), ("c99=1", "c99: no place of the rig, which has c01")],
+)
+def test_wrong_options_change_nothing(option: str, problem: str, tmp_path: Path) -> None:
+    done = started(tmp_path, "--camera", option)
+    assert done.exit_code == 1
+    assert problem in str(done.exception)
+    assert not (tmp_path / "stonefall.toml").exists()
+
+
+def test_placeholders_of_the_example_are_refused(tmp_path: Path) -> None:
+    found = list(problems(load_settings(DEPLOY / "stonefall.toml")))
+    assert any("c01, c02" in each and "SERIAL-... are placeholders" in each for each in found)
+    assert any("usb-gate is a placeholder" in each for each in found)
+    served = CliRunner().invoke(build_app(["serve"]), ["serve", "--config", str(DEPLOY / "stonefall.toml")])
+    assert served.exit_code == 1
+    assert "placeholders" in str(served.exception)
+    assert not any("placeholder" in each for each in problems(load_settings(DEPLOY / "simulated.toml")))
