@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from installer import placement, releases, selftest, service
-from installer.host import USER, Host, InstallError
+from installer.host import COMPILED, USER, Host, InstallError
 from installer.releases import Release
 
 PARTS = ("README.md", "deploy", "systemd", "selftest", "service", "drivers", "pipeline", "tests")

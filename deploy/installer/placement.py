@@ -85,7 +85,7 @@ def place(host: Host, release: Release, suffixes: set[str] | None = None) -> lis
     return changed
 
 
-def edited(host: Host, every: list[Release]) -> Iterator[tuple[str, bool]]:
+def placed(host: Host, every: list[Release]) -> Iterator[tuple[str, bool]]:
     """Yield each placed file that exists, and whether it was edited on the host."""
     brought: dict[str, set[bytes]] = {}
     for release in every:
