@@ -61,7 +61,7 @@ def placements(folder: Path) -> Iterator[Placement]:
 def place(host: Host, release: Release, suffixes: set[str] | None = None) -> list[str]:
     """Put all files of a release, or those with some suffixes, in their places; return which targets changed."""
     folder = release.folder(host)
-    folders = [each.folder(host) for each in releases.installed(host)]
+    folders = list(host.path(releases.FOLDER).glob("*"))  # that of an interrupted installation, too
     changed = []
     for each in placements(folder):
         if suffixes is not None and Path(each.source).suffix not in suffixes:
