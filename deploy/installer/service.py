@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import subprocess
 import time
 import urllib.error
 import urllib.request
@@ -59,7 +60,7 @@ def read_configuration(host: Host, release: Release) -> Configuration:
     )
 
 
-def stonefall(host: Host, release: Release, *arguments: object) -> Any:
+def stonefall(host: Host, release: Release, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Run the command `stonefall` of a release as the user of the service."""
     return host.ask(Path("/opt/stonefall/releases", release.version, "bin/stonefall"), *arguments, user=USER)
 

@@ -81,8 +81,12 @@ def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
             _restore(host, target, plan_return(target, stock), stock, state_dir)
         _go_on_with(host, target, configuration, before)
     except BaseException as err:
-        _return(host, previous, target, configuration, before)
-        raise InstallError(f"{target.version}: {err}. {_runs_again(previous, before)}") from err
+        failure = f"{target.version}: {str(err) or type(err).__name__}"
+        try:
+            _return(host, previous, target, configuration, before)
+        except InstallError as further:
+            raise InstallError(f"{failure}. The rollback failed, too: {further}") from err
+        raise InstallError(f"{failure}. {_runs_again(previous, before)}") from err
     return True
 
 

@@ -164,7 +164,7 @@ def never_ready(source: Path) -> None:
 def prepare(folder: Path) -> Machine:
     """Make the root and three bundles in it, or take what an earlier trial has made of the same commit."""
     machine = Machine(folder / "root")
-    bundles = machine.root / "root"
+    bundles = machine.root / "srv"
     clean, tar = folder / "clean", folder / "bundle"
     if not clean.exists():
         with timed("debootstrap"):
@@ -188,15 +188,19 @@ def prepare(folder: Path) -> Machine:
 def trial(machine: Machine) -> None:
     first, newer, broken = (
         path.name.removeprefix("stonefall-")
-        for path in sorted((machine.root / "root").glob("stonefall-*"), key=lambda path: len(path.name))
+        for path in sorted((machine.root / "srv").glob("stonefall-*"), key=lambda path: len(path.name))
     )
-    install = "/root/stonefall-{}/deploy/install"
+    install = "/srv/stonefall-{}/deploy/install"
     with timed("refused: a damaged bundle"):
-        wheel = next(machine.root.glob(f"root/stonefall-{first}/wheels/numpy-*"))
+        wheel = next(machine.root.glob(f"srv/stonefall-{first}/wheels/numpy-*"))
         content = wheel.read_bytes()
         wheel.write_bytes(content[:-1] + b"?")
         assert "the bundle is damaged" in machine.run(install.format(first), expect=1)
         wheel.write_bytes(content)
+    with timed("refused: not root; twice at once"):
+        assert "only root" in machine.run("runuser", "-u", "nobody", "--", install.format(first), expect=1)
+        lock = ("flock", "/run/lock/stonefall-install")
+        assert "another installation runs" in machine.run(*lock, install.format(first), expect=1)
     with timed("dry run"):
         assert "nothing was changed" in machine.run(install.format(first), "--dry-run")
         assert not (machine.root / "opt/stonefall").exists()

@@ -347,19 +347,48 @@ def test_uninstalling_leaves_results_and_what_was_edited(host: Host, script: Scr
     assert not results.exists()
 
 
-def test_a_damaged_bundle_is_refused_before_anything(tmp_path: Path) -> None:
-    bundle = tmp_path / "stonefall-0.3.0"
-    (bundle / "deploy").mkdir(parents=True)
-    (bundle / "deploy/install").write_bytes((ROOT / "deploy/install").read_bytes())
-    (bundle / "bundle.json").write_text(json.dumps(vars(OLD)))
-    wheel = bundle / "x.whl"
-    wheel.write_bytes(b"whole")
-    sums = subprocess.run(["sha256sum", "x.whl"], cwd=bundle, capture_output=True, check=True).stdout
-    (bundle / "SHA256SUMS").write_bytes(sums)
-    wheel.write_bytes(b"torn")
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    """Return a bundle's folder with everything that is looked at before Python is needed."""
+    folder = tmp_path / "stonefall-0.3.0"
+    (folder / "deploy").mkdir(parents=True)
+    for name in ("install", "apt-packages.txt"):
+        (folder / "deploy" / name).write_bytes((ROOT / "deploy" / name).read_bytes())
+    (folder / "numpy.whl").write_bytes(b"whole")
+    return folder
+
+
+def refusal(folder: Path, release: Release) -> str:
+    """Return what the installer says of a bundle that it refuses."""
+    (folder / "bundle.json").write_text(json.dumps(vars(release), indent=4))
     done = subprocess.run(
-        ["bash", bundle / "deploy/install", "--dry-run"], capture_output=True, text=True, timeout=60
+        ["bash", folder / "deploy/install", "--dry-run"], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 1
-    assert "the bundle is damaged, nothing was changed" in done.stderr
-    assert "x.whl: FAILED" in done.stderr
+    return done.stderr
+
+
+def add_sums(folder: Path) -> None:
+    names = ["numpy.whl", "deploy/install"]
+    sums = subprocess.run(["sha256sum", *names], cwd=folder, capture_output=True, check=True).stdout
+    (folder / "SHA256SUMS").write_bytes(sums)
+
+
+def test_a_damaged_bundle_is_refused_before_anything(bundle: Path) -> None:
+    add_sums(bundle)
+    (bundle / "numpy.whl").write_bytes(b"torn!")
+    assert "the bundle is damaged, nothing was changed; copy it again: numpy.whl: FAILED" in refusal(
+        bundle, OLD
+    )
+    (bundle / "numpy.whl").unlink()
+    assert "numpy.whl: No such file" in refusal(bundle, OLD)
+    (bundle / "SHA256SUMS").unlink()
+    assert "SHA256SUMS: No such file" in refusal(bundle, OLD)
+
+
+def test_a_host_of_another_kind_or_without_room_is_refused(bundle: Path) -> None:
+    add_sums(bundle)
+    own = subprocess.run(["dpkg", "--print-architecture"], capture_output=True, text=True, check=True)
+    here = replace(OLD, architecture=own.stdout.strip())
+    assert "the bundle is for vax" in refusal(bundle, replace(here, architecture="vax"))
+    assert "it needs 999999999999 MB of disk" in refusal(bundle, replace(here, needs_mb=999999999999))
