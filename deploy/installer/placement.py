@@ -112,5 +112,7 @@ def _title(each: Placement, goes_to: str, exists: bool) -> str:
     if goes_to == each.target:
         return goes_to
     return (
-        f"{goes_to}; {each.target} was edited here and stays" if exists else f"{goes_to}, an example to edit"
+        f"{goes_to}; {Path(each.target).name} stays as it is here"
+        if exists
+        else f"{goes_to}, an example to edit"
     )

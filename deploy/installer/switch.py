@@ -16,7 +16,8 @@ from installer.store import BACKUPS, Copy, Stock, backup_for
 
 RELOADS = {
     "/etc/sysctl.d/": ("sysctl", "--system"),
-    "/etc/udev/rules.d/": ("udevadm", "control", "--reload"),
+    "/etc/udev/rules.d/": ("udevadm", "trigger", "--action=add", "-stty", "-sgpio", "-susb-serial"),
+    "/etc/chrony/": ("systemctl", "try-restart", "chrony"),
     "/etc/systemd/system/": ("systemctl", "daemon-reload"),
     "/etc/systemd/journald.conf.d/": ("systemctl", "restart", "systemd-journald"),
     "/etc/tmpfiles.d/": ("systemd-tmpfiles", "--create"),
@@ -43,6 +44,12 @@ def plan_return(target: Release, stock: Stock) -> Return:
             f" there is no backup that it can read: nothing was changed. It could run with another store.dir only"
         )
     return Return(backup, stock.in_use.last_seq - backup.last_seq)
+
+
+def _return_to(whole: Path, stock: Stock) -> Return:
+    """Return how to put the database back that a failed downgrade has replaced."""
+    backup = next(copy for copy in stock.backups if Path(copy.path) == whole)
+    return Return(backup, stock.in_use.last_seq - backup.last_seq if stock.in_use else 0)
 
 
 def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
@@ -73,17 +80,20 @@ def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
             " goes on: these results are then kept in a file and in the database moved aside, no longer in the feed"
         )
     before = service.ask_readiness(configuration.health_url or "") if was_running else None
-    if was_running:
-        host.step("stop the daemon, which measures first what has fallen", lambda: service.stop(host))
+    whole = None  # the copy to return to once an older database was put in place
     try:
+        if was_running:
+            host.step("stop the daemon, which measures first what has fallen", lambda: service.stop(host))
         if state_dir is not None and (stock := service.look_at_store(host, target, state_dir)).in_use:
-            _back_up(host, previous, target, state_dir)
-            _restore(host, target, plan_return(target, stock), stock, state_dir)
+            copy = _back_up(host, previous, target, state_dir)
+            if (back := plan_return(target, stock)).backup is not None:
+                whole = copy
+                _restore(host, target, back, stock, state_dir)
         _go_on_with(host, target, configuration, before)
     except BaseException as err:
         failure = f"{target.version}: {str(err) or type(err).__name__}"
         try:
-            _return(host, previous, target, configuration, before)
+            _return(host, previous, target, configuration, before, whole)
         except InstallError as further:
             raise InstallError(f"{failure}. The rollback failed, too: {further}") from err
         raise InstallError(f"{failure}. {_runs_again(previous, before)}") from err
@@ -118,8 +128,8 @@ def _require_configuration(
         raise InstallError(f"the configuration does not fit, nothing was changed: {'; '.join(sorted(new))}")
 
 
-def _back_up(host: Host, previous: Release | None, target: Release, state_dir: Path) -> None:
-    """Copy the database with the release that wrote it, and keep the newest of such copies."""
+def _back_up(host: Host, previous: Release | None, target: Release, state_dir: Path) -> Path:
+    """Copy the database with the release that wrote it, keep the newest of such copies, and return the copy."""
     folder = state_dir / BACKUPS
     copy = folder / f"before-{target.version}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.sqlite"
     maker = previous or target
@@ -133,18 +143,20 @@ def _back_up(host: Host, previous: Release | None, target: Release, state_dir: P
             path.unlink()
 
     host.step(f"backup of the database: {copy}", back_up)
+    return copy
 
 
 def _restore(host: Host, release: Release, back: Return, stock: Stock, state_dir: Path) -> None:
     """Restore the backup of a return with the release that is to read it; keep what it does not have."""
-    if back.backup is None or stock.in_use is None:
+    if back.backup is None:
         return
-    backup, in_use = back.backup, stock.in_use
+    backup = back.backup
     later = state_dir / BACKUPS / f"after-{Path(backup.path).stem}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.jsonl"
-    if back.beyond > 0:
+    if stock.in_use is not None and back.beyond > 0:
+        database = stock.in_use.path
         host.step(
             f"the {back.beyond} results that the backup does not have, kept in {later}",
-            lambda: service.write_later_results(host, release, in_use.path, backup.last_seq, later),
+            lambda: service.write_later_results(host, release, database, backup.last_seq, later),
         )
 
     def restore() -> None:
@@ -171,6 +183,7 @@ def _return(
     target: Release,
     configuration: Configuration,
     before: Readiness | None,
+    whole: Path | None,
 ) -> None:
     """Go back to the release from before, with the database that it can read."""
     say("rollback", f"to {previous.version}" if previous else "to the daemon from before")
@@ -179,7 +192,8 @@ def _return(
     if previous is not None:
         if configuration.state_dir is not None:
             stock = service.look_at_store(host, target, configuration.state_dir)
-            _restore(host, previous, plan_return(previous, stock), stock, configuration.state_dir)
+            back = plan_return(previous, stock) if whole is None else _return_to(whole, stock)
+            _restore(host, previous, back, stock, configuration.state_dir)
         activate(host, previous)
     if before is not None:
         service.start(host)

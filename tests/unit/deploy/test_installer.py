@@ -205,12 +205,16 @@ def test_the_self_test_can_fail(change: Mapping[str, object], found: str | None)
 class Script:
     """A host's commands: answers them, and remembers what was run."""
 
-    def __init__(self, host: Host, n_old: int = 3, n_new: int = 5) -> None:
-        self.host, self.n_old, self.n_new = host, n_old, n_new
+    def __init__(self, host: Host) -> None:
+        self.host = host
         self.ran: list[str] = []
         self.schema = 11
         self.backups: list[Copy] = []
         self.problems: dict[str, list[str]] = {}
+
+    @property
+    def last_seq(self) -> int:
+        return 5 if self.schema == 12 else 3
 
     def __call__(self, command: Sequence[str], _: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
         words = [Path(word).name if "/bin/" in word else word for word in command]
@@ -226,19 +230,19 @@ class Script:
             problems = self.problems.get(release.split("/")[0], [])
             answer = json.dumps({"settings": settings, "problems": problems})
         elif "installer.store look" in line:
-            last_seq = self.n_new if self.schema == 12 else self.n_old
-            in_use = vars(copy("results.sqlite", self.schema, last_seq))
+            in_use = vars(copy("results.sqlite", self.schema, self.last_seq))
             answer = json.dumps({"in_use": in_use, "backups": [vars(each) for each in self.backups]})
         elif "installer.store later" in line:
             answer = "2\n"
         elif " backup " in line:
-            self.backups.append(copy(words[words.index("backup") + 1], self.schema, self.n_old))
+            name = next(word for word in command if word.endswith(".sqlite"))
+            self.backups.append(copy(name, self.schema, self.last_seq))
         elif " restore " in line:
-            self.schema = 11
+            self.schema = next(each.schema for each in self.backups if each.path in command)
         elif "systemctl start" in line and releases.current(self.host) == NEW:
             self.schema = 12  # the daemon migrates
         if not any(word in line for word in ("check-config", "is-active", "look", "reset-failed")):
-            self.ran.append(line if "bin" not in line else f"{release.split('/')[0]}: {line}")
+            self.ran.append(f"{release.split('/')[0]}: {line}")
         return subprocess.CompletedProcess(command, 0, answer, "")
 
 
@@ -314,6 +318,22 @@ def test_a_downgrade_across_schemas_is_said_first(
     assert switch.switch(scripted, OLD, may_restore=True)
     assert names(script.ran) == ["stop", "backup", "later", "restore", "start"]
     assert releases.current(host) == OLD
+
+
+def test_a_failed_downgrade_brings_the_whole_database_back(
+    host: Host, script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers(monkeypatch, lambda: READY)
+    scripted = replace(host, execute=script)
+    switch.switch(scripted, NEW, may_restore=False)
+    script.ran.clear()
+    answers(monkeypatch, lambda: SILENT if releases.current(host) == OLD else READY)
+    with pytest.raises(InstallError, match=r"Rolled back: 0\.10\.0"):
+        switch.switch(scripted, OLD, may_restore=True)
+    assert names(script.ran) == ["stop", "backup", "later", "restore", "start", "stop", "restore", "start"]
+    restored = [line for line in script.ran if " restore " in line]
+    assert "0.3.0: " in restored[0] and "/before-0.10.0-" in restored[0]
+    assert "0.10.0: " in restored[1] and "/before-0.3.0-" in restored[1]
 
 
 def test_a_configuration_that_the_new_release_refuses_stops_nothing(
