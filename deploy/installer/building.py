@@ -1,5 +1,6 @@
 """Put a release on a host, beside the others: its environment, its guides, its compiled loops, its self-test."""
 
+import os
 import shutil
 import tempfile
 from pathlib import Path
@@ -53,6 +54,7 @@ def build(host: Host, bundle: Path, release: Release) -> bool:
         except BaseException:
             shutil.rmtree(folder)
             raise
+        os.sync()  # all of it is on the disk before it counts
         releases.mark_complete(release, folder)
     return not is_done
 
