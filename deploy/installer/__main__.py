@@ -1,0 +1,100 @@
+"""Steps of `deploy/install` once Python is there: prints each, and exits with 1 if one cannot be done."""
+
+import argparse
+import shutil
+import signal
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from installer import building, placement, releases, service
+from installer.host import Host, InstallError, say
+from installer.releases import Release
+from installer.switch import switch
+
+HERE = Path(__file__).resolve().parents[2]
+
+
+def main() -> None:
+    """Install the bundle that this lies in, or switch to a release that is installed."""
+    parser = argparse.ArgumentParser(prog="deploy/install", description=main.__doc__)
+    parser.add_argument("--dry-run", action="store_true", help="print every step and change nothing")
+    parser.add_argument(
+        "--switch-to", metavar="VERSION", help="make an installed release the current one again"
+    )
+    parser.add_argument(
+        "--restore",
+        action="store_true",
+        help="with an older release: restore the backup that it can read; later results are kept beside the feed",
+    )
+    arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended by SIGTERM"))
+    host = Host(dry_run=arguments.dry_run)
+    start = time.monotonic()
+    try:
+        changed = _install(host, arguments.switch_to, may_restore=arguments.restore)
+    except InstallError as err:
+        sys.exit(f"stonefall is not installed: {err}")
+    minutes = (time.monotonic() - start) / 60
+    if not changed:
+        print("nothing to do")
+    else:
+        print("nothing was changed: dry run" if host.dry_run else f"{minutes:.1f} minutes")
+
+
+def _install(host: Host, version: str | None, *, may_restore: bool) -> bool:
+    if version is None:
+        target = releases.read_release(HERE / "bundle.json")
+        changed = building.build(host, HERE, target)
+    else:
+        target, changed = _installed(host, version), False
+    if not target.folder(host).exists():
+        say(
+            "would",
+            "place units and files of the host, back up the database, switch, start, and wait for health",
+        )
+        return changed
+    previous = releases.current(host)
+    changed |= switch(host, target, may_restore=may_restore)
+    for release in releases.expendable(releases.installed(host), (target, previous)):
+        changed |= host.step(
+            f"remove release {release.version}: {releases.KEEP} are kept",
+            partial(shutil.rmtree, release.folder(host)),
+        )
+    _say_what_remains(host, target)
+    return changed
+
+
+def _installed(host: Host, version: str) -> Release:
+    every = releases.installed(host)
+    for release in every:
+        if release.version == version:
+            return release
+    known = ", ".join(release.version for release in every)
+    raise InstallError(f"there is no release {version}; installed: {known or 'none'}")
+
+
+def _say_what_remains(host: Host, release: Release) -> None:
+    if host.dry_run:
+        return
+    for problem in sorted(service.read_configuration(host, release).problems):
+        say("to do", f"{placement.CONFIGURATION}: {problem}")
+    found = service.stonefall(host, release, "check-host", "--config", placement.CONFIGURATION)
+    if found.returncode != 2:  # the release has this command
+        for line in (found.stdout or found.stderr).strip().splitlines():
+            say("host", line)
+    if not host.runs_systemd:
+        say("skipped", "systemd does not run here: nothing was enabled, started or loaded. By hand:")
+        print(
+            "      install -d -o stonefall -g stonefall /run/stonefall\n"
+            "      runuser -u stonefall -- env NUMBA_CACHE_DIR=/var/cache/stonefall/numba"
+            f" {releases.CURRENT}/bin/stonefall serve --config {placement.CONFIGURATION}"
+        )
+    elif not service.is_running(host):
+        host.step("enabled, so that it starts with the host", lambda: host.run("systemctl", "enable", service.UNIT),
+                  is_done=host.ask("systemctl", "is-enabled", service.UNIT).stdout.strip() == "enabled")  # fmt: skip
+        say("to do", "calibrate and configure the rig (deploy/README.md), then: systemctl start stonefall")
+
+
+main()

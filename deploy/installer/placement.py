@@ -1,0 +1,118 @@
+"""Files of a release that belong into /etc: units, accounts, folders, and what prepares the host.
+
+A file is put in its place if none is there, and replaced while it is as a release brought it. One that was edited on
+the host stays, and the new one lies beside it with the suffix `.default`, which no program reads.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum, auto
+from functools import partial
+from pathlib import Path
+
+from installer import releases
+from installer.host import Host, InstallError
+from installer.releases import Release
+
+UNITS = {".service", ".socket", ".timer", ".path", ".target", ".mount"}
+BY_SUFFIX = {".sysusers": "/etc/sysusers.d/stonefall.conf", ".tmpfiles": "/etc/tmpfiles.d/stonefall.conf"}
+GOES_TO = re.compile(r"# Goes to (/[^\s:;,]+)")
+EXAMPLES = {".network", ".link"}
+"""They name ports of another machine; in their place they could readdress one of this machine."""
+CONFIGURATION = "/etc/stonefall/stonefall.toml"
+DEFAULT = ".default"
+
+
+class Owner(Enum):
+    """Who decides what is in a file."""
+
+    RELEASE = auto()
+    SITE = auto()
+    EXAMPLE = auto()
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A file of a release, by its path in the release, and where it goes."""
+
+    source: str
+    target: str
+    owner: Owner = Owner.RELEASE
+
+
+def placements(folder: Path) -> Iterator[Placement]:
+    """Yield all files of a release that belong into /etc; a file says in its first line where, if its name does not."""
+    for path in sorted([*folder.glob("systemd/*"), *folder.glob("deploy/host/*")]):
+        source, owner = str(path.relative_to(folder)), Owner.RELEASE
+        if path.suffix in UNITS:
+            target = f"/etc/systemd/system/{path.name}"
+        elif path.suffix in BY_SUFFIX:
+            target = BY_SUFFIX[path.suffix]
+        elif match := GOES_TO.match(path.read_text()):
+            target = match[1] + (path.name if match[1].endswith("/") else "")
+            owner = Owner.EXAMPLE if path.suffix in EXAMPLES else Owner.RELEASE
+        else:
+            raise InstallError(f"{source}: its first line does not say '# Goes to /PATH'")
+        yield Placement(source, target, owner)
+    yield Placement("deploy/stonefall.toml", CONFIGURATION, Owner.SITE)
+
+
+def place(host: Host, release: Release, suffixes: set[str] | None = None) -> list[str]:
+    """Put all files of a release, or those with some suffixes, in their places; return which targets changed."""
+    folder = release.folder(host)
+    folders = list(host.path(releases.FOLDER).glob("*"))  # that of an interrupted installation, too
+    changed = []
+    for each in placements(folder):
+        if suffixes is not None and Path(each.source).suffix not in suffixes:
+            continue
+        wanted = (folder / each.source).read_bytes()
+        target = host.path(each.target)
+        brought = {
+            path.read_bytes() for other in folders if (path := other / each.source).is_file()
+        } if each.owner is Owner.RELEASE else set()  # fmt: skip
+        exists = target.exists()
+        if exists and target.read_bytes() == wanted:
+            continue
+        if each.owner is not Owner.EXAMPLE and (not exists or target.read_bytes() in brought):
+            goes_to = each.target
+        else:
+            goes_to = each.target + DEFAULT
+        beside = host.path(goes_to)
+        if not (beside.exists() and beside.read_bytes() == wanted):
+            host.step(_title(each, goes_to, exists), partial(write, beside, wanted))
+            changed.append(goes_to)
+    return changed
+
+
+def placed(host: Host, every: list[Release]) -> Iterator[tuple[str, bool]]:
+    """Yield each placed file that exists, and whether it was edited on the host."""
+    brought: dict[str, set[bytes]] = {}
+    for release in every:
+        folder = release.folder(host)
+        for each in placements(folder):
+            if each.owner is not Owner.SITE:
+                for target in (each.target, each.target + DEFAULT):
+                    brought.setdefault(target, set()).add((folder / each.source).read_bytes())
+    for target, contents in sorted(brought.items()):
+        if (path := host.path(target)).is_file():
+            yield target, path.read_bytes() not in contents
+
+
+def write(path: Path, content: bytes) -> None:
+    """Write a file as a whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    unfinished.write_bytes(content)
+    unfinished.chmod(0o644)
+    unfinished.replace(path)
+
+
+def _title(each: Placement, goes_to: str, exists: bool) -> str:
+    if goes_to == each.target:
+        return goes_to
+    return (
+        f"{goes_to}; {Path(each.target).name} stays as it is here"
+        if exists
+        else f"{goes_to}, an example to edit"
+    )

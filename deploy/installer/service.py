@@ -1,0 +1,151 @@
+"""The daemon of a host: its configuration, whether it runs, and whether it measures."""
+
+import fcntl
+import json
+import os
+import subprocess
+import time
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from installer.host import USER, Host, InstallError
+from installer.placement import CONFIGURATION
+from installer.releases import Release
+from installer.store import Copy, Stock
+
+UNIT = "stonefall.service"
+READY_S = 90.0
+"""Longest wait for readiness after the daemon has started."""
+POLL_S = 1.0
+EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What a release makes of the configuration; without folder and address if it cannot read it."""
+
+    state_dir: Path | None
+    health_url: str | None
+    problems: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """Answer of a daemon to whether the next stone will be measured; `answers` is False if there was none."""
+
+    answers: bool
+    ready: bool
+    detail: str
+
+
+def read_configuration(host: Host, release: Release) -> Configuration:
+    """Return what a release makes of the configuration of the host."""
+    done = stonefall(host, release, "check-config", CONFIGURATION, "--json")
+    try:
+        document: dict[str, Any] = json.loads(done.stdout)
+    except ValueError as err:
+        raise InstallError(f"check-config of {release.version}: {done.stderr.strip() or err}") from err
+    settings = document["settings"]
+    if settings is None:
+        return Configuration(None, None, frozenset(document["problems"]))
+    address = EVERY_ADDRESS.get(settings["api"]["host"], settings["api"]["host"])
+    address = f"[{address}]" if ":" in address else address
+    return Configuration(
+        Path("/etc/stonefall") / settings["store"]["dir"],
+        f"http://{address}:{settings['api']['port']}/api/v1/health",
+        frozenset(document["problems"]),
+    )
+
+
+def stonefall(host: Host, release: Release, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command `stonefall` of a release as the user of the service."""
+    return host.ask(Path("/opt/stonefall/releases", release.version, "bin/stonefall"), *arguments, user=USER)
+
+
+def is_running(host: Host) -> bool:
+    """Return whether systemd runs the daemon."""
+    return host.runs_systemd and host.ask("systemctl", "is-active", UNIT).stdout.strip() in {
+        "active",
+        "activating",
+        "reloading",
+    }
+
+
+def look_at_store(host: Host, release: Release, state_dir: Path) -> Stock:
+    """Return the databases of the store, seen with the rights of the service."""
+    if not host.path(str(state_dir)).is_dir():
+        return Stock(None, ())
+    found = json.loads(_store(host, release, "look", state_dir))
+    in_use = Copy(**found["in_use"]) if found["in_use"] else None
+    return Stock(in_use, tuple(Copy(**each) for each in found["backups"]))
+
+
+def write_later_results(host: Host, release: Release, database: str, seq: int, out: Path) -> int:
+    """Write all results after number `seq` to a file of the store, and return how many these are."""
+    return int(_store(host, release, "later", database, seq, out))
+
+
+def _store(host: Host, release: Release, *arguments: object) -> str:
+    folder = f"/opt/stonefall/releases/{release.version}/deploy"
+    python = ("env", f"PYTHONPATH={folder}", "/usr/bin/python3", "-B", "-m")
+    return host.run(*python, "installer.store", *arguments, user=USER)
+
+
+def ask_readiness(url: str, timeout_s: float = 5.0) -> Readiness:
+    """Ask a daemon whether the next stone will be measured; needs no key."""
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy of the plant between
+    try:
+        with opener.open(f"{url}/ready", timeout=timeout_s):
+            return Readiness(True, True, "ready")
+    except urllib.error.HTTPError as err:
+        try:
+            detail = json.load(err).get("detail", "")
+        except ValueError:
+            return Readiness(False, False, f"{url}/ready: status {err.code}, not from stonefall")
+        return Readiness(True, False, detail)
+    except (OSError, ValueError) as err:
+        return Readiness(False, False, f"{url}/ready: {err}")
+
+
+def wait_until_healthy(url: str, before: Readiness, deadline_s: float = READY_S) -> Readiness:
+    """Return once the daemon is ready, or answers if it was not ready before either; raise `InstallError` if not."""
+    end = time.monotonic() + deadline_s
+    while True:
+        now = ask_readiness(url)
+        if now.ready or (now.answers and not before.ready):
+            return now
+        if time.monotonic() >= end:
+            raise InstallError(f"not ready within {deadline_s:.0f} s after its start: {now.detail}")
+        time.sleep(POLL_S)
+
+
+def start(host: Host) -> None:
+    """Start the daemon; returns when the rig is armed, or held with a reason."""
+    host.ask("systemctl", "reset-failed", UNIT)
+    done = host.ask("systemctl", "start", UNIT)
+    if done.returncode != 0:
+        log = host.ask("journalctl", "-u", UNIT, "-n", "3", "-o", "cat").stdout.strip().splitlines()
+        raise InstallError(f"the daemon did not start: {' | '.join(log)}")
+
+
+def stop(host: Host) -> None:
+    """Stop the daemon; it measures first what the cameras have seen."""
+    host.run("systemctl", "stop", UNIT)
+
+
+def require_unlocked_store(state_dir: Path) -> None:
+    """Raise `InstallError` when a daemon that systemd does not run has the store open."""
+    if not state_dir.is_dir():
+        return
+    descriptor = os.open(state_dir, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as err:
+        raise InstallError(
+            f"{state_dir}: a daemon that systemd did not start has it open: end it first"
+        ) from err
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,66 @@
+"""Steps of `deploy/uninstall`: take away what was installed, and leave what was measured and configured.
+
+Files in /etc that were edited on the host stay, and are named. Packages of Debian stay, as others may use them.
+"""
+
+import argparse
+import shutil
+import sys
+from functools import partial
+from pathlib import Path
+
+from installer import placement, releases, service
+from installer.host import USER, Host, InstallError, say
+
+WORDS = "delete all results"
+KEPT = ("/var/lib/stonefall", "/etc/stonefall")
+TAKEN = ("/opt/stonefall", "/var/cache/stonefall", "/run/stonefall")
+
+
+def main() -> None:
+    """Remove releases, units and unedited host files; --purge, in its words, also results and configuration."""
+    parser = argparse.ArgumentParser(prog="deploy/uninstall", description=main.__doc__)
+    parser.add_argument("--dry-run", action="store_true", help="print every step and change nothing")
+    parser.add_argument(
+        "--purge", metavar=f'"{WORDS}"', help="in these words: also all that was measured and configured"
+    )
+    arguments = parser.parse_args()
+    try:
+        uninstall(Host(dry_run=arguments.dry_run), arguments.purge)
+    except InstallError as err:
+        sys.exit(f"stonefall is not uninstalled: {err}")
+
+
+def uninstall(host: Host, purge: str | None) -> None:
+    """Uninstall; raise `InstallError` before anything is changed if that must not be done."""
+    if purge is not None and purge != WORDS:
+        raise InstallError(
+            f"nothing was changed: --purge is meant only with the words {WORDS!r}, not {purge!r}"
+        )
+    state_dir = Path(KEPT[0])
+    if not service.is_running(host):
+        service.require_unlocked_store(host.path(str(state_dir)))
+    files = list(placement.placed(host, releases.installed(host)))
+    if host.runs_systemd:
+        host.step(
+            "stop and disable the daemon", lambda: host.run("systemctl", "disable", "--now", service.UNIT)
+        )
+    for target, was_edited in files:
+        if was_edited:
+            say("kept", f"{target}: it was edited here")
+        else:
+            host.step(f"remove {target}", host.path(target).unlink)
+    for folder in [*TAKEN, *(KEPT if purge == WORDS else ())]:
+        if host.path(folder).exists():
+            host.step(f"remove {folder}", partial(shutil.rmtree, host.path(folder)))
+    if host.runs_systemd:
+        host.step("systemctl daemon-reload", lambda: host.run("systemctl", "daemon-reload"))
+    if purge == WORDS:
+        host.step(f"remove the account {USER}", lambda: host.run("userdel", USER))
+    else:
+        for folder in KEPT:
+            say("kept", f'{folder}; --purge "{WORDS}" removes it')
+
+
+if __name__ == "__main__":
+    main()
