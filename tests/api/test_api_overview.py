@@ -33,6 +33,7 @@ LENGTHS = dict.fromkeys(
 )
 STONE = measured(**LENGTHS, volume_mm3=500.0, volume_sd_percent=0.5, surface_sd_mm=0.02, zingg_class="equant")
 LOST = {"outcome": "lost", "reason": "queue_full"}
+DECISION = {"FI": "flakiness_decision", "SI": "shape_decision"}
 PRODUCT = ProductDefinition(
     title="8/16 basalt",
     density_kg_m3=2850.0,
@@ -171,6 +172,12 @@ async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
     gradation = (await client.get("/lots/L1/gradation")).json()
     for name in ("verdict", "is_partial", "countdown", "measured", "n_effective"):
         assert figures[name] == gradation[name], name
+    judged = [(step["sieve_mm"], None, step["decision"]) for step in gradation["curve"] if step["decision"]]
+    assert judged
+    assert [(each["sieve_mm"], each["index"], each["decision"]) for each in figures["decisions"]] == [
+        *sorted(judged, reverse=True),
+        *((None, name, each) for name in ("FI", "SI") if (each := gradation[DECISION[name]])),
+    ]
     assert figures["flakiness_percent"] == gradation["indices"]["flakiness_percent"]
     assert figures["shape_percent"] == gradation["indices"]["shape_percent"]
     (median,) = (each for each in gradation["quantiles"] if each["percent"] == 50)
