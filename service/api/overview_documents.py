@@ -1,7 +1,7 @@
 """What an operator's page shows at a glance: the fields of the overview."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
@@ -9,7 +9,7 @@ from pipeline.frames import CameraId
 from pipeline.gradation.specification import Verdict
 from service.alarms.alarm import AlarmState
 from service.alarms.rules import Priority
-from service.lots.figures import Figure
+from service.lots.figures import Decision, Figure
 from service.results.fields import TIME, Outcome, Verified
 from service.status import AcquisitionStatus, CameraOptics, CameraStatus, DeviceState, Ne107
 
@@ -32,6 +32,16 @@ class OverviewLot(BaseModel):
     n_stones: int = Field(description="Stones that fell, whatever became of them")
 
 
+class OverviewDecision(BaseModel):
+    """The verdict on one figure of the specification."""
+
+    sieve_mm: float | None = Field(description="Sieve whose passing is judged, mm; null: an index is")
+    index: Literal["FI", "SI"] | None = Field(
+        description="Flakiness index (EN 933-3) or shape index (EN 933-4); null: a sieve is judged"
+    )
+    decision: Decision = Field(description="The verdict, and what would decide it")
+
+
 class OverviewFigures(BaseModel):
     """The main figures of the open lot, else of the last hour."""
 
@@ -39,6 +49,9 @@ class OverviewFigures(BaseModel):
     verdict: Verdict | None = Field(description="Null without a specification")
     is_partial: bool = Field(description="True when some figures of the specification were not measured")
     countdown: str | None = Field(description="What is decided and what is not, in words")
+    decisions: list[OverviewDecision] = Field(
+        description="The same figure by figure: sieves from the coarsest, then the indices"
+    )
     d50_mm: Figure = Field(description="Sieve that half of the mass passes, log-linear between sieves, mm")
     flakiness_percent: Figure = Field(description="FI, EN 933-3")
     shape_percent: Figure = Field(description="SI, EN 933-4")

@@ -7,12 +7,18 @@ import hashlib
 import json
 import sqlite3
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
 from pipeline.frames import BundleKind, rfc3339
-from service.api.overview_documents import OverviewCounts, OverviewFigures, OverviewLot, OverviewStone
+from service.api.overview_documents import (
+    OverviewCounts,
+    OverviewDecision,
+    OverviewFigures,
+    OverviewLot,
+    OverviewStone,
+)
 from service.lots.evaluation import lot_figures, window_figures
 from service.lots.figures import LotFigures
 from service.lots.lots import LotState, lots
@@ -111,6 +117,7 @@ def overview_figures(
         verdict=found.verdict,
         is_partial=found.is_partial,
         countdown=found.countdown,
+        decisions=list(_decisions(found)),
         d50_mm=median.interpolated_mm,
         flakiness_percent=found.indices.flakiness_percent,
         shape_percent=found.indices.shape_percent,
@@ -118,6 +125,16 @@ def overview_figures(
         n_effective=found.n_effective,
         version=_version(found, lot),
     )
+
+
+def _decisions(figures: LotFigures) -> Iterator[OverviewDecision]:
+    for step in sorted(figures.curve, key=lambda step: -step.sieve_mm):
+        if step.decision is not None:
+            yield OverviewDecision(sieve_mm=step.sieve_mm, index=None, decision=step.decision)
+    if figures.flakiness_decision is not None:
+        yield OverviewDecision(sieve_mm=None, index="FI", decision=figures.flakiness_decision)
+    if figures.shape_decision is not None:
+        yield OverviewDecision(sieve_mm=None, index="SI", decision=figures.shape_decision)
 
 
 def _version(figures: LotFigures, lot: str | None) -> str:

@@ -8,9 +8,11 @@ import numpy as np
 from pipeline.arrays import Values
 from pipeline.gradation.stones import Lot
 from service.lots.stones import MEASURED_COLUMNS, lot_of_columns
+from service.store.writes import IS_REPLAY
 
-SECONDS = "(julianday(captured_at) - 2440587.5) * 86400"
-"""A time in seconds since 1970, to some tens of microseconds."""
+FELL = ("stones", "captured_at")
+RECORDED = ("stones JOIN results USING (seq)", "json_extract(record, '$.recorded_at')")
+"""Rows and their time: when a stone fell, or when its result came."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,24 +25,41 @@ class Stretch:
 
 
 def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: int) -> Stretch:
-    """Return what fell from `since` to before `until`, with the measures of up to about `max_stones` of them."""
-    within = "captured_at >= ? AND captured_at < ?"
+    """Return what fell from `since` to before `until`, with the measures of up to about `max_stones` of them.
+
+    Of a replay, whose stones fell long ago: what had its result then.
+    """
+    rows, time = _rows_and_time(connection)
+    within = f"FROM {rows} WHERE {time} >= ? AND {time} < ?"
     n_stones, n_measured = connection.execute(
-        f"SELECT count(*), coalesce(sum(outcome = 'measured'), 0) FROM stones WHERE {within}",  # noqa: S608 - a constant
+        f"SELECT count(*), coalesce(sum(stones.outcome = 'measured'), 0) {within}",
         (since, until),
     ).fetchone()
-    rows = connection.execute(
-        f"SELECT {', '.join(MEASURED_COLUMNS)} FROM stones"  # noqa: S608 - as above
-        f" WHERE {within} AND outcome = 'measured' AND seq % ? = 0 ORDER BY captured_at, seq",
+    measures = connection.execute(
+        f"SELECT {', '.join(f'stones.{column}' for column in MEASURED_COLUMNS)} {within}"
+        f" AND stones.outcome = 'measured' AND stones.seq % ? = 0 ORDER BY {time}, stones.seq",
         (since, until, -(-n_measured // max_stones) or 1),
     ).fetchall()
-    return Stretch(n_stones=n_stones, n_measured=n_measured, lot=lot_of_columns(rows))
+    return Stretch(n_stones=n_stones, n_measured=n_measured, lot=lot_of_columns(measures))
 
 
 def times_of(connection: sqlite3.Connection, since: str, until: str) -> Values:
-    """Return when stones fell from `since` to before `until`, whatever became of them, in seconds, rising."""
-    rows = connection.execute(
-        f"SELECT {SECONDS} FROM stones WHERE captured_at >= ? AND captured_at < ? ORDER BY captured_at",  # noqa: S608 - as above
+    """Return when stones fell from `since` to before `until`, whatever became of them, in seconds since 1970, rising.
+
+    To some tens of microseconds; of a replay when their results came.
+    """
+    rows, time = _rows_and_time(connection)
+    found = connection.execute(
+        f"SELECT (julianday({time}) - 2440587.5) * 86400 FROM {rows}"  # noqa: S608 - constants
+        f" WHERE {time} >= ? AND {time} < ? ORDER BY {time}",
         (since, until),
     )
-    return np.fromiter((second for (second,) in rows), float)
+    return np.fromiter((second for (second,) in found), float)
+
+
+def _rows_and_time(connection: sqlite3.Connection) -> tuple[str, str]:
+    """Return what to select from; a store holds either what fell or a replay."""
+    newest = connection.execute(
+        f"SELECT {IS_REPLAY} FROM sessions ORDER BY session DESC LIMIT 1"  # noqa: S608 - as above
+    ).fetchone()
+    return RECORDED if newest is not None and newest[0] else FELL

@@ -31,7 +31,8 @@ LotId = Annotated[str, Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id 
 async def get_trends(context: Context, hours: Hours = 12.0) -> Response:
     """Return rate, D50, flakiness and shape index over the last hours, in buckets of a minute to a day.
 
-    With them come the entries of the crusher's diary and the lots of that time. Of a bucket with more than 2000
+    With them come the entries of the crusher's diary and the lots of that time. A replay's stones fell long ago: they
+    count when their results came. Of a bucket with more than 2000
     measured stones every so many are looked at; `n_effective` and the intervals say so.
     """
     now, measured = rfc3339(next_second()), context.control.lots.measured

@@ -41,13 +41,9 @@ function figure(stone, camera, hasFrames) {
   let loading = null;
   const load = () => (loading ??= fill());
   async function fill() {
+    if (!(camera in stone.segmenters)) return showNothing("passport.view-not-arrived");
     const outline = await getText(`/particles/${stone.key}/views/${camera}/outline.svg`).catch(() => null);
-    if (outline === null && !hasFrames) {
-      show(button, element("span", {}, word("passport.view-not-kept")));
-      button.removeAttribute("aria-label");
-      button.disabled = true;
-      return;
-    }
+    if (outline === null && !hasFrames) return showNothing("passport.view-not-kept");
     const drawing = outline === null ? bare() : svgFromServer(outline);
     drawing.querySelector("style")?.remove(); // it is that of a file of its own, and would hold for the whole page
     drawing.classList.add("outlined");
@@ -60,6 +56,11 @@ function figure(stone, camera, hasFrames) {
     cut(drawing);
     if (hasFrames) addPicture(drawing, stone, camera, whole);
     button.addEventListener("click", () => enlarge(drawing, camera, whole));
+  }
+  function showNothing(why) {
+    show(button, element("span", {}, word(why)));
+    button.removeAttribute("aria-label");
+    button.disabled = true;
   }
   return { shown, load };
 }

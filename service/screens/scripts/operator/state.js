@@ -2,7 +2,9 @@
 
 import { byId, element, setText, show } from "../dom.js";
 import { ne107Symbol, ne107Word, verdictSymbol } from "../symbols.js";
-import { number, time, word } from "../words.js";
+import { number, span, time, word } from "../words.js";
+
+const GRAVEST_FIRST = ["does_not_conform", "insufficient", "undecided", "conforms", "not_measured"];
 
 /** Show the state as symbol, word and reasons. */
 export function showState({ acquisition, ne107, reasons }) {
@@ -42,5 +44,22 @@ export function showVerdict({ figures }) {
     show(place, verdictSymbol(verdict), element("span", {}, word(`operator.verdict-${verdict}`)));
   }
   const partial = figures?.is_partial ? word("operator.partial") : "";
-  setText(byId("countdown"), [figures?.countdown ?? "", partial].join(" ").trim());
+  setText(byId("countdown"), [countdown(figures?.decisions ?? []), partial].join(" ").trim());
+}
+
+/** Return what is decided and what is not, as "4 mm (about 220 stones, 2 min more): undecided; 16 mm, FI: conforms". */
+function countdown(decisions) {
+  return GRAVEST_FIRST.map((verdict) => [verdict, decisions.filter(({ decision }) => decision.verdict === verdict)])
+    .filter(([, those]) => those.length > 0)
+    .map(([verdict, those]) => `${those.map(judged).join(", ")}: ${word(`operator.judged-${verdict}`)}`)
+    .join("; ");
+}
+
+function judged({ sieve_mm, index, decision: { more_stones, more_s } }) {
+  const name = index === null ? `${number(sieve_mm, Number.isInteger(sieve_mm) ? 0 : 1)} mm` : index;
+  if (more_stones === null) return name;
+  const stones = number(more_stones);
+  return more_s === null
+    ? word("operator.judged-more-stones", { name, stones })
+    : word("operator.judged-more-stones-and-time", { name, stones, time: span(more_s) });
 }

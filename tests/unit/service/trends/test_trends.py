@@ -1,5 +1,6 @@
 """Trends over hours, the crusher's diary, and what has changed since its entries."""
 
+import json
 import sqlite3
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -16,6 +17,7 @@ from service.language import Language
 from service.lots.stored_stones import stones_between
 from service.reports.changes import with_sentences
 from service.store.schema import connect, prepare
+from service.store.writes import begin_session
 from service.trends.changes import ChangedFigure, EntryChanges, FigureChange, changes
 from service.trends.diary import DiaryKind, FutureEntryError, NewEntry, entries, note_entry
 from service.trends.stretches import stretch, times_of
@@ -83,6 +85,31 @@ def test_a_trend_has_every_bucket_and_what_fell_in_it(connection: sqlite3.Connec
     later = trend(connection, rfc3339(at(0) + timedelta(seconds=45)), 1, OF_THE_RIG)
     assert later.buckets[1] == found.buckets[1]  # the same edges
     assert later.buckets[-1].since == rfc3339(at(0))
+
+
+def test_stones_of_a_replay_count_when_their_results_came(connection: sqlite3.Connection) -> None:
+    session = begin_session(connection, {"is_replay": True})
+    fall(connection, at(-10_000), 1, per_min=30)  # while it was recorded
+    fell = connection.execute("SELECT * FROM stones ORDER BY seq")
+    columns = [column for column, *_ in fell.description]
+    records = [dict(zip(columns, row, strict=True)) | {"kind": "particle"} for row in fell]
+    connection.execute("DELETE FROM stones")  # its results list each again
+    for record in records:
+        seq, came = record["seq"], {"recorded_at": rfc3339(at(-0.5) + timedelta(seconds=record["seq"]))}
+        connection.execute(
+            "INSERT INTO triggers (trigger, session, bundle, sequence, kind, captured_at, state)"
+            " VALUES (?, ?, ?, ?, 'particle', ?, 'measured')",
+            (seq, session, record["id"], seq, record["captured_at"]),
+        )
+        connection.execute(
+            "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
+            (seq, record["id"], seq, session, json.dumps(record | came)),
+        )
+    buckets = trend(connection, rfc3339(at(0)), 1, OF_THE_RIG).buckets
+    assert [(bucket.n_stones, bucket.measured) for bucket in buckets if bucket.n_stones] == [(30, 27)]
+    times = times_of(connection, rfc3339(at(-1)), rfc3339(at(0)))
+    assert times[0] == pytest.approx(at(-0.5).timestamp() + 1, abs=0.01)
+    assert len(times) == 30
 
 
 @pytest.mark.parametrize(("hours", "bucket_s"), [(1, 120), (12, 900), (24, 1800), (720, 86_400)])
