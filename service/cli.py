@@ -35,6 +35,7 @@ COMMANDS = {
     "keys": "service.commands.keys",
     "backup": "service.commands.backup",
     "remeasure": "service.commands.remeasure",
+    "compare": "service.commands.compare",
     "restore": "service.commands.restore",
     "shape": "service.commands.shape",
     "fit-volume": "service.commands.fit_volume",

@@ -9,9 +9,10 @@ from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob, observe
+from service.processing.job_pool import JobPool
 from service.processing.measure_job import MeasureJob
 from service.processing.processing import KeepDrop
-from service.processing.worker_pool import JobLostError, WorkerPool
+from service.processing.worker_pool import JobLostError
 
 OUTLINES = "outlines.npz"
 """File of a drop's outlines, in the folder of the job that measured it."""
@@ -27,7 +28,7 @@ class DropCollector:
     add: Callable[[ObservedDrop, Mapping[str, Any], Path | None], Awaitable[None]]
     """Called with a drop, its result record, and the file of its outlines, None when nothing was observed."""
 
-    async def observe(self, pool: WorkerPool, job: MeasureJob) -> KeepDrop:
+    async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
         """Have a worker find the outlines of a drop. Return what to await when its result is durable.
 
         A drop that cannot be observed is passed on with the problem.

@@ -4,33 +4,22 @@ Bundles come from the recording instead of the spool, outcomes go to a folder in
 is the same, and so are the results.
 """
 
-import asyncio
 import json
 import os
 import shutil
-import sys
 import tempfile
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import IO, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
-from drivers.files.png_file import write_png
-from drivers.files.recording import (
-    Recording,
-    open_recording,
-    playback_order,
-    require_rig_of,
-    unreadable_triggers,
-)
+from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
-from drivers.files.silhouette_file import read_silhouettes
 from pipeline.gradation.curve import PERCENTS
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.sieves import ALL_SIZES
@@ -38,30 +27,24 @@ from pipeline.meshing import Mesher
 from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from service.commands.lots import curve_table
+from service.commands.measured_recording import FOLDERS, RESULTS, measure_all
+from service.commands.measuring_pool import Executor, measuring_pool
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
-from service.errors import ServiceError, UsageError
+from service.errors import UsageError
 from service.language import Language
 from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
 from service.lots.stones import lot_of_records
 from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request
-from service.processing.measure_job import MESH, SILHOUETTES, RigFile, WorkerContext, prepare
-from service.processing.processing import FixedCalibration, Processing, ProcessingContext
+from service.processing.measure_job import RigFile, WorkerContext
 from service.processing.segmenters import SegmenterPlan
-from service.processing.spool import Loss, SpooledBundle
-from service.processing.worker_pool import WorkerPool
 from service.reports.svg import curve_svg
-from service.results.fields import LossReason, Outcome
+from service.results.fields import Outcome
 
-DEADLINE_S = 600.0
-"""Only a worker that hangs is ended: no stone waits here."""
-IN_FLIGHT = 4
-"""Bundles in flight for each worker."""
-RESULTS, GRADATION, CURVE = "results.jsonl", "gradation.json", "gradation.svg"
+GRADATION, CURVE = "gradation.json", "gradation.svg"
 SIEVE_SET = "stonefall"
-MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
 
 
 class SegmenterName(StrEnum):
@@ -136,6 +119,7 @@ def command(
     ] = Mesher.LEAVES,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes that measure.")] = os.cpu_count()
     or 1,
+    executor: Executor = None,
     save_silhouettes: Annotated[
         bool, typer.Option("--save-silhouettes", help="Write silhouettes/<bundle>/<camera>.png as well.")
     ] = False,
@@ -173,7 +157,8 @@ def command(
     rig_file = RigFile(rig_path, calibration.calibration_id)
     with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as name:
         unfinished = Path(name)
-        records = _measure_all(source, context, rig_file, unfinished, workers, save_silhouettes)
+        measuring = partial(measuring_pool, executor, workers, context)
+        records = measure_all(source, rig_file, measuring, unfinished, save_silhouettes=save_silhouettes)
         (unfinished / GRADATION).write_text(json.dumps(_gradation(records, calibration), indent=2) + "\n")
         figures = figures_of(stones_in(records), Request())
         (unfinished / CURVE).write_text(curve_svg(figures.curve, language=Language.ENGLISH), encoding="utf-8")
@@ -219,112 +204,6 @@ def _segmenter_plan(
     if plan.warning is not None:
         typer.echo(f"stonefall: {plan.warning}", err=True)
     return plan
-
-
-class _PlaybackSpool:
-    """A recording in the place of the spool."""
-
-    def __init__(self, source: Recording, in_flight: int) -> None:
-        self._bundles = [
-            SpooledBundle(trigger=header.trigger, name=header.name, content=header.path)
-            for header in playback_order(source)
-        ] + [
-            SpooledBundle(
-                trigger=trigger,
-                name=error.path.stem,
-                content=Loss(reason=LossReason.UNREADABLE, detail=error.problem),
-            )
-            for trigger, error in unreadable_triggers(source)
-        ]
-        self.n_particles = sum(not bundle.is_background for bundle in self._bundles)
-        self._room = asyncio.Semaphore(in_flight)
-
-    async def take(self) -> SpooledBundle | None:
-        await self._room.acquire()
-        return self._bundles.pop(0) if self._bundles else None
-
-    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
-        self._room.release()
-
-
-class _ResultsFolder:
-    """The output folder in the place of the store."""
-
-    def __init__(self, out: Path, lines: IO[str]) -> None:
-        self._out = out
-        self._lines = lines
-        self.records: list[dict[str, Any]] = []
-
-    async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
-    ) -> int:
-        """Write a record, and move its mesh and silhouettes to the output folder."""
-        kept = dict(record)
-        if mesh := (files or {}).get(MESH):
-            kept["mesh"] = f"{MESHES}/{bundle}.ply"
-            mesh.replace(self._out / kept["mesh"])
-        if silhouettes := (files or {}).get(SILHOUETTES):
-            folder = self._out / LABELS / bundle
-            folder.mkdir(parents=True)
-            for camera, labels in read_silhouettes(silhouettes).items():
-                write_png(folder / f"{camera}.png", labels)
-        self._lines.write(json.dumps(kept) + "\n")
-        self.records.append(kept)
-        return len(self.records)
-
-
-def _measure_all(
-    source: Recording,
-    context: WorkerContext,
-    rig_file: RigFile,
-    out: Path,
-    workers: int,
-    save_silhouettes: bool,
-) -> list[dict[str, Any]]:
-    """Measure all bundles and return their records in playback order; records and files are written to `out`."""
-    (out / MESHES).mkdir()
-    work = out / "work"
-    work.mkdir()
-    with (out / RESULTS).open("w") as lines, Progress(console=Console(file=sys.stderr)) as progress:
-        results = _ResultsFolder(out, lines)
-        processing_context = ProcessingContext(
-            session=0,
-            camera_ids=source.camera_ids,
-            is_simulated=source.is_simulated,
-            save_silhouettes=save_silhouettes,
-            folder=work,
-        )
-        asyncio.run(_run(source, context, rig_file, processing_context, results, workers, progress))
-    return results.records
-
-
-async def _run(
-    source: Recording,
-    context: WorkerContext,
-    rig_file: RigFile,
-    processing_context: ProcessingContext,
-    results: _ResultsFolder,
-    workers: int,
-    progress: Progress,
-) -> None:
-    playback = _PlaybackSpool(source, IN_FLIGHT * workers)
-    bar = progress.add_task("measuring", total=playback.n_particles)
-    pool = WorkerPool(slots=workers, deadline_s=DEADLINE_S, prepare=prepare, context=context)
-    processing = Processing(
-        processing_context,
-        spool=playback,
-        pool=pool,
-        results=results,
-        calibration=FixedCalibration(rig_file),
-        on_progress=lambda: progress.update(bar, completed=len(results.records)),
-    )
-    try:
-        await pool.start()
-        await processing.run()
-    except* ServiceError as group:
-        raise group.exceptions[0] from None
-    finally:
-        pool.close()
 
 
 def _print_summary(records: list[dict[str, Any]], as_json: bool) -> None:

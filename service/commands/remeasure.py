@@ -1,13 +1,15 @@
 """`stonefall remeasure`: have a running daemon measure its stones again, each as a revision of its result.
 
-The daemon alone writes its store, so this command asks it for one stone after the other. Killed half-way and started
-again, it goes on: what is of today's algorithm already is not measured again.
+The daemon alone writes its store, so this command asks it for one stone after the other; or, with `--executor`, has a
+cluster measure many at a time and the daemon take what came of each. Killed half-way and started again, it goes on:
+what is of today's algorithm already is not measured again.
 """
 
+import asyncio
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -16,9 +18,12 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from service.commands.daemon_client import DaemonError, Key, ask
+from service.commands.daemon_client import Key, ask
+from service.commands.measuring_pool import Executor, one_error
+from service.commands.remeasure_on_cluster import OrderingDaemon, remeasure_on_cluster
+from service.commands.remeasured_stones import Summary, noted_refusal
 from service.configuration.settings import load_settings
-from service.remeasuring.remeasuring import DEADLINE_S, Hindrance
+from service.remeasuring.remeasuring import DEADLINE_S
 from service.results.fields import Outcome
 
 PAGE = 1000
@@ -29,35 +34,35 @@ TRIES = 3
 """Times that the daemon may need for one stone: another client may have it measure, too, and the process must start."""
 
 
-@dataclass(slots=True)
-class Summary:
-    """The ids of the stones, by what came of them."""
-
-    revised: list[str] = field(default_factory=list)
-    unchanged: list[str] = field(default_factory=list)
-    without_frames: list[str] = field(default_factory=list)
-    failed: dict[str, str] = field(default_factory=dict)  # with the reason
-
-
 def command(
     config: Annotated[Path, typer.Option(help="Configuration file of the running daemon.")],
     lot: Annotated[str | None, typer.Option(help="Only stones of this lot.")] = None,
     since: Annotated[str | None, typer.Option(help="Captured at or after, RFC 3339.")] = None,
     until: Annotated[str | None, typer.Option(help="Captured before, RFC 3339.")] = None,
+    executor: Executor = None,
     key: Key = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what came of each stone as JSON.")] = False,
 ) -> None:
     """Measure stones again from their archived frames, with today's algorithm; the results become revisions."""
-    settings = load_settings(config).api
-    host = EVERY_INTERFACE.get(settings.host, settings.host)
-    url = f"http://{f'[{host}]' if ':' in host else host}:{settings.port}"
+    settings = load_settings(config)
+    host = EVERY_INTERFACE.get(settings.api.host, settings.api.host)
+    url = f"http://{f'[{host}]' if ':' in host else host}:{settings.api.port}"
     query = {"kind": "particle", "lot": lot, "since": since, "until": until, "fields": "algorithm_version"}
     wanted = {name: value for name, value in query.items() if value is not None}
     summary = Summary(without_frames=[stone["id"] for stone in _stones(url, key, wanted, has_frames=False)])
-    stones = list(_stones(url, key, wanted, has_frames=True))
+    names = [stone["id"] for stone in _stones(url, key, wanted, has_frames=True)][::-1]  # the oldest first
     with Progress(console=Console(file=sys.stderr)) as progress:
-        for stone in progress.track(stones[::-1], description="measuring again"):  # the oldest first
-            _remeasure(url, key, stone, summary)
+        bar = progress.add_task("measuring again", total=len(names))
+        if executor is None:
+            for name in names:
+                _remeasure(url, key, name, summary)
+                progress.advance(bar)
+        else:
+            daemon = OrderingDaemon(url, key, spool_dir=settings.spool.dir)
+            with one_error():
+                asyncio.run(
+                    remeasure_on_cluster(daemon, executor, names, summary, lambda: progress.advance(bar))
+                )
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:
@@ -78,19 +83,10 @@ def _stones(
         cursor = None if page["next_cursor"] is None else {"cursor": page["next_cursor"]}
 
 
-def _remeasure(url: str, key: str | None, stone: dict[str, Any], summary: Summary) -> None:
+def _remeasure(url: str, key: str | None, name: str, summary: Summary) -> None:
     """Have one stone measured again, and note what came of it; raise `DaemonError` if the daemon does not answer."""
-    name = stone["id"]
-    try:
+    with noted_refusal(name, summary):
         done = ask(url, f"/particles/{name}/revisions", key, {}, timeout_s=TRIES * DEADLINE_S)
-    except DaemonError as err:
-        if err.kind == Hindrance.NO_FRAMES:
-            summary.without_frames.append(name)
-        elif err.kind in (Hindrance.NO_CALIBRATION, Hindrance.FAILED):
-            summary.failed[name] = str(err)
-        else:  # nothing about this stone: the daemon stops, the key is wrong, the rig was never empty
-            raise
-    else:
         (summary.revised if done["is_new"] else summary.unchanged).append(name)
 
 

@@ -1,16 +1,15 @@
 """`stonefall report`: the report of offline results, as of a lot."""
 
-import json
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from drivers.files.durable import replacing
 from drivers.files.times import utc_now
 from service.api.version import API_VERSION
-from service.commands.measure import RESULTS
+from service.commands.results_file import read_results
 from service.errors import ServiceError, UsageError
 from service.language import Language
 from service.lots.evaluation import figures_of
@@ -19,7 +18,6 @@ from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.reports.render import render
 from service.reports.report import ReportData, ReportFormat
-from service.results.fields import completed
 
 
 def command(
@@ -36,7 +34,7 @@ def command(
     language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
 ) -> None:
     """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
-    records = _records(results / RESULTS)
+    records = read_results(results)
     definition = ProductDefinition(
         title=title,
         density_kg_m3=density_kg_m3,
@@ -66,17 +64,3 @@ def command(
         raise ServiceError(f"--out {out}: {err.strerror}") from err
     verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"
     typer.echo(f"{out}: report of {figures.measured} stones{verdict}")
-
-
-def _records(path: Path) -> list[dict[str, Any]]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as err:
-        raise ServiceError(f"{path}: {err}") from err
-    records = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            records.append(completed(dict(json.loads(line))))
-        except (ValueError, TypeError) as err:
-            raise ServiceError(f"{path}: line {number}: {err}") from err
-    return records

@@ -196,6 +196,7 @@ async def build(configured: Configuration, store: Store) -> Daemon:
             store,
             calibrations,
             processing,
+            context=worker_context,
             make_pool=lambda: new_pool(worker_context),
             folder=folder,
             save_silhouettes=settings.store.save_silhouettes,

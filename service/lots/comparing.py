@@ -1,7 +1,7 @@
 """Compare two lots, or one lot as two algorithm versions measured it: each figure, and by how much it differs."""
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pydantic import Field
@@ -92,12 +92,13 @@ def compare_lots(connection: sqlite3.Connection, a: Side, b: Side, request: Requ
     product = find_product(connection, record.product, record.version)
     stones = [stones_of_lot(connection, side.lot, side.choice) for side in (a, b)]
     found = [figures_of(each, request, product, record) for each in stones]
+    is_paired = a.lot == b.lot
     return LotComparison(
         a=_side(a, found[0]),
         b=_side(b, found[1]),
-        is_paired=a.lot == b.lot,
+        is_paired=is_paired,
         sieve_set=found[0].sieve_set,
-        figures=_compared(stones, found, request.measured, is_paired=a.lot == b.lot),
+        figures=compared_figures(stones, found, request.measured, is_paired=is_paired),
     )
 
 
@@ -110,9 +111,10 @@ def _side(side: Side, figures: LotFigures) -> ComparedSide:
     )
 
 
-def _compared(
-    stones: list[Stones], found: list[LotFigures], measured: MeasuredRange, *, is_paired: bool
+def compared_figures(
+    stones: Sequence[Stones], found: Sequence[LotFigures], measured: MeasuredRange, *, is_paired: bool
 ) -> list[ComparedFigure]:
+    """Return the figures of two lots side by side; `is_paired`: of the same stones, measured twice."""
     named = [named_figures(each) for each in found]
     sieves_mm = [step.sieve_mm for step in found[0].curve]
     first, second = (dict(_influences(each, sieves_mm, measured)) for each in stones)

@@ -169,6 +169,12 @@ def prepare(context: WorkerContext) -> list[WarmUp]:
     return [partial(compiles, step) for step in steps]
 
 
+def prepare_to_learn(context: WorkerContext) -> list[WarmUp]:
+    """Prepare this process for exposures of the empty rig alone."""
+    prepare(context)
+    return []
+
+
 def compiles(step: Callable[[], object]) -> bool:
     """Run the step; return whether numba compiled something."""
     with event.install_recorder("numba:compile") as compilations:

@@ -19,6 +19,7 @@ from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
 from service.processing.background_keeping import KeptBackground
 from service.processing.background_versions import BackgroundVersions, LearntBackground
+from service.processing.job_pool import JobPool
 from service.processing.left_bundles import BACKGROUND, job_folder
 from service.processing.measure_job import (
     RESULT_FILES,
@@ -32,7 +33,7 @@ from service.processing.measure_job import (
 )
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
-from service.processing.worker_pool import JobLostError, WorkerPool
+from service.processing.worker_pool import JobLostError
 from service.results.fields import LossReason, Verified
 from service.results.record import lost_record
 
@@ -66,7 +67,7 @@ class DropCollector(Protocol):
     @property
     def kind(self) -> BundleKind: ...
 
-    async def observe(self, pool: WorkerPool, job: MeasureJob) -> KeepDrop:
+    async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
         """Have a worker observe the drop that the job has measured; its files are in the job's folder."""
         ...
 
@@ -158,7 +159,7 @@ class Processing:
         context: ProcessingContext,
         *,
         spool: BundleSource,
-        pool: WorkerPool,
+        pool: JobPool,
         results: ResultSink,
         calibration: CalibrationInUse,
         kept_background: KeptBackground | None = None,

@@ -135,3 +135,22 @@ async def test_what_hinders_it_is_told(
     done = await add(store, session, 4, measured(algorithm_version=ALGORITHM_VERSION))
     assert not (await client.post(f"/particles/{done}/revisions")).json()["is_new"]
     assert store.last_seq == 4
+
+
+async def test_an_order_is_a_folder_of_the_host_and_only_what_lies_in_it_is_taken(
+    client: httpx.AsyncClient, name: str
+) -> None:
+    ordered = (await client.post(f"/particles/{name}/revisions/orders")).json()
+    assert ordered["is_needed"] and Path(ordered["folder"]).name == ordered["order"]
+    assert await asyncio.to_thread((Path(ordered["folder"]) / "order.pickle").is_file)
+    own = {"order": ordered["order"], "record": {"outcome": "measured"}}
+    assert_problem(await client.post(f"/particles/{name}/revisions", json=own), 409, "not-measured")
+    assert_problem(await client.post(f"/particles/{name}/revisions", json=own), 409, "not-ordered")
+    away = {"order": "../1"}
+    assert (await client.post(f"/particles/{name}/revisions", json=away)).status_code == 422
+    assert (await client.post(f"/particles/{name}/revisions")).json()["is_new"]
+    assert (await client.post(f"/particles/{name}/revisions/orders")).json() == {
+        "is_needed": False,
+        "order": None,
+        "folder": None,
+    }

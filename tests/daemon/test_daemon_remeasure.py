@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from support.cluster import LocalCluster
 from support.daemon_process import STONEFALL, DaemonProcess
 from support.eventually import eventually
 from support.reference_client import start_client
@@ -64,6 +65,15 @@ def client_has(path: Path) -> dict[str, tuple[int, int]]:
     return {name: (seq, revision) for name, seq, revision in rows}
 
 
+def assert_measured_again_alike(folder: Path, before: dict[str, Any], again: dict[str, Any]) -> None:
+    assert {name: again[name] for name in OF_THE_STONE} == {name: before[name] for name in OF_THE_STONE}
+    assert {name: again[name] for name in NUMBERS} == {name: before[name] for name in NUMBERS}
+    assert (before["algorithm_version"], again["algorithm_version"]) == ("0", ALGORITHM_VERSION)
+    assert again["mesh"] == f"particles/{again['seq']}/mesh.ply"
+    (mesh,) = folder.glob(f"state/particles/*/{again['id']}/r2/mesh.sfmesh")
+    assert mesh.read_bytes() == (mesh.parents[1] / "mesh.sfmesh").read_bytes()
+
+
 def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_path: Path) -> None:
     recording, port = tmp_path / "recording", free_port()
     write_small_recording(recording, n_stones=N_STONES)
@@ -113,14 +123,7 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
             ]
             for again in later:
                 before = by_seq[again["revises"]]
-                assert {name: again[name] for name in OF_THE_STONE} == {
-                    name: before[name] for name in OF_THE_STONE
-                }
-                assert {name: again[name] for name in NUMBERS} == {name: before[name] for name in NUMBERS}
-                assert (before["algorithm_version"], again["algorithm_version"]) == ("0", ALGORITHM_VERSION)
-                assert again["mesh"] == f"particles/{again['seq']}/mesh.ply"
-                (mesh,) = tmp_path.glob(f"state/particles/*/{again['id']}/r2/mesh.sfmesh")
-                assert mesh.read_bytes() == (mesh.parents[1] / "mesh.sfmesh").read_bytes()
+                assert_measured_again_alike(tmp_path, before, again)
             counts = daemon.get("/accounting")
             assert (counts["triggers"], counts["measured"]) == (3 * N_STONES, 3 * N_STONES)
             assert daemon.get("/lots/L1")["revision"] == N_STONES
@@ -136,4 +139,48 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
     finally:
         following.terminate()
         following.wait()
+    assert "Traceback" not in daemon.log
+
+
+def test_a_cluster_measures_stones_again_over_kills_of_the_command_and_of_a_worker(tmp_path: Path) -> None:
+    recording, port = tmp_path / "recording", free_port()
+    write_small_recording(recording, n_stones=N_STONES)
+    with DaemonProcess(tmp_path, recording, port=port) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda found: found["measured"] == N_STONES)
+        eventually(lambda: n_archived(tmp_path) == N_STONES)
+        assert daemon.stop() == 0
+    make_old(tmp_path)
+    with (
+        DaemonProcess(tmp_path, recording, port=port) as daemon,
+        LocalCluster(tmp_path / "cluster", n_workers=2) as cluster,
+    ):
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda found: found["measured"] == 2 * N_STONES)
+        without = daemon.get("/particles/5")["id"]
+        next(tmp_path.glob(f"state/particles/*/{without}/bundle.tiff")).unlink()
+        on_cluster = ("--executor", cluster.executor, "--until", EVER["until"])
+
+        command = remeasure(daemon, *on_cluster)
+        eventually(lambda: bool(cluster.jobs(0)))
+        command.kill()
+        command.communicate()
+        command = remeasure(daemon, *on_cluster)
+        eventually(lambda: bool(cluster.jobs(0)))
+        cluster.kill_worker(0)
+        done = summary(command)
+        assert (done["failed"], done["without_frames"]) == ({}, [without])
+        assert len(done["revised"]) + len(done["unchanged"]) == 2 * N_STONES - 1
+        assert summary(remeasure(daemon, *on_cluster))["revised"] == []  # and asks the cluster for nothing
+
+        items = daemon.results()
+        assert [item["seq"] for item in items] == list(range(1, 3 * N_STONES))
+        by_seq = {item["seq"]: item for item in items}
+        later = [item for item in items if item["revision"] > 1]
+        assert {item["revises"] for item in later} == set(range(1, N_STONES))
+        for again in later:
+            assert_measured_again_alike(tmp_path, by_seq[again["revises"]], again)
+        entries = [each for each in daemon.get("/audit")["items"] if each["action"] == "particle remeasured"]
+        assert len(entries) == N_STONES - 1
+        assert daemon.stop() == 0
     assert "Traceback" not in daemon.log

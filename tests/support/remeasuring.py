@@ -9,8 +9,10 @@ from typing import Any
 import trimesh
 from support.rest import add, measured, particle_files
 
-from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, NetworkUse
-from service.remeasuring.remeasuring import Remeasuring, RigFiles
+from pipeline.particle import PipelineParameters
+from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, NetworkUse, WorkerContext
+from service.remeasuring.jobs import RigFiles
+from service.remeasuring.remeasuring import Remeasuring
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 
@@ -60,6 +62,7 @@ def remeasuring_of(
         store,
         rigs,
         FixedBackground(background),
+        context=WorkerContext(parameters=PipelineParameters(), is_simulated=True),
         make_pool=lambda: pool,
         folder=folder,
         save_silhouettes=False,

@@ -1,5 +1,7 @@
 """Measure a stone again from its archived frames; its result gets a revision."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from http import HTTPStatus
 
 from fastapi import APIRouter, Depends
@@ -10,7 +12,7 @@ from service.api.context import Context
 from service.api.problems import Problem, problem_responses
 from service.api.routes.particles import ParticleKey, find_record
 from service.api.settings import Scope
-from service.remeasuring.remeasuring import Hindrance, RemeasureError
+from service.remeasuring.hindrance import Hindrance, RemeasureError
 from service.results.fields import Result, completed
 
 router = APIRouter(prefix="/particles", tags=["particles"])
@@ -28,23 +30,78 @@ class Remeasured(BaseModel):
     result: Result = Field(description="The newest result")
 
 
+class Delivery(BaseModel):
+    """What a cluster has measured, where it is not the daemon that measures."""
+
+    order: str | None = Field(
+        default=None, pattern="^[0-9]{1,12}$", description="Of `POST /particles/{id}/revisions/orders`"
+    )
+
+
+class Ordered(BaseModel):
+    """Where the order for a stone lies."""
+
+    is_needed: bool = Field(
+        description="False: the newest result is of today's algorithm already; nothing was ordered"
+    )
+    order: str | None = Field(description="Name of the order, for its delivery")
+    folder: str | None = Field(
+        description="Path on the daemon's host; only the service's user can read and write there"
+    )
+
+
+@contextmanager
+def hindrances() -> Iterator[None]:
+    """Turn what hinders measuring again into a problem."""
+    try:
+        yield
+    except RemeasureError as err:
+        raise Problem(STATUS.get(err.why, HTTPStatus.CONFLICT), err.why, str(err)) from err
+
+
 @router.post(
     "/{particle_id}/revisions",
     response_model=Remeasured,
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(404, 409),
 )
-async def remeasure_particle(context: Context, particle_id: ParticleKey, asking: Who) -> Remeasured:
+async def remeasure_particle(
+    context: Context, particle_id: ParticleKey, asking: Who, delivery: Delivery | None = None
+) -> Remeasured:
     """Measure a stone again, from its archived frames, with the calibration of its result and today's algorithm.
 
     The answer comes when the revision is durable: a moment later or, while stones fall, some seconds. 404 `not-kept`:
     it has no frames any more. 409: `calibration-gone`, `no-background` (the empty rig was not exposed yet) or
-    `not-measured`, with the reason; its result stays as it is.
+    `not-measured`, with the reason; its result stays as it is. With an `order` nothing is measured: what
+    `stonefall remeasure --executor` has had measured becomes the revision. `not-ordered`: that order is gone.
     """
     name = (await find_record(context, particle_id))["id"]
     context.store.require_writable()
-    try:
-        is_new = await context.control.remeasuring.measure(name, asking)
-    except RemeasureError as err:
-        raise Problem(STATUS.get(err.why, HTTPStatus.CONFLICT), err.why, str(err)) from err
+    remeasuring = context.control.remeasuring
+    with hindrances():
+        if delivery is None or delivery.order is None:
+            is_new = await remeasuring.measure(name, asking)
+        else:
+            is_new = await remeasuring.orders.deliver(name, delivery.order, asking)
     return Remeasured(is_new=is_new, result=Result(**completed(await find_record(context, name))))
+
+
+@router.post(
+    "/{particle_id}/revisions/orders",
+    response_model=Ordered,
+    dependencies=[Depends(require(Scope.OPERATE))],
+    responses=problem_responses(404, 409),
+)
+async def order_revision(context: Context, particle_id: ParticleKey) -> Ordered:
+    """Write down how a stone is to be measured again, for `stonefall remeasure --executor` on the daemon's host.
+
+    The store is not changed. What hinders it is told as with `POST /particles/{id}/revisions`.
+    """
+    name = (await find_record(context, particle_id))["id"]
+    with hindrances():
+        folder = await context.control.remeasuring.orders.order(name)
+    return Ordered(
+        is_needed=folder is not None,
+        order=None if folder is None else folder.name,
+        folder=None if folder is None else str(folder),
+    )

@@ -12,10 +12,11 @@ from support.rest import add, measured, particle_files
 
 from drivers.errors import RecordingError
 from service.calibration.calibrations import Calibrations
+from service.processing import resting_pool
 from service.processing.measure_job import MeasureJob
 from service.processing.worker_pool import JobLostError
-from service.remeasuring import remeasuring as module
-from service.remeasuring.remeasuring import Hindrance, RemeasureError, Remeasuring
+from service.remeasuring.hindrance import Hindrance, RemeasureError
+from service.remeasuring.remeasuring import Remeasuring
 from service.results.fields import LossReason
 from service.results.refinement import RUSH
 from service.results.version import ALGORITHM_VERSION
@@ -118,7 +119,7 @@ async def test_a_background_is_held_while_its_version_is_removed(
         await asyncio.to_thread(version.mkdir)
         await asyncio.to_thread((version / "c01.npy").write_text, version.name)
     again = remeasuring_of(store, desk, pool, tmp_path, versions[0])
-    processing = again._processing
+    processing = again._jobs._processing
     for number, version in ((1, 0), (2, 0), (3, 1)):
         name = await add_old(store, session, number, tmp_path, desk.rig_file.calibration_id)
         processing.background = versions[version]  # type: ignore[misc]
@@ -162,7 +163,7 @@ async def test_the_process_ends_when_nobody_asks_and_comes_again(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "REST_S", 0.0)
+    monkeypatch.setattr(resting_pool, "REST_S", 0.0)
     for number in (1, 2):
         name = await add_old(store, session, number, tmp_path, desk.rig_file.calibration_id)
         assert await again.measure(name, "anna")

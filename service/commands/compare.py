@@ -1,0 +1,162 @@
+"""`stonefall compare`: the same stones as measured twice, one by one and as a lot; the gate of an upgrade.
+
+Either two folders that `stonefall measure` wrote of one recording, by an old and a new release; or, with `--lot`, two
+algorithm versions or revisions of the stones of a running daemon. Exits with 1 when a change is beyond a given limit.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.commands.daemon_client import DEFAULT_URL, Key, Url
+from service.commands.results_file import read_results
+from service.commands.revised_stones import revisions_of_lot
+from service.errors import UsageError
+from service.lots.comparing import ComparedFigure, compared_figures
+from service.lots.evaluation import figures_of
+from service.lots.stone_changes import Group, StoneChanges, beyond_limits, stone_changes
+from service.lots.stored_stones import stones_in
+from service.lots.yardsticks import Request, UnknownYardstickError
+
+NAMED = 10
+"""Stones whose outcome or quality is another one that are named for people; `--json` names all."""
+
+
+def command(
+    old: Annotated[str, typer.Argument(help="Folder of results; with --lot a version such as 13, or r1.")],
+    new: Annotated[str, typer.Argument(help="The same, of the new release; r2 is the second revision.")],
+    lot: Annotated[str | None, typer.Option(help="Compare stones of this lot of a running daemon.")] = None,
+    max_volume_percent: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest change of a stone's volume.")
+    ] = None,
+    max_sieve_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest change of a stone's sieve size.")
+    ] = None,
+    max_axes_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest change of a stone's axes and Feret diameters.")
+    ] = None,
+    max_shape: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest change of a stone's shape factors, 0 to 1.")
+    ] = None,
+    max_passing_percent: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest change of the lot's passing at a sieve, in points.")
+    ] = None,
+    same_words: Annotated[
+        bool, typer.Option("--same-words", help="Outcome, reason and quality of each stone must be equal.")
+    ] = False,
+    sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall",
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False,
+) -> None:
+    """Compare stones as measured twice: volume, sieve size, axes, shape, quality, and the lot's curve."""
+    if lot is None:
+        before, after = (_by_bundle(Path(path)) for path in (old, new))
+    else:
+        before, after = revisions_of_lot(url, key, lot, (old, new))
+    changes = stone_changes(before, after)
+    if not changes.n_common:
+        raise UsageError(f"{old} and {new} have no stone in common")
+    figures = _figures([before, after], sieve_set)
+    limits = {
+        Group.VOLUME: max_volume_percent,
+        Group.SIEVE: max_sieve_mm,
+        Group.AXES: max_axes_mm,
+        Group.SHAPE: max_shape,
+    }
+    beyond = [
+        *beyond_limits(changes, {group: limit for group, limit in limits.items() if limit is not None}),
+        *_passing_beyond(figures, max_passing_percent),
+        *(
+            [f"{each.field} of {each.id} is {each.after}, was {each.before}" for each in changes.words]
+            if same_words
+            else []
+        ),
+    ]
+    if as_json:
+        lots = [figure.model_dump(mode="json") for figure in figures]
+        typer.echo(json.dumps({"stones": asdict(changes), "lot": lots, "beyond": beyond}))
+    else:
+        _print(changes, figures, beyond)
+    if beyond:
+        raise typer.Exit(1)
+
+
+def _by_bundle(results: Path) -> dict[str, dict[str, Any]]:
+    """Return the records of a folder by the names of their bundles, which are the stones' ids here."""
+    records = {record["bundle"]: {**record, "id": record["bundle"]} for record in read_results(results)}
+    if not records:
+        raise UsageError(f"{results} has no results")
+    return records
+
+
+def _figures(sides: Sequence[Mapping[str, Mapping[str, Any]]], sieve_set: str) -> list[ComparedFigure]:
+    """Return the figures of the stones that are in both, as lots."""
+    common = [name for name in sides[0] if name in sides[1]]
+    stones = [stones_in([side[name] for name in common]) for side in sides]
+    if not all(each.measured_ids for each in stones):
+        return []
+    request = Request(sieve_set=sieve_set)
+    try:
+        found = [figures_of(each, request) for each in stones]
+    except UnknownYardstickError as err:
+        raise UsageError(f"--sieves: {err}") from err
+    return compared_figures(stones, found, request.measured, is_paired=True)
+
+
+def _passing_beyond(figures: Sequence[ComparedFigure], limit: float | None) -> list[str]:
+    return [
+        f"{each.figure} of the lot differs by {each.difference:+.3g}, more than {limit:g}"
+        for each in figures
+        if limit is not None and each.figure.startswith("passing") and abs(each.difference or 0.0) > limit
+    ]
+
+
+def _print(changes: StoneChanges, figures: Sequence[ComparedFigure], beyond: Sequence[str]) -> None:
+    console = Console()
+    table = Table(title=f"{changes.n_common} stones")
+    for heading in ("figure", "changed", "mean", "rms", "largest", "of stone"):
+        table.add_column(heading, justify="left" if heading in ("figure", "of stone") else "right")
+    for each in changes.fields:
+        worst = each.largest[0] if each.n_changed else None
+        table.add_row(
+            f"{each.field}, {each.unit}" if each.unit == "%" else each.field,
+            f"{each.n_changed} of {each.n_stones}",
+            f"{each.mean:+.4f}",
+            f"{each.rms:.4f}",
+            "" if worst is None else f"{worst.change:+.4f}",
+            "" if worst is None else f"{worst.id}: {worst.before:.6g} -> {worst.after:.6g}",
+        )
+    console.print(table)
+    if changes.n_changed:
+        console.print(_lot_table(figures))
+    for word in changes.words[:NAMED]:
+        typer.echo(f"{word.id}: {word.field} {word.before} -> {word.after}")
+    if len(changes.words) > NAMED:
+        typer.echo(f"and {len(changes.words) - NAMED} more")
+    for side, names in (("old", changes.only_before), ("new", changes.only_after)):
+        if names:
+            typer.echo(f"{len(names)} stones are in the {side} results alone: {', '.join(names[:NAMED])}")
+    if not changes.n_changed:
+        typer.echo("all of these are equal, bit for bit")
+    for each_beyond in beyond:
+        typer.echo(each_beyond, err=True)
+
+
+def _lot_table(figures: Sequence[ComparedFigure]) -> Table:
+    table = Table(title="as lots")
+    for name in ("figure", "before", "after", "difference"):
+        table.add_column(name, justify="left" if name == "figure" else "right")
+    for each in figures:
+        values = (each.a.value, each.b.value)
+        if None not in values:
+            table.add_row(
+                each.figure, *(f"{value:.3f}" for value in values), f"{each.difference or 0.0:+.4f}"
+            )
+    return table

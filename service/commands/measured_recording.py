@@ -1,0 +1,123 @@
+"""Measure the bundles of a recording: it stands in the place of the spool, a folder in the place of the store."""
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+from typing import IO, Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+from drivers.files.png_file import write_png
+from drivers.files.recording import Recording, playback_order, unreadable_triggers
+from drivers.files.silhouette_file import read_silhouettes
+from service.commands.measuring_pool import IN_FLIGHT, one_error
+from service.processing.job_pool import JobPool
+from service.processing.measure_job import MESH, SILHOUETTES, RigFile
+from service.processing.processing import FixedCalibration, Processing, ProcessingContext
+from service.processing.spool import Loss, SpooledBundle
+from service.results.fields import LossReason
+
+RESULTS = "results.jsonl"
+MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
+
+OpenPool = Callable[[], AbstractAsyncContextManager[JobPool]]
+"""Provides what measures the bundles."""
+
+
+class _PlaybackSpool:
+    """A recording in the place of the spool."""
+
+    def __init__(self, source: Recording, in_flight: int) -> None:
+        self._bundles = [
+            SpooledBundle(trigger=header.trigger, name=header.name, content=header.path)
+            for header in playback_order(source)
+        ] + [
+            SpooledBundle(
+                trigger=trigger,
+                name=error.path.stem,
+                content=Loss(reason=LossReason.UNREADABLE, detail=error.problem),
+            )
+            for trigger, error in unreadable_triggers(source)
+        ]
+        self.n_particles = sum(not bundle.is_background for bundle in self._bundles)
+        self._room = asyncio.Semaphore(in_flight)
+
+    async def take(self) -> SpooledBundle | None:
+        await self._room.acquire()
+        return self._bundles.pop(0) if self._bundles else None
+
+    async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None:
+        self._room.release()
+
+
+class _ResultsFolder:
+    """The output folder in the place of the store."""
+
+    def __init__(self, out: Path, lines: IO[str]) -> None:
+        self._out = out
+        self._lines = lines
+        self.records: list[dict[str, Any]] = []
+
+    async def finish(
+        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+    ) -> int:
+        """Write a record, and move its mesh and silhouettes to the output folder."""
+        kept = dict(record)
+        if mesh := (files or {}).get(MESH):
+            kept["mesh"] = f"{MESHES}/{bundle}.ply"
+            mesh.replace(self._out / kept["mesh"])
+        if silhouettes := (files or {}).get(SILHOUETTES):
+            folder = self._out / LABELS / bundle
+            folder.mkdir(parents=True)
+            for camera, labels in read_silhouettes(silhouettes).items():
+                write_png(folder / f"{camera}.png", labels)
+        self._lines.write(json.dumps(kept) + "\n")
+        self.records.append(kept)
+        return len(self.records)
+
+
+def measure_all(
+    source: Recording, rig_file: RigFile, open_pool: OpenPool, out: Path, *, save_silhouettes: bool
+) -> list[dict[str, Any]]:
+    """Measure all bundles and return their records in playback order; records and files are written to `out`."""
+    (out / MESHES).mkdir()
+    work = out / "work"
+    work.mkdir()
+    with (out / RESULTS).open("w") as lines, Progress(console=Console(file=sys.stderr)) as progress:
+        results = _ResultsFolder(out, lines)
+        processing_context = ProcessingContext(
+            session=0,
+            camera_ids=source.camera_ids,
+            is_simulated=source.is_simulated,
+            save_silhouettes=save_silhouettes,
+            folder=work,
+        )
+        with one_error():
+            asyncio.run(_run(source, rig_file, open_pool, processing_context, results, progress))
+    return results.records
+
+
+async def _run(
+    source: Recording,
+    rig_file: RigFile,
+    open_pool: OpenPool,
+    processing_context: ProcessingContext,
+    results: _ResultsFolder,
+    progress: Progress,
+) -> None:
+    async with open_pool() as pool:
+        playback = _PlaybackSpool(source, IN_FLIGHT * pool.size)
+        bar = progress.add_task("measuring", total=playback.n_particles)
+        processing = Processing(
+            processing_context,
+            spool=playback,
+            pool=pool,
+            results=results,
+            calibration=FixedCalibration(rig_file),
+            on_progress=lambda: progress.update(bar, completed=len(results.records)),
+        )
+        await processing.run()

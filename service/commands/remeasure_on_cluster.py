@@ -1,0 +1,145 @@
+"""Have a cluster measure a daemon's stones again: the daemon orders each, and takes what was measured.
+
+Four bundles for each process of the cluster are under way at most, whatever the size of the archive. Killed at any
+moment, this leaves nothing but orders, which the daemon forgets.
+"""
+
+import asyncio
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import RecordingError
+from service.cluster.opening import open_cluster
+from service.commands.daemon_client import ask
+from service.commands.measuring_pool import IN_FLIGHT
+from service.commands.remeasured_stones import Summary, noted_refusal
+from service.errors import UsageError
+from service.processing.job_pool import JobPool
+from service.processing.measure_job import measure
+from service.processing.worker_pool import JobLostError
+from service.remeasuring.orders import Order, read_context, read_order, write_record
+
+TRIES = 3
+"""Orders for one stone: the background that one names may be replaced before it is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class OrderingDaemon:
+    """A daemon on this host that runs as our own user."""
+
+    url: str
+    key: str | None
+    spool_dir: Path
+
+    async def order(self, name: str) -> tuple[str, Order] | None:
+        """Return the name of an order for a stone, and the order; None if there is nothing to measure again.
+
+        Raises
+        ------
+        DaemonError
+            It does not answer, or refuses.
+        UsageError
+            We are on another host, or another user.
+        """
+        ordered = await self._post(f"/particles/{name}/revisions/orders")
+        if not ordered["is_needed"]:
+            return None
+        folder = Path(ordered["folder"])
+        await asyncio.to_thread(self._require_own, folder)
+        return ordered["order"], await asyncio.to_thread(read_order, folder)
+
+    async def deliver(self, name: str, order: str) -> bool:
+        """Have it make a revision of what was measured; return False if the stone was revised meanwhile."""
+        done = await self._post(f"/particles/{name}/revisions", {"order": order})
+        return bool(done["is_new"])
+
+    async def _post(self, path: str, body: dict[str, str] | None = None) -> dict[str, Any]:
+        return await asyncio.to_thread(ask, self.url, path, self.key, body or {})
+
+    def _require_own(self, folder: Path) -> None:
+        """Raise `UsageError` unless the folder is of our user and in the spool: what lies in it is trusted."""
+        try:
+            is_own = folder.stat().st_uid == os.geteuid()
+        except OSError as err:
+            raise UsageError(f"--executor: {err}: run this on the daemon's host, as its user") from None
+        if not is_own or not folder.resolve().is_relative_to(self.spool_dir.resolve()):
+            raise UsageError(
+                f"--executor: {folder} is not a folder of this user in {self.spool_dir}: run this as the daemon's user"
+            )
+
+
+async def remeasure_on_cluster(
+    daemon: OrderingDaemon,
+    executor: str,
+    names: Sequence[str],
+    summary: Summary,
+    on_progress: Callable[[], object],
+) -> None:
+    """Have the cluster measure these stones, and note what came of each.
+
+    Raises
+    ------
+    DaemonError, UsageError
+        As `OrderingDaemon.order` does.
+    UsageError, ClusterError
+        As `open_cluster` and `ClusterPool.run` do.
+    """
+    left = iter(names)
+    for name in left:
+        with noted_refusal(name, summary):
+            if (ordered := await daemon.order(name)) is not None:
+                context = await asyncio.to_thread(read_context, ordered[1])
+                break
+            summary.unchanged.append(name)
+        on_progress()
+    else:
+        return
+    async with open_cluster(executor, context) as pool, asyncio.TaskGroup() as tasks:
+        stones = _Stones(daemon, pool, summary, on_progress)
+        names_left = chain([name], left)
+        for _ in range(IN_FLIGHT * pool.size):
+            tasks.create_task(stones.remeasure_all(names_left))
+
+
+@dataclass(frozen=True, slots=True)
+class _Stones:
+    """What each task that remeasures stones needs."""
+
+    daemon: OrderingDaemon
+    pool: JobPool
+    summary: Summary
+    on_progress: Callable[[], object]
+
+    async def remeasure_all(self, names: Iterator[str]) -> None:
+        """Remeasure stones, one after the other, as long as there are some that no other task has taken."""
+        for name in names:
+            with noted_refusal(name, self.summary):
+                await self._remeasure(name)
+            self.on_progress()
+
+    async def _remeasure(self, name: str) -> None:
+        for attempt in range(1, TRIES + 1):
+            if (ordered := await self.daemon.order(name)) is None:
+                self.summary.unchanged.append(name)
+                return
+            order_name, order = ordered
+            try:
+                measured = await self.pool.run(measure, order.job)
+                await asyncio.to_thread(write_record, order, measured.record)
+            except FileNotFoundError as err:
+                if attempt == TRIES:
+                    self.summary.failed[name] = str(err)
+            except RecordingError as err:
+                self.summary.failed[name] = f"{name}: {err.problem}"
+                return
+            except JobLostError as err:
+                self.summary.failed[name] = f"{name}: {err}"
+                return
+            else:
+                is_new = await self.daemon.deliver(name, order_name)
+                (self.summary.revised if is_new else self.summary.unchanged).append(name)
+                return

@@ -1,0 +1,154 @@
+"""The same stones as measured twice, one by one: how much each figure differs, and for which stones most."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from math import sqrt
+from typing import Any
+
+from service.results.fields import Outcome
+
+Records = Mapping[str, Mapping[str, Any]]
+"""Records by the id of the stone."""
+
+
+class Group(StrEnum):
+    """Figures that have a limit in common."""
+
+    VOLUME = "volume"
+    SIEVE = "sieve"
+    AXES = "axes"
+    SHAPE = "shape"
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedField:
+    """A figure of a stone, and whether its change counts relative to what it was."""
+
+    name: str
+    group: Group
+    is_relative: bool = False
+
+    @property
+    def unit(self) -> str:
+        """Unit of its changes."""
+        return "%" if self.is_relative else "mm" if self.name.endswith("_mm") else ""
+
+
+FIELDS = (
+    ComparedField("volume_mm3", Group.VOLUME, is_relative=True),
+    ComparedField("sieve_size_mm", Group.SIEVE),
+    *(
+        ComparedField(name, Group.AXES)
+        for name in ("length_mm", "width_mm", "thickness_mm", "max_feret_mm", "min_feret_mm")
+    ),
+    *(
+        ComparedField(name, Group.SHAPE)
+        for name in ("sphericity", "convexity", "elongation_ratio", "flatness_ratio", "krumbein", "corey")
+    ),
+)
+N_LARGEST = 5
+
+
+@dataclass(frozen=True, slots=True)
+class StoneChange:
+    """One figure of one stone, before and after."""
+
+    id: str
+    before: float
+    after: float
+    change: float  # in the unit of the field
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldChanges:
+    """One figure of all stones that both have measured."""
+
+    field: str
+    group: Group
+    unit: str
+    n_stones: int
+    n_changed: int
+    mean: float
+    rms: float
+    largest: Sequence[StoneChange]  # by amount, falling
+
+
+@dataclass(frozen=True, slots=True)
+class WordChange:
+    """An outcome or a quality of one stone that is another word now."""
+
+    id: str
+    field: str
+    before: str | None
+    after: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoneChanges:
+    """Stones measured twice."""
+
+    n_common: int
+    only_before: Sequence[str]
+    only_after: Sequence[str]
+    words: Sequence[WordChange]
+    fields: Sequence[FieldChanges]
+
+    @property
+    def n_changed(self) -> int:
+        """Number of figures that differ in any bit, of all stones."""
+        return len(self.words) + sum(each.n_changed for each in self.fields)
+
+
+def stone_changes(before: Records, after: Records, n_largest: int = N_LARGEST) -> StoneChanges:
+    """Return how stones differ that are in both."""
+    common = [name for name in before if name in after]
+    measured = [
+        name for name in common if before[name]["outcome"] == after[name]["outcome"] == Outcome.MEASURED
+    ]
+    return StoneChanges(
+        n_common=len(common),
+        only_before=[name for name in before if name not in after],
+        only_after=[name for name in after if name not in before],
+        words=[
+            WordChange(name, field, before[name][field], after[name][field])
+            for field in ("outcome", "quality", "reason")
+            for name in common
+            if before[name][field] != after[name][field]
+        ],
+        fields=[_changes(field, measured, before, after, n_largest) for field in FIELDS],
+    )
+
+
+def beyond_limits(changes: StoneChanges, limits: Mapping[Group, float]) -> list[str]:
+    """Return, in words, each figure whose largest change is beyond the limit of its group, in the field's unit."""
+    return [
+        f"{each.field} of {worst.id} differs by {worst.change:+.4g} {each.unit}".rstrip()
+        + f", more than {limits[each.group]:g}"
+        for each in changes.fields
+        if each.group in limits
+        for worst in each.largest[:1]
+        if abs(worst.change) > limits[each.group]
+    ]
+
+
+def _changes(
+    field: ComparedField, names: Sequence[str], before: Records, after: Records, n_largest: int
+) -> FieldChanges:
+    """Return the changes of one figure, without stones that lack it on a side: an old version may measure less."""
+    found = [
+        StoneChange(name, old, new, 100 * (new - old) / old if field.is_relative else new - old)
+        for name in names
+        if (old := before[name][field.name]) is not None and (new := after[name][field.name]) is not None
+    ]
+    n_stones = len(found)
+    return FieldChanges(
+        field=field.name,
+        group=field.group,
+        unit=field.unit,
+        n_stones=n_stones,
+        n_changed=sum(each.before != each.after for each in found),
+        mean=sum(each.change for each in found) / max(n_stones, 1),
+        rms=sqrt(sum(each.change**2 for each in found) / max(n_stones, 1)),
+        largest=sorted(found, key=lambda each: abs(each.change), reverse=True)[:n_largest],
+    )

@@ -1,0 +1,81 @@
+"""A worker pool that is started when it is asked for, and ends when nobody asks any more."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+REST_S = 60.0
+"""Time without a job after which the processes end; they hold as much memory as the daemon's workers."""
+
+
+class Pool(Protocol):
+    """A pool of worker processes, not started."""
+
+    async def start(self) -> None: ...
+
+    async def run(self, function: Callable[[Job], Result], job: Job) -> Result: ...
+
+    def close(self) -> None: ...
+
+
+class RestingPool:
+    """Runs jobs in a pool that it makes with the first of them: `run`, as often as wanted, then `close`."""
+
+    def __init__(self, make_pool: Callable[[], Pool]) -> None:
+        self._make_pool = make_pool
+        self._pool: Pool | None = None
+        self._starting = asyncio.Lock()
+        self._n_jobs = 0
+        self._resting: asyncio.TimerHandle | None = None
+        self._is_closed = False
+
+    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
+        """Return what the pool has computed; raise what `WorkerPool.start` and `run` raise.
+
+        Raises
+        ------
+        CancelledError
+            The pool is closed.
+        """
+        self._stay()
+        self._n_jobs += 1
+        try:
+            return await (await self._started()).run(function, job)
+        finally:
+            self._n_jobs -= 1
+            if self._n_jobs == 0 and not self._is_closed:
+                self._resting = asyncio.get_running_loop().call_later(REST_S, self.rest)
+
+    async def _started(self) -> Pool:
+        async with self._starting:
+            if self._is_closed:
+                raise asyncio.CancelledError
+            if self._pool is None:
+                pool = self._make_pool()
+                try:
+                    await pool.start()
+                except BaseException:
+                    pool.close()
+                    raise
+                self._pool = pool
+            return self._pool
+
+    def _stay(self) -> None:
+        if self._resting is not None:
+            self._resting.cancel()
+            self._resting = None
+
+    def rest(self) -> None:
+        """End the processes, and what runs in them; they are started again when they are needed."""
+        self._stay()
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def close(self) -> None:
+        """End the processes for good."""
+        self._is_closed = True
+        self.rest()

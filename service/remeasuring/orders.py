@@ -1,0 +1,156 @@
+"""Stones of the store measured again by a cluster, for the command that drives it on the daemon's host.
+
+The daemon never talks to a cluster, whose connections carry code; it decides what is measured with what, and writes
+the store. An order is a folder of its own on tmpfs, with the job in it; the command lays what was measured into it, and
+asks to have it delivered. Only the user of the service can write there, who may write the store as well: a client of
+REST cannot make up a result. Orders of a command that was killed are removed when others come, and with the session.
+"""
+
+import asyncio
+import json
+import logging
+import pickle
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from drivers.files.durable import replacing
+from service.processing.measure_job import RESULT_FILES, MeasureJob, WorkerContext
+from service.remeasuring.hindrance import Hindrance, RemeasureError, require_sound
+from service.remeasuring.jobs import Jobs
+from service.remeasuring.revising import revise
+from service.results.version import ALGORITHM_VERSION
+from service.store import Record, Store
+
+Content = TypeVar("Content")
+
+log = logging.getLogger(__name__)
+
+MAX_OPEN = 1024
+"""Orders that are open at a time; the oldest give way to others."""
+ORDER, CONTEXT, RECORD = "order.pickle", "context.pickle", "record.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How one stone is to be measured; `read_order` and `write_record` are for who measures it."""
+
+    job: MeasureJob
+    algorithm_version: str
+    context: Path  # the pickled `WorkerContext` of the daemon's workers
+
+
+def read_order(folder: Path) -> Order:
+    """Return the order in a folder, which must be trusted."""
+    return _unpickled(folder / ORDER, Order)
+
+
+def read_context(order: Order) -> WorkerContext:
+    """Return what all orders of a daemon share."""
+    return _unpickled(order.context, WorkerContext)
+
+
+def write_record(order: Order, record: Record) -> None:
+    """Write the record of what was measured beside its files."""
+    with replacing(order.job.out_dir / RECORD) as temporary:
+        temporary.write_text(json.dumps(record))
+
+
+class Orders:
+    """Open orders, by name: `order`, then `deliver`; all on the event loop."""
+
+    def __init__(self, store: Store, jobs: Jobs, context: WorkerContext, folder: Path) -> None:
+        self._store = store
+        self._jobs = jobs
+        self._context = context
+        self._folder = folder
+        self._open: dict[str, str] = {}  # the stone's id, by the name of the folder
+        self._n_orders = 0
+
+    async def order(self, name: str) -> Path | None:
+        """Return the folder of an order for the stone with this id; None if there is nothing to measure again.
+
+        Raises
+        ------
+        RemeasureError
+            It cannot be measured again.
+        """
+        record = await self._jobs.wanted(name)
+        if record is None:
+            return None
+        self._n_orders += 1
+        folder = self._folder / f"{self._n_orders}"
+        job = await self._jobs.job_for(record, folder / "out")
+        context = self._folder / CONTEXT
+        await asyncio.to_thread(_write, folder, Order(job, ALGORITHM_VERSION, context), self._context)
+        self._open[folder.name] = name
+        while len(self._open) > MAX_OPEN:
+            await self._remove(next(iter(self._open)))
+        return folder
+
+    async def deliver(self, name: str, order: str, who: str) -> bool:
+        """Revise the stone by what lies in the folder of its order; return False if it was revised meanwhile.
+
+        Raises
+        ------
+        RemeasureError
+            There is no such order, or it has no sound result.
+        """
+        if self._open.get(order) != name:
+            raise RemeasureError(Hindrance.NO_ORDER, f"{order} is no open order for {name}")
+        try:
+            before = await self._jobs.wanted(name)
+            if before is None:
+                return False
+            out = self._folder / order / "out"
+            record = await asyncio.to_thread(_read_record, out / RECORD, before)
+            files = {path.name: path for each in RESULT_FILES if (path := out / each).is_file()}
+            seq = await self._store.write(revise, self._store.particles_dir, name, record, files, who)
+        finally:
+            await self._remove(order)
+        if seq is None:
+            raise RemeasureError(Hindrance.NO_FRAMES, f"the files of {name} were just removed")
+        log.info("measured again by a cluster id=%s seq=%d by=%s", name, seq, who)
+        return True
+
+    async def _remove(self, order: str) -> None:
+        self._open.pop(order, None)
+        await asyncio.to_thread(shutil.rmtree, self._folder / order, ignore_errors=True)
+
+
+def _write(folder: Path, order: Order, context: WorkerContext) -> None:
+    folder.mkdir(parents=True)
+    if not order.context.exists():
+        with replacing(order.context) as temporary:
+            temporary.write_bytes(pickle.dumps(context))
+    (folder / ORDER).write_bytes(pickle.dumps(order))
+
+
+def _read_record(path: Path, before: Record) -> dict[str, Any]:
+    """Return the record of what was measured; raise `RemeasureError` unless it is one of this stone, and sound."""
+    try:
+        record = dict(json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError) as err:
+        raise RemeasureError(
+            Hindrance.FAILED, f"{before['id']}: nothing measured lies in its order: {err}"
+        ) from None
+    wanted = {
+        "bundle": before["bundle"],
+        "calibration_id": before["calibration_id"],
+        "algorithm_version": ALGORITHM_VERSION,
+    }
+    for field, value in wanted.items():
+        if record.get(field) != value:
+            raise RemeasureError(
+                Hindrance.FAILED, f"{before['id']}: {field} is {record.get(field)!r}, not {value!r}"
+            )
+    require_sound(before, record)
+    return record
+
+
+def _unpickled(path: Path, kind: type[Content]) -> Content:
+    found = pickle.loads(path.read_bytes())  # noqa: S301 - of our own user, see `service.commands.remeasure_on_cluster`
+    if not isinstance(found, kind):
+        raise TypeError(f"{path} holds no {kind.__name__}")
+    return found

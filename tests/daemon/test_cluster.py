@@ -1,0 +1,101 @@
+"""`stonefall measure --executor` on a local cluster: the bits of this machine, over killed workers and processes."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.cluster import LocalCluster
+from support.daemon_process import STONEFALL, descendants_of, process_name
+from support.eventually import eventually
+from support.small_recording import write_small_recording
+
+N_STONES = 6
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a recording, and what was measured of it here."""
+    folder = tmp_path_factory.mktemp("cluster")
+    write_small_recording(folder / "recording", n_stones=N_STONES)
+    finished(measure(folder, "recording", folder / "here"))
+    return folder
+
+
+def measure(folder: Path, recording: str, out: Path, *options: str) -> subprocess.Popen[str]:
+    command = [STONEFALL, "measure", recording, "--out", out, "--save-silhouettes", "--json", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder)
+
+
+def finished(command: subprocess.Popen[str]) -> dict[str, Any]:
+    printed, told = command.communicate()
+    assert command.returncode == 0, told
+    return dict(json.loads(printed))
+
+
+def untimed(out: Path) -> list[dict[str, Any]]:
+    records = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    return [{name: value for name, value in record.items() if name != "timings_ms"} for record in records]
+
+
+def files(out: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(out)): path.read_bytes()
+        for kind in ("meshes", "silhouettes")
+        for path in (out / kind).rglob("*.*")
+    }
+
+
+def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
+    folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "there"
+    with LocalCluster(tmp_path / "cluster", n_workers=2) as cluster:
+        command = measure(folder, "recording", out, "--executor", cluster.executor)
+        eventually(lambda: bool(cluster.jobs(0)))
+        cluster.kill_worker(0)
+        assert finished(command) == {"bundles": N_STONES, "measured": N_STONES, "rejected": 0, "lost": 0}
+    assert untimed(out) == untimed(folder / "here")
+    assert files(out) == files(folder / "here")
+    assert len(files(out)) == N_STONES * 17
+
+
+def test_of_frames_that_are_sent_a_bundle_that_kills_its_processes_is_lost_alone(
+    folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "there"
+    with LocalCluster(tmp_path / "cluster", n_workers=1) as cluster:
+        # this path is another folder to each process, so that workers do not see the frames
+        command = measure(folder, "/proc/self/cwd/recording", out, "--executor", cluster.executor)
+        for _ in range(2):
+            eventually(lambda: bool(cluster.jobs(0)))
+            measuring = [
+                pid for pid in descendants_of(cluster.workers[0].pid) if process_name(pid) == "stonefall-work"
+            ]
+            for pid in measuring:
+                os.kill(pid, signal.SIGSTOP)
+            (job,) = cluster.jobs(0)
+            shutil.rmtree(job)  # it comes again with the next attempt
+            for pid in measuring:
+                os.kill(pid, signal.SIGKILL)
+        assert finished(command) == {"bundles": N_STONES, "measured": N_STONES - 1, "rejected": 0, "lost": 1}
+    (lost,) = [record for record in untimed(out) if record["outcome"] == "lost"]
+    assert (lost["reason"], "died" in lost["detail"]) == ("worker_crash", True)
+    others = {record["bundle"]: record for record in untimed(folder / "here")}
+    assert all(
+        record == others[record["bundle"]]
+        for record in untimed(out)
+        if record is not lost and record["outcome"] != "lost"
+    )
+
+
+def test_without_a_scheduler_it_is_one_line(folder: Path, tmp_path: Path) -> None:
+    command = measure(folder, "recording", tmp_path / "there", "--executor", "dask://127.0.0.1:9")
+    _, told = command.communicate()
+    assert command.returncode == 1
+    assert "no scheduler answers at tcp://127.0.0.1:9" in told
+    assert "Traceback" not in told
