@@ -117,8 +117,11 @@ def _from_options(given: Sequence[str]) -> dict[str, CameraPlace]:
 
 
 def _from_csv(path: Path) -> dict[str, CameraPlace]:
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = list(csv.DictReader(file))
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except (ValueError, csv.Error) as err:
+        raise UsageError(f"{path}: is no CSV in UTF-8: {err}") from err
     named: dict[str, CameraPlace] = {}
     for number, row in enumerate(rows, 2):
         serial, address, user_name = ((row.get(name) or "").strip() or None for name in COLUMNS)

@@ -15,6 +15,8 @@ from service.alarms.alarms import Alarms, open_alarms
 from service.api.settings import ApiSettings
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.webhooks import Webhooks, open_webhooks
+from service.diagnostics.inputs import Inputs, Secrets
+from service.host.needs import HostNeeds
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
 from service.store.event_log import EventLog
@@ -27,6 +29,21 @@ def control(tmp_path: Path) -> FakeControl:
     return FakeControl(
         open_recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}),
         calibrations=open_desk(tmp_path / "desk"),
+        diagnosed=Inputs(
+            store_dir=tmp_path / "state",
+            calibration=tmp_path / "rig.json",
+            needs=HostNeeds(
+                network=None,
+                gate=None,
+                spool_dir=tmp_path / "spool",
+                spool_bytes=0,
+                store_dir=tmp_path / "state",
+                min_free_bytes=0,
+                workers=1,
+            ),
+            secrets=Secrets(values=frozenset(), files=()),
+            configuration={},
+        ),
     )
 
 

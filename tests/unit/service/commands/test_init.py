@@ -99,6 +99,8 @@ def test_cameras_from_a_file(tmp_path: Path) -> None:
     table.write_text("id,serial\nc01,\n")
     wrong = started(tmp_path, "--cameras", str(table), "--force")
     assert "line 2" in str(wrong.exception)
+    table.write_bytes(b"id,serial\nc01,\xff\n")
+    assert "is no CSV in UTF-8" in str(started(tmp_path, "--cameras", str(table), "--force").exception)
 
 
 @pytest.mark.parametrize(

@@ -185,7 +185,17 @@ async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
     while backing_up.trouble is not None:  # noqa: ASYNC110 - as above
         await asyncio.sleep(0)
     task.cancel()
-    await BackingUp(store, every_h=0, keep=4).run()
+
+
+async def test_without_an_interval_none_is_made_until_there_is_one() -> None:
+    store: Any = BackupsOfTest()
+    backing_up = BackingUp(store, every_h=0, keep=4)
+    task = asyncio.create_task(backing_up.run())
+    await asyncio.sleep(0.05)
+    assert store.n_made == 0
+    backing_up.use(every_h=1e-6, keep=4)
+    await asyncio.wait_for(store.made.wait(), 10)
+    task.cancel()
 
 
 async def test_an_hour_after_the_newest_backup_the_next_is_due(store: Store) -> None:
