@@ -148,6 +148,18 @@ def derive(bundle: Path, version: str, change: Callable[[Path], None]) -> None:
     (derived / "SHA256SUMS").write_bytes(sums)
 
 
+def output(*command: object) -> str:
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+def commit_of(folder: Path) -> str | None:
+    """Return the commit of the bundle in a folder, None if there is none."""
+    for path in folder.glob("*.tar"):
+        facts = output("tar", "-x", "-O", "-f", path, "--wildcards", "*/bundle.json")
+        return str(json.loads(facts)["commit"])
+    return None
+
+
 def migrate(source: Path) -> None:
     number = len(list(source.glob("service/store/*.sql"))) + 1
     (source / f"service/store/{number:03}_trial.sql").write_text(MIGRATION)
@@ -162,7 +174,7 @@ def never_ready(source: Path) -> None:
 
 
 def prepare(folder: Path) -> Machine:
-    """Make the root and three bundles in it, or take what an earlier trial has made of the same commit."""
+    """Make the root and three bundles in it; what an earlier trial has made of the same commit is used again."""
     machine = Machine(folder / "root")
     bundles = machine.root / "srv"
     clean, tar = folder / "clean", folder / "bundle"
@@ -171,8 +183,10 @@ def prepare(folder: Path) -> Machine:
             subprocess.run(
                 ["debootstrap", "--variant=minbase", "bookworm", clean], check=True, stdout=subprocess.DEVNULL
             )
-    with timed("deploy/bundle"):
-        subprocess.run([ROOT / "deploy/bundle", tar], check=True)
+    if commit_of(tar) != output("git", "-C", ROOT, "rev-parse", "HEAD").strip():
+        with timed("deploy/bundle"):
+            shutil.rmtree(tar, ignore_errors=True)
+            subprocess.run([ROOT / "deploy/bundle", tar], check=True)
     shutil.rmtree(machine.root, ignore_errors=True)
     subprocess.run(["cp", "-a", clean, machine.root], check=True)
     subprocess.run(["tar", "-x", "-C", bundles, "-f", *tar.glob("*.tar")], check=True)
@@ -199,8 +213,8 @@ def trial(machine: Machine) -> None:
         wheel.write_bytes(content)
     with timed("refused: not root; twice at once"):
         assert "only root" in machine.run("runuser", "-u", "nobody", "--", install.format(first), expect=1)
-        lock = ("flock", "/run/lock/stonefall-install")
-        assert "another installation runs" in machine.run(*lock, install.format(first), expect=1)
+        twice = f"mkdir -p /run/lock; flock /run/lock/stonefall-install {install.format(first)}"
+        assert "another installation runs" in machine.run("bash", "-c", twice, expect=1)
     with timed("dry run"):
         assert "nothing was changed" in machine.run(install.format(first), "--dry-run")
         assert not (machine.root / "opt/stonefall").exists()
