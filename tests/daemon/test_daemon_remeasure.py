@@ -127,6 +127,14 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
             counts = daemon.get("/accounting")
             assert (counts["triggers"], counts["measured"]) == (3 * N_STONES, 3 * N_STONES)
             assert daemon.get("/lots/L1")["revision"] == N_STONES
+            sides = ("0", ALGORITHM_VERSION, "--lot", "L1", "--url", f"http://127.0.0.1:{port}")
+            limits = ("--max-volume-percent", "0", "--max-axes-mm", "0", "--max-passing-percent", "0")
+            compared = subprocess.run(
+                [STONEFALL, "compare", *sides, *limits, "--same-words"], capture_output=True, text=True
+            )
+            assert compared.returncode == 0, compared.stderr
+            assert "equal, bit for bit" in compared.stdout
+            assert f"1 stones are in the old results alone: {without}" in compared.stdout
             entries = [
                 each for each in daemon.get("/audit")["items"] if each["action"] == "particle remeasured"
             ]
