@@ -19,6 +19,8 @@ from installer.store import Copy, Stock
 UNIT = "stonefall.service"
 READY_S = 90.0
 """Longest wait for readiness after the daemon has started."""
+PATIENCE_S = 20.0
+"""Longest look at whether the daemon from before is ready: one slow answer must not weaken the health gate."""
 POLL_S = 1.0
 EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104
 
@@ -108,6 +110,14 @@ def ask_readiness(url: str, timeout_s: float = 5.0) -> Readiness:
         return Readiness(True, False, detail)
     except (OSError, ValueError) as err:
         return Readiness(False, False, f"{url}/ready: {err}")
+
+
+def usual_readiness(url: str, patience_s: float = PATIENCE_S) -> Readiness:
+    """Return that a running daemon is ready if it says so at any time within a while, else its last answer."""
+    end = time.monotonic() + patience_s
+    while not (now := ask_readiness(url)).ready and time.monotonic() < end:
+        time.sleep(POLL_S)
+    return now
 
 
 def wait_until_healthy(url: str, before: Readiness, deadline_s: float = READY_S) -> Readiness:

@@ -258,8 +258,9 @@ def script(host: Host) -> Script:
 
 def answers(monkeypatch: pytest.MonkeyPatch, answer: Callable[[], Readiness]) -> None:
     monkeypatch.setattr(service, "ask_readiness", lambda url: answer())
-    monkeypatch.setattr(service, "READY_S", 0.0)
-    monkeypatch.setattr(service.wait_until_healthy, "__defaults__", (0.0,))
+    monkeypatch.setattr(service, "POLL_S", 0.0)
+    for waiting in (service.wait_until_healthy, service.usual_readiness):
+        monkeypatch.setattr(waiting, "__defaults__", (0.0,))
 
 
 READY = Readiness(True, True, "ready")
@@ -302,6 +303,13 @@ def test_a_rig_that_was_not_ready_before_need_not_be_after(
     answers(monkeypatch, lambda: HELD)
     assert switch.switch(replace(host, execute=script), NEW, may_restore=False)
     assert releases.current(host) == NEW
+
+
+def test_one_slow_answer_does_not_weaken_the_gate(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = iter([SILENT, HELD, READY, SILENT])
+    monkeypatch.setattr(service, "ask_readiness", lambda url: next(said))
+    monkeypatch.setattr(service, "POLL_S", 0.0)
+    assert service.usual_readiness("http://127.0.0.1") == READY
 
 
 def test_a_downgrade_across_schemas_is_said_first(
