@@ -151,7 +151,11 @@ def _restore(host: Host, release: Release, back: Return, stock: Stock, state_dir
     if back.backup is None:
         return
     backup = back.backup
-    later = state_dir / BACKUPS / f"after-{Path(backup.path).stem}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.jsonl"
+    later = (
+        state_dir
+        / BACKUPS
+        / f"after-{Path(backup.path).stem.removeprefix('before-')}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.jsonl"
+    )
     if stock.in_use is not None and back.beyond > 0:
         database = stock.in_use.path
         host.step(
