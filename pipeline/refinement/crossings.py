@@ -41,7 +41,7 @@ def crossing_vertices(vertices_mm: PointsMM, faces: Faces, is_new: Flags | None 
     members = np.empty(int(starts[-1]), np.int64)
     crossing = np.zeros(len(vertices_mm), np.bool_)
     _fill(vertices_mm, faces, low_mm, edge_mm, counts, starts, members)
-    is_compared: Flags = np.ones(len(faces), np.bool_) if is_new is None else is_new[faces].any(axis=1)
+    is_compared = np.asarray(np.full(len(faces), True) if is_new is None else is_new[faces].any(axis=1))
     _compare(vertices_mm, faces, starts, members, is_compared, crossing)
     return crossing
 
