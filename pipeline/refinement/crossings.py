@@ -14,19 +14,24 @@ MOST_CELLS = 128
 
 def without_crossings(vertices_mm: PointsMM, faces: Faces) -> PointsMM | None:
     """Return the vertices (V, 3), smoothed where the surface crosses itself; None if it still would."""
+    is_new = np.ones(len(vertices_mm), np.bool_)
     for repair in range(N_REPAIRS + 1):
-        crossing = crossing_vertices(vertices_mm, faces)
+        crossing = crossing_vertices(vertices_mm, faces, is_new)
         if not crossing.any():
             return vertices_mm
         for _ in range(1 + repair // 2):
             crossing = _widened(crossing, faces)
         for _ in range(2 + repair // 2):
             vertices_mm = np.where(crossing[:, None], _neighbour_means(vertices_mm, faces), vertices_mm)
+        is_new = crossing  # what crossed has moved: triangles that stayed cross none that stayed
     return None
 
 
-def crossing_vertices(vertices_mm: PointsMM, faces: Faces) -> Flags:
-    """Return which vertices (V,) are of triangles that cross another, which shares no vertex with them."""
+def crossing_vertices(vertices_mm: PointsMM, faces: Faces, is_new: Flags | None = None) -> Flags:
+    """Return which vertices (V,) are of triangles that cross another, which shares no vertex with them.
+
+    With `is_new` (V,), only pairs are compared one of which has such a vertex.
+    """
     low_mm = vertices_mm.min(axis=0)
     extents_mm = vertices_mm.max(axis=0) - low_mm
     edge_mm = max(CELL_MM, float(extents_mm.max()) / MOST_CELLS)
@@ -36,7 +41,8 @@ def crossing_vertices(vertices_mm: PointsMM, faces: Faces) -> Flags:
     members = np.empty(int(starts[-1]), np.int64)
     crossing = np.zeros(len(vertices_mm), np.bool_)
     _fill(vertices_mm, faces, low_mm, edge_mm, counts, starts, members)
-    _compare(vertices_mm, faces, starts, members, crossing)
+    is_compared = np.asarray(np.full(len(faces), True) if is_new is None else is_new[faces].any(axis=1))
+    _compare(vertices_mm, faces, starts, members, is_compared, crossing)
     return crossing
 
 
@@ -92,13 +98,22 @@ def _fill(
 
 
 @compiled
-def _compare(vertices_mm: PointsMM, faces: Faces, starts: Indices, members: Indices, crossing: Flags) -> None:
+def _compare(
+    vertices_mm: PointsMM,
+    faces: Faces,
+    starts: Indices,
+    members: Indices,
+    is_compared: Flags,
+    crossing: Flags,
+) -> None:
     for cell in range(len(starts) - 1):
         for one in range(starts[cell], starts[cell + 1]):
             i = members[one]
             a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
             for other in range(starts[cell], one):
                 j = members[other]
+                if not (is_compared[i] or is_compared[j]):
+                    continue
                 p, q, r = faces[j, 0], faces[j, 1], faces[j, 2]
                 if a in (p, q, r) or b in (p, q, r) or c in (p, q, r):
                     continue

@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.arrays import Directions, Floats, PointsMM, Singles, Values
+from pipeline.arrays import Directions, Flags, Floats, PointsMM, Singles, Values
 from pipeline.refinement.nodes import Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
@@ -67,10 +67,11 @@ def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:
 
 def depths_of(
     beliefs: Singles, scores: Singles, depths_mm: Values, nodes: Nodes, gate: Values
-) -> tuple[Values, Values]:
-    """Return the most believed depth of each node (K,), between the steps by a parabola, and its weight.
+) -> tuple[Values, Values, Flags]:
+    """Return the most believed depth of each node (K,), its weight, and whether it is a peak.
 
-    The weight is 0 where the neighbourhood has no evidence.
+    It lies between the steps, by a parabola. The weight is 0 where the neighbourhood has no evidence. The first and the
+    last depth are no peaks: the surface may lie beyond.
     """
     rows = np.arange(len(beliefs))
     best = beliefs.argmin(axis=1)
@@ -81,7 +82,8 @@ def depths_of(
     sure = np.clip((scores[rows, best] - ALIKE[0]) / (ALIKE[1] - ALIKE[0]), 0, 1)
     sure = gate * sure * np.clip(curvature / PEAKED, 0.05, 1)
     region = np.clip(smoothed(nodes, sure, 2) / EVIDENCE - 1, 0, 1)
-    return depths_mm[best] + part * (depths_mm[1] - depths_mm[0]), np.maximum(sure, DOUBTFUL) * region
+    found_mm = depths_mm[best] + part * (depths_mm[1] - depths_mm[0])
+    return found_mm, np.maximum(sure, DOUBTFUL) * region, best == inner
 
 
 def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:
@@ -98,16 +100,14 @@ def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:
     return np.asarray(np.clip(shifts_mm, median_mm - limits_mm, median_mm + limits_mm))
 
 
-def anchored(shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes) -> tuple[Values, Values]:
-    """Return shifts (K,) and their weights with what the silhouettes say: `anchors` (K,) hold the estimate, 0 to 1.
+def beyond_chance(shifts_mm: Values, sure: Values, nodes: Nodes) -> Values:
+    """Return shifts (K,) that vanish where those of a neighbourhood are no larger than chance has them.
 
-    Where the shifts of a neighbourhood are no larger than chance has them, they vanish; twice as large, they stay.
+    Twice as large, they stay.
     """
     chance_mm = CHANCE_MM[1] + np.minimum(sure, 1) * (CHANCE_MM[0] - CHANCE_MM[1])
     energy_mm2 = smoothed(nodes, shifts_mm**2, CHANCE_ROUNDS)
-    shifts_mm = shifts_mm * energy_mm2**2 / (energy_mm2**2 + chance_mm**4)
-    weights = sure + anchors
-    return shifts_mm * sure / np.maximum(weights, 1e-9), weights
+    return np.asarray(shifts_mm * energy_mm2**2 / (energy_mm2**2 + chance_mm**4))
 
 
 def patch_sagittas(

@@ -40,25 +40,27 @@ COARSE = Pass(
     pairs_share=0.5,
     spike_slope=inf,
 )
+MIDDLE = Pass(
+    spacing_mm=0.6,
+    half_mm=0.45,
+    scale=0.5,
+    outward_mm=0.36,
+    inward_mm=0.36,
+    deepest_share=0.065,
+    n_depths=16,
+    stiffness=0.028,
+    staying=0.0,
+    n_samples=5,
+    max_views=5,
+    pairs_share=1.0,
+    spike_slope=0.4,
+)
 PASSES = (
     COARSE,
     # again from there: which views see the bottom of a dent is known once it is found in part
     replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0),
-    Pass(
-        spacing_mm=0.6,
-        half_mm=0.45,
-        scale=0.5,
-        outward_mm=0.36,
-        inward_mm=0.36,
-        deepest_share=0.065,
-        n_depths=16,
-        stiffness=0.028,
-        staying=0.0,
-        n_samples=5,
-        max_views=5,
-        pairs_share=1.0,
-        spike_slope=0.4,
-    ),
+    MIDDLE,
+    MIDDLE,  # again: what lay deeper than it looked, as walls and bottoms of steep dents, and is seen better from there
     Pass(
         spacing_mm=0.45,
         half_mm=0.35,
@@ -90,8 +92,11 @@ EVIDENCE = 0.3
 """Mean confidence of a neighbourhood from which it is shifted at all; from twice that, fully."""
 DOUBTFUL = 0.1
 """Weight of a node without confidence of its own amid others: it follows the propagation."""
-OLDER, SURE = 0.5, 0.6
-"""Weight of a shift that only the pass before the last one has evidence for, and its least weight there."""
+OLDER, SURE = 0.5, 0.3
+"""Weight of a shift that only the pass before the last one has evidence for, and its weight there from which it counts.
+
+From twice that it counts fully.
+"""
 TOUCH_MM = 0.3
 """Reach of a point where a tangent ray touches: there the silhouettes say where the surface is."""
 PIN = 0.5

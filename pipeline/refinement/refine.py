@@ -18,8 +18,9 @@ from pipeline.frames import CameraId, Frame
 from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
 from pipeline.refinement.crossings import without_crossings
+from pipeline.refinement.membrane import stretched
 from pipeline.refinement.node_field import (
-    anchored,
+    beyond_chance,
     depths_of,
     facing,
     flat_gate,
@@ -59,6 +60,8 @@ SPREAD = 0.6
 OUTWARD_MM = 0.02
 """Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
 LEAST_WEIGHT = 1e-3
+BETWEEN = 0.02
+"""Weight of a node that only its neighbours say something of."""
 MIN_SUPPORTED = 0.05
 """Share of the surface below which the estimate stays as it is: so few patches are alike by chance."""
 
@@ -103,6 +106,8 @@ class _Field:
     nodes: Nodes
     shifts_mm: Values  # (K,)
     weights: Values  # (K,) of the pixels and of the silhouettes
+    sure: Values  # (K,) of the pixels
+    peaked: Values  # (K,) of the pixels where deeper and shallower patches are both less alike
     supported_share: float  # of the nodes
     found_mm: float  # rms of what this pass added to the shifts of these nodes
 
@@ -167,9 +172,9 @@ def _passed(
 ) -> _Field:
     """Return the shifts after one pass."""
     half_mm = scale * each.half_mm
-    base_mm, base_sure = np.zeros((2, len(nodes.points_mm)))
+    base_mm, base_peaked = np.zeros((2, len(nodes.points_mm)))
     if before is not None:
-        base_mm, base_sure = _carried_over(before, nodes)
+        base_mm, base_peaked = _carried_over(before, nodes)
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
@@ -199,7 +204,7 @@ def _passed(
         stiffness * float(depths_mm[1] - depths_mm[0]),
         stiffness * TRUNCATED_MM,
     )
-    found_mm, sure = depths_of(beliefs, scores, depths_mm, nodes, gate)
+    found_mm, sure, is_peak = depths_of(beliefs, scores, depths_mm, nodes, gate)
     is_supported = sure > 0
     rms_mm = float(np.sqrt(np.mean(found_mm[is_supported] ** 2))) if is_supported.any() else 0.0
     if each is PASSES[-1]:
@@ -207,30 +212,27 @@ def _passed(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
     if each is PASSES[-1]:  # what only larger patches show, as the bottom of a dent, stays as they found it
-        sure = np.maximum(sure, OLDER * gate * np.clip(base_sure / SURE - 1, 0, 1))
+        sure = np.maximum(sure, OLDER * gate * np.clip(base_peaked / SURE - 1, 0, 1))
     shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
     shifts_mm = without_spikes(shifts_mm, nodes, each.spike_slope * nodes.spacing_mm)
     if each is PASSES[-1]:
-        shifts_mm, weights = anchored(shifts_mm, sure, touches**4, nodes)  # at the very points
+        anchors = touches**4  # at the very points
+        shifts_mm = stretched(beyond_chance(shifts_mm, sure, nodes), sure, anchors, nodes)
+        weights = sure + anchors + BETWEEN
     return _Field(
         nodes=nodes,
         shifts_mm=shifts_mm,
         weights=weights,
+        sure=sure,
+        peaked=np.where(is_peak, sure, 0.0),
         supported_share=float(is_supported.mean()),
         found_mm=rms_mm,
     )
 
 
 def _carried_over(field: _Field, nodes: Nodes) -> tuple[Values, Values]:
-    """Return the shifts of the pass before at other nodes (K,), and their weights."""
-    values = interpolated(
-        nodes.points_mm,
-        nodes.normals,
-        field.nodes,
-        np.column_stack([field.shifts_mm, field.weights]),
-        np.maximum(field.weights, LEAST_WEIGHT),
-        SPREAD * field.nodes.spacing_mm,
-    )
+    """Return the shifts of the pass before at other nodes (K,), and the weights of peaks."""
+    values = _spread(field, np.column_stack([field.shifts_mm, field.peaked]), nodes.points_mm, nodes.normals)
     return values[:, 0], values[:, 1]
 
 
@@ -239,17 +241,26 @@ def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, ro
 
     `room_mm` (V, 3) leads from each vertex to the hull's.
     """
-    nodes = field.nodes
-    found = interpolated(
-        vertices_mm,
-        normals,
-        nodes,
-        np.column_stack([field.shifts_mm, nodes.normals]),
-        np.maximum(field.weights, LEAST_WEIGHT),
-        SPREAD * nodes.spacing_mm,
-    )
+    shifts_mm = _unsmoothed(field)
+    found = _spread(field, np.column_stack([shifts_mm, field.nodes.normals]), vertices_mm, normals)
     inward_mm, outward = found[:, 0], found[:, 1:]
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
     lengths_mm = np.linalg.norm(room_mm, axis=1)
     share = np.clip((-inward_mm - OUTWARD_MM) / np.maximum(lengths_mm, 1e-12), 0, 1)
     return np.asarray(share[:, None] * room_mm - np.maximum(inward_mm, 0.0)[:, None] * outward)
+
+
+def _unsmoothed(field: _Field) -> Values:
+    """Return shifts (K,) of which, once they are spread over the surface, more is left of what was found.
+
+    What spreading takes from each node is added to it beforehand (twicing, Tukey 1977), as far as it has evidence:
+    where there is none, a hump is more likely an error than a shape.
+    """
+    spread_mm = _spread(field, field.shifts_mm[:, None], field.nodes.points_mm, field.nodes.normals)[:, 0]
+    return np.asarray(field.shifts_mm + np.minimum(field.sure, 1) * (field.shifts_mm - spread_mm))
+
+
+def _spread(field: _Field, values: Floats, points_mm: PointsMM, normals: Directions) -> Floats:
+    """Return values of the nodes (K, C) at points of the surface (N, 3)."""
+    weights = np.maximum(field.weights, LEAST_WEIGHT)
+    return interpolated(points_mm, normals, field.nodes, values, weights, SPREAD * field.nodes.spacing_mm)

@@ -38,3 +38,12 @@ def test_a_fold_is_smoothed_until_nothing_crosses():
     assert not crossing_vertices(mended, np.asarray(mesh.faces)).any()
     far = abs(vertices_mm[:, 2]) < 2
     np.testing.assert_array_equal(mended[far], vertices_mm[far])
+
+
+def test_only_pairs_with_a_new_vertex_are_compared_where_these_are_given():
+    both = trimesh.util.concatenate([ball(3), ball(3).apply_translation((6.0, 0.1, 0.2))])
+    vertices_mm, faces = np.asarray(both.vertices), np.asarray(both.faces)
+    found = crossing_vertices(vertices_mm, faces)
+    nothing = np.zeros(len(vertices_mm), np.bool_)
+    assert not crossing_vertices(vertices_mm, faces, nothing).any()
+    np.testing.assert_array_equal(crossing_vertices(vertices_mm, faces, found), found)

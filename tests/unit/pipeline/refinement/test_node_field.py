@@ -3,7 +3,7 @@
 import numpy as np
 from unit.pipeline.refinement.test_nodes import SPACING_MM, ball, nodes_of
 
-from pipeline.refinement.node_field import CHANCE_MM, SPIKE_MM, anchored, without_spikes
+from pipeline.refinement.node_field import CHANCE_MM, SPIKE_MM, beyond_chance, depths_of, without_spikes
 
 
 def test_a_node_that_is_deep_alone_is_put_beside_its_neighbours_and_a_dent_stays():
@@ -28,8 +28,18 @@ def test_a_node_leaves_its_neighbours_as_far_as_they_leave_each_other_and_no_fur
 
 def test_shifts_by_chance_vanish_and_larger_ones_stay():
     nodes = nodes_of(ball())
-    sure, free = np.ones(len(nodes.points_mm)), np.zeros(len(nodes.points_mm))
+    sure = np.ones(len(nodes.points_mm))
     for times, low, high in ((0.25, 0, 0.01), (1, 0.5, 0.5), (2, 0.9, 1), (5, 0.99, 1)):
         shifts_mm = np.full(len(sure), times * CHANCE_MM[0])
-        share = anchored(shifts_mm, sure, free, nodes)[0] / shifts_mm
+        share = beyond_chance(shifts_mm, sure, nodes) / shifts_mm
         assert low - 1e-9 <= share.min() <= share.max() <= high + 1e-9
+
+
+def test_a_depth_at_the_end_of_those_tried_is_no_peak():
+    nodes = nodes_of(ball())
+    depths_mm = np.linspace(-0.35, 0.35, 8)
+    peaks_mm = np.where(nodes.points_mm[:, 0] > 0, 0.12, 0.8)
+    scores = np.exp(-(((depths_mm - peaks_mm[:, None]) / 0.2) ** 2)).astype(np.float32)
+    found_mm, _, is_peak = depths_of(1 - scores, scores, depths_mm, nodes, np.ones(len(peaks_mm)))
+    np.testing.assert_array_equal(is_peak, peaks_mm < 0.35)
+    np.testing.assert_allclose(found_mm[is_peak], 0.12, atol=0.01)
