@@ -52,6 +52,7 @@ def flat_gate(nodes: Nodes) -> Values:
     is_convex = np.einsum("nkc,nc->n", offsets_mm, nodes.normals) < 0
     gate = np.clip((RIDGE[1] - sharpness) / (RIDGE[1] - RIDGE[0]), 0, 1)
     gate = np.where(is_convex, gate, 1.0)
+    gate[nodes.at_edge] = 0.0
     return np.minimum(
         gate, np.where(has, gate[nodes.neighbours], 1.0).min(axis=1)
     )  # their patches reach over it

@@ -11,6 +11,10 @@ from pipeline.refinement.cells import Cells, find_near, sort_into_cells
 MAX_NEIGHBOURS = 8
 SAME_SIDE = 0.2
 """Least cosine between the normals of two points of one side: less is the other side of a thin place."""
+OTHER_SIDE = -0.7
+"""Cosine between the normals of two sides of a thin place; between it and `SAME_SIDE` it is those of an edge."""
+EDGE_WITHIN = 1.5
+"""Reach for a node beyond an edge, in spacings: the patch of the one is then also on the face of the other."""
 REACH_SDS = 2.8
 """Reach of an interpolation, in standard deviations of its Gaussian."""
 NEIGHBOURS_WITHIN = 2.0
@@ -25,6 +29,7 @@ class Nodes(NamedTuple):
     normals: Directions  # outward
     neighbours: Indices32  # (K, MAX_NEIGHBOURS) nearest first, -1 beyond the last
     spacing_mm: float
+    at_edge: Flags  # (K,) whether another lies beyond a sharp convex edge, too far turned for a neighbour
 
 
 def vertex_normals(vertices_mm: PointsMM, faces: Faces) -> Directions:
@@ -74,8 +79,9 @@ def spread_nodes(
     nodes_mm = np.ascontiguousarray(points_mm[chosen])
     node_normals = np.ascontiguousarray(normals[chosen])
     neighbours = np.full((len(chosen), MAX_NEIGHBOURS), -1, np.int32)
-    _link(nodes_mm, node_normals, sort_into_cells(nodes_mm, spacing_mm), spacing_mm, neighbours)
-    return Nodes(chosen, nodes_mm, node_normals, neighbours, spacing_mm)
+    at_edge = np.zeros(len(chosen), np.bool_)
+    _link(nodes_mm, node_normals, sort_into_cells(nodes_mm, spacing_mm), spacing_mm, neighbours, at_edge)
+    return Nodes(chosen, nodes_mm, node_normals, neighbours, spacing_mm, at_edge)
 
 
 def smoothed(nodes: Nodes, values: Floats, n_rounds: int) -> Floats:
@@ -116,9 +122,14 @@ def _choose(
 
 @compiled
 def _link(
-    points_mm: PointsMM, normals: Directions, cells: Cells, spacing_mm: float, neighbours: Indices32
+    points_mm: PointsMM,
+    normals: Directions,
+    cells: Cells,
+    spacing_mm: float,
+    neighbours: Indices32,
+    at_edge: Flags,
 ) -> None:
-    """Fill in the nearest nodes of each."""
+    """Fill in the nearest nodes of each, and which of them have one beyond an edge."""
     near, distances2 = np.empty(len(points_mm), np.int64), np.empty(len(points_mm))
     nearest2 = np.empty(MAX_NEIGHBOURS)
     for i in range(len(points_mm)):
@@ -127,7 +138,11 @@ def _link(
             find_near(cells, points_mm, points_mm[i], NEIGHBOURS_WITHIN * spacing_mm, near, distances2)
         ):
             j, d2 = near[at], distances2[at]
-            if j == i or cosine(normals[i], normals[j]) <= SAME_SIDE:
+            if j == i:
+                continue
+            if cosine(normals[i], normals[j]) <= SAME_SIDE:
+                if d2 <= (EDGE_WITHIN * spacing_mm) ** 2 and _has_edge_between(points_mm, normals, i, j):
+                    at_edge[i] = True
                 continue
             if n == MAX_NEIGHBOURS and d2 >= nearest2[n - 1]:
                 continue
@@ -139,6 +154,14 @@ def _link(
             nearest2[place] = d2
             neighbours[i, place] = j
             n = min(n + 1, MAX_NEIGHBOURS)
+
+
+@compiled_within
+def _has_edge_between(points_mm: PointsMM, normals: Directions, i: int, j: int) -> bool:
+    """Return whether two nodes are on faces that meet in a convex edge: each below the plane of the other."""
+    offset_mm = points_mm[j] - points_mm[i]
+    is_convex = offset_mm @ normals[i] < 0 < offset_mm @ normals[j]
+    return is_convex and cosine(normals[i], normals[j]) > OTHER_SIDE
 
 
 @compiled_within

@@ -108,7 +108,7 @@ class _Field:
     weights: Values  # (K,) of the pixels and of the silhouettes
     sure: Values  # (K,) of the pixels
     peaked: Values  # (K,) of the pixels where deeper and shallower patches are both less alike
-    supported_share: float  # of the nodes
+    supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
     found_mm: float  # rms of what this pass added to the shifts of these nodes
 
 
@@ -225,7 +225,7 @@ def _passed(
         weights=weights,
         sure=sure,
         peaked=np.where(is_peak, sure, 0.0),
-        supported_share=float(is_supported.mean()),
+        supported_share=float(is_supported[~nodes.at_edge].mean()),
         found_mm=rms_mm,
     )
 

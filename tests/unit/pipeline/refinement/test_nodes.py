@@ -53,6 +53,25 @@ def test_the_two_sides_of_a_thin_plate_are_not_neighbours():
         assert not lower[own[own >= 0]].any()
 
 
+def test_a_node_knows_that_a_face_ends_beside_it_in_a_sharp_convex_edge():
+    cube = trimesh.creation.box((8, 8, 8))
+    for _ in range(6):
+        cube = cube.subdivide()
+    nodes = nodes_of(cube)
+    # of the two coordinates along its face, the larger: how near the edge is
+    along = np.sort(np.abs(nodes.points_mm), axis=1)[:, 1]
+    is_on_one_face = np.abs(nodes.normals).max(axis=1) > 0.99
+    assert not nodes.at_edge[along < 4 - 1.5 * SPACING_MM].any()
+    assert nodes.at_edge[is_on_one_face & (along > 4 - 0.4 * SPACING_MM)].mean() > 0.8
+    hollow = trimesh.Trimesh(cube.vertices, cube.faces[:, ::-1])  # its edges are concave
+    assert not nodes_of(hollow).at_edge.any()
+    plate = trimesh.creation.box((8, 8, 0.3))
+    for _ in range(6):
+        plate = plate.subdivide()
+    on_plate = nodes_of(plate)
+    assert not on_plate.at_edge[np.abs(on_plate.points_mm[:, :2]).max(axis=1) < 2.5].any()
+
+
 def test_a_constant_is_interpolated_and_smoothed_to_itself():
     mesh, nodes = ball(), nodes_of(ball())
     ones = np.ones((len(nodes.points_mm), 2))
