@@ -97,6 +97,11 @@ OLDER, SURE = 0.5, 0.3
 
 From twice that it counts fully.
 """
+SETTLED = 0.5
+"""Part of the last pass's reach by which the pass before may still have moved a node whose evidence stays.
+
+What was found elsewhere when it was looked at again may be false, and from farther the last pass cannot undo it.
+"""
 TOUCH_MM = 0.3
 """Reach of a point where a tangent ray touches: there the silhouettes say where the surface is."""
 PIN = 0.5

@@ -44,6 +44,7 @@ from pipeline.refinement.passes import (
     OLDER,
     PASSES,
     PIN,
+    SETTLED,
     SURE,
     TRUNCATED_MM,
     Pass,
@@ -107,7 +108,7 @@ class _Field:
     shifts_mm: Values  # (K,)
     weights: Values  # (K,) of the pixels and of the silhouettes
     sure: Values  # (K,) of the pixels
-    peaked: Values  # (K,) of the pixels where deeper and shallower patches are both less alike
+    peaked: Values  # (K,) of the pixels where deeper and shallower patches are both less alike, as before
     supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
     found_mm: float  # rms of what this pass added to the shifts of these nodes
 
@@ -205,6 +206,7 @@ def _passed(
         stiffness * TRUNCATED_MM,
     )
     found_mm, sure, is_peak = depths_of(beliefs, scores, depths_mm, nodes, gate)
+    is_settled = is_peak & (np.abs(found_mm) <= SETTLED * PASSES[-1].inward_mm)
     is_supported = sure > 0
     rms_mm = float(np.sqrt(np.mean(found_mm[is_supported] ** 2))) if is_supported.any() else 0.0
     if each is PASSES[-1]:
@@ -224,7 +226,7 @@ def _passed(
         shifts_mm=shifts_mm,
         weights=weights,
         sure=sure,
-        peaked=np.where(is_peak, sure, 0.0),
+        peaked=np.where(is_settled, sure, 0.0),
         supported_share=float(is_supported[~nodes.at_edge].mean()),
         found_mm=rms_mm,
     )
