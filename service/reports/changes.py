@@ -36,9 +36,9 @@ def sentence(change: FigureChange, entry: str, say: Words) -> str:
         return say("change.few", figure=figure, entry=entry)
     decimals = DECIMALS.get(change.figure, 1)
     value = say.number(abs(change.difference), decimals)
+    if value == say.number(0.0, decimals):  # significant or not: too small to be told
+        return say("change.same", figure=figure, entry=entry)
     judgement = say("change.significant" if change.is_significant else "change.not_significant")
-    if value == say.number(0.0, decimals):
-        return say("change.same", figure=figure, entry=entry, judgement=judgement)
     amount = say(f"amount.{change.figure}", value=value)
     way = "change.up" if change.difference > 0 else "change.down"
     return say(way, figure=figure, amount=amount, entry=entry, judgement=judgement)

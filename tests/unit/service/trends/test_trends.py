@@ -15,7 +15,8 @@ from pipeline.gradation.sieves import OF_THE_RIG
 from pipeline.gradation.stones import lot_of
 from service.language import Language
 from service.lots.stored_stones import stones_between
-from service.reports.changes import with_sentences
+from service.reports.changes import sentence, with_sentences
+from service.reports.words import words
 from service.store.schema import connect, prepare
 from service.store.writes import begin_session
 from service.trends.changes import ChangedFigure, EntryChanges, FigureChange, changes
@@ -190,3 +191,8 @@ def test_the_diary_is_never_of_the_future_and_leaves_event_and_audit(connection:
         note_entry(connection, NewEntry(kind=DiaryKind.GAP, at=EVER[1]), "key op")
     assert len(entries(connection, None, None, 10)) == 1
     assert entries(connection, None, noted.at, 10) == []
+
+
+def test_what_is_too_small_to_be_told_is_not_called_significant() -> None:
+    tiny = FigureChange(figure=ChangedFigure.D50, state=State.MEASURED, difference=0.001, is_significant=True)
+    assert sentence(tiny, "the liner change", words(Language.ENGLISH)).endswith("as before the liner change")
