@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from service.addresses import is_host, is_loopback
+from service.addresses import address_of, is_host, is_loopback
 
 KEY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 """Name of a key that `stonefall keys` creates."""
@@ -64,6 +64,14 @@ class ApiSettings:
             raise ValueError(f"port must be in 0..65535, not {self.port}")
         if self.max_body_bytes < 1024:
             raise ValueError(f"max_body_bytes must be at least 1024, not {self.max_body_bytes}")
+
+    @property
+    def local_url(self) -> str:
+        """Where this machine reaches the service; one that listens on every interface does so on loopback as well."""
+        host, address = self.host, address_of(self.host)
+        if address is not None and address.is_unspecified:
+            host = "127.0.0.1" if address.version == 4 else "::1"
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}"
 
     @property
     def may_read_without_keys(self) -> bool:

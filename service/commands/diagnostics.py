@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.commands.daemon_client import DaemonError, Key, fetch
-from service.commands.doctor_daemon import is_running, url_of
+from service.commands.doctor_daemon import is_running
 from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import load_settings
 from service.diagnostics.archive import build_archive
@@ -38,7 +38,7 @@ def command(
     if out.exists():
         raise UsageError(f"{out}: is there already")
     settings = load_settings(config)
-    address = url or url_of(settings.api)
+    address = url or settings.api.local_url
     if not offline and is_running(address):
         try:
             content = fetch(address, "/diagnostics", key, timeout_s=ANSWER_S)

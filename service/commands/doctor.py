@@ -10,7 +10,7 @@ import typer
 
 from service.commands.check_host import Root
 from service.commands.daemon_client import Key
-from service.commands.doctor_daemon import check_daemon, is_running, url_of
+from service.commands.doctor_daemon import check_daemon, is_running
 from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
 from service.commands.findings import document, has_fault, show
 from service.configuration.host_needs import host_needs
@@ -47,7 +47,7 @@ def command(
     parts: Mapping[str, list[Finding]] = {
         "Host": check_host(host, host_needs(settings)),
         "Configuration": list(_configuration(config, settings)),
-        "Rig": list(_rig(settings, host, url or url_of(settings.api), key, is_fired=pulse)),
+        "Rig": list(_rig(settings, host, url or settings.api.local_url, key, is_fired=pulse)),
     }
     if as_json:
         typer.echo(json.dumps({name.lower(): document(part) for name, part in parts.items()}, indent=2))

@@ -3,18 +3,11 @@
 from collections.abc import Iterator
 
 from service.alarms.rules import load_rules
-from service.api.settings import ApiSettings
 from service.commands.daemon_client import DaemonError, ask
 from service.host.finding import Finding, judged, unknown
 from service.language import Language
 
 TIMEOUT_S = 5.0
-
-
-def url_of(api: ApiSettings) -> str:
-    """Return where the daemon of these settings answers on this machine."""
-    host = "127.0.0.1" if api.host in ("0.0.0.0", "::") else api.host  # noqa: S104 - compared, not bound
-    return f"http://{f'[{host}]' if ':' in host else host}:{api.port}"
 
 
 def is_running(url: str) -> bool:

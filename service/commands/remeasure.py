@@ -29,7 +29,6 @@ from service.results.fields import Outcome
 PAGE = 1000
 NAMED = 10
 """Stones of a kind that are named for people; `--json` names all."""
-EVERY_INTERFACE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - where to ask a daemon that listens there
 TRIES = 3
 """Times that the daemon may need for one stone: another client may have it measure, too, and the process must start."""
 
@@ -45,8 +44,7 @@ def command(
 ) -> None:
     """Measure stones again from their archived frames, with today's algorithm; the results become revisions."""
     settings = load_settings(config)
-    host = EVERY_INTERFACE.get(settings.api.host, settings.api.host)
-    url = f"http://{f'[{host}]' if ':' in host else host}:{settings.api.port}"
+    url = settings.api.local_url
     query = {"kind": "particle", "lot": lot, "since": since, "until": until, "fields": "algorithm_version"}
     wanted = {name: value for name, value in query.items() if value is not None}
     summary = Summary(without_frames=[stone["id"] for stone in _stones(url, key, wanted, has_frames=False)])

@@ -186,3 +186,17 @@ def test_settings_are_checked() -> None:
             ApiSettings(allowed_hosts=("plant", host))
     for host in ("::", "fe80::1%eth0", "192.0.2.1", "plant", "a-1.plant.example"):
         assert ApiSettings(host=host).host == host
+
+
+@pytest.mark.parametrize(
+    ("host", "url"),
+    [
+        ("0.0.0.0", "http://127.0.0.1:8080"),
+        ("::", "http://[::1]:8080"),
+        ("10.0.0.2", "http://10.0.0.2:8080"),
+        ("fd00::2", "http://[fd00::2]:8080"),
+        ("rig-1.plant", "http://rig-1.plant:8080"),
+    ],
+)
+def test_this_machine_reaches_a_daemon_that_listens_on_every_interface(host: str, url: str) -> None:
+    assert ApiSettings(host=host, port=8080).local_url == url
