@@ -108,7 +108,7 @@ class _Field:
     shifts_mm: Values  # (K,)
     weights: Values  # (K,) of the pixels and of the silhouettes
     sure: Values  # (K,) of the pixels
-    peaked: Values  # (K,) of the pixels where deeper and shallower patches are both less alike, as before
+    settled: Values  # (K,) of the pixels where patches deeper and shallower are less alike, and were before
     supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
     found_mm: float  # rms of what this pass added to the shifts of these nodes
 
@@ -173,9 +173,10 @@ def _passed(
 ) -> _Field:
     """Return the shifts after one pass."""
     half_mm = scale * each.half_mm
-    base_mm, base_peaked = np.zeros((2, len(nodes.points_mm)))
+    is_last = each is PASSES[-1]
+    base_mm, base_settled = np.zeros((2, len(nodes.points_mm)))
     if before is not None:
-        base_mm, base_peaked = _carried_over(before, nodes)
+        base_mm, base_settled = _carried_over(before, nodes)
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
@@ -209,15 +210,15 @@ def _passed(
     is_settled = is_peak & (np.abs(found_mm) <= SETTLED * PASSES[-1].inward_mm)
     is_supported = sure > 0
     rms_mm = float(np.sqrt(np.mean(found_mm[is_supported] ** 2))) if is_supported.any() else 0.0
-    if each is PASSES[-1]:
+    if is_last:
         found_mm = found_mm + patch_sagittas(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
-    if each is PASSES[-1]:  # what only larger patches show, as the bottom of a dent, stays as they found it
-        sure = np.maximum(sure, OLDER * gate * np.clip(base_peaked / SURE - 1, 0, 1))
+        # what only larger patches show, as the bottom of a dent, stays as they found it
+        sure = np.maximum(sure, OLDER * gate * np.clip(base_settled / SURE - 1, 0, 1))
     shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
     shifts_mm = without_spikes(shifts_mm, nodes, each.spike_slope * nodes.spacing_mm)
-    if each is PASSES[-1]:
+    if is_last:
         anchors = touches**4  # at the very points
         shifts_mm = stretched(beyond_chance(shifts_mm, sure, nodes), sure, anchors, nodes)
         weights = sure + anchors + BETWEEN
@@ -226,15 +227,15 @@ def _passed(
         shifts_mm=shifts_mm,
         weights=weights,
         sure=sure,
-        peaked=np.where(is_settled, sure, 0.0),
-        supported_share=float(is_supported[~nodes.at_edge].mean()),
+        settled=np.where(is_settled, sure, 0.0),
+        supported_share=float((is_supported & ~nodes.at_edge).sum() / max((~nodes.at_edge).sum(), 1)),
         found_mm=rms_mm,
     )
 
 
 def _carried_over(field: _Field, nodes: Nodes) -> tuple[Values, Values]:
-    """Return the shifts of the pass before at other nodes (K,), and the weights of peaks."""
-    values = _spread(field, np.column_stack([field.shifts_mm, field.peaked]), nodes.points_mm, nodes.normals)
+    """Return the shifts of the pass before at other nodes (K,), and the weights of what is settled."""
+    values = _spread(field, np.column_stack([field.shifts_mm, field.settled]), nodes.points_mm, nodes.normals)
     return values[:, 0], values[:, 1]
 
 

@@ -191,7 +191,7 @@ def test_settings_are_checked() -> None:
 @pytest.mark.parametrize(
     ("host", "url"),
     [
-        ("0.0.0.0", "http://127.0.0.1:8080"),
+        ("0.0.0.0", "http://127.0.0.1:8080"),  # noqa: S104 - not bound
         ("::", "http://[::1]:8080"),
         ("10.0.0.2", "http://10.0.0.2:8080"),
         ("fd00::2", "http://[fd00::2]:8080"),

@@ -4,6 +4,7 @@ import { get, getText } from "./api.js";
 import { digits, showSteps } from "./curve_steps.js";
 import { byId, element, setText, show } from "./dom.js";
 import { mountHeader } from "./header.js";
+import { COVERAGE } from "./measures.js";
 import { markOut, tile } from "./tiles.js";
 import { language, loadWords, number, word } from "./words.js";
 import { showFigures } from "./what_if.js";
@@ -11,8 +12,6 @@ import { showFigures } from "./what_if.js";
 const PAGE = 60;
 const FIELDS = "captured_at,sieve_size_mm,quality,volume_sd_percent,zingg_class,reason";
 const TIMES = ["since", "until"];
-/** Expanded uncertainty by standard deviation, as everywhere on the pages. */
-const COVERAGE = 2;
 /** What is an unfavourable shape, as the parameter of REST. */
 const SHAPES = { flaky: ["is_flaky", true], "not-flaky": ["is_flaky", false], "non-cubical": ["is_non_cubical", true], cubical: ["is_non_cubical", false] };
 

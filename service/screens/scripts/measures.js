@@ -4,7 +4,7 @@ import { element } from "./dom.js";
 import { hasWord, number, word } from "./words.js";
 
 /** Expanded uncertainty by standard deviation: k of the GUM, for about 95 %. */
-const COVERAGE = 2;
+export const COVERAGE = 2;
 /** A dimension lies between two surfaces, whose errors are taken for independent; as in `service/lots/stones.py`. */
 const SURFACES = Math.SQRT2;
 

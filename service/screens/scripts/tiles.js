@@ -2,6 +2,7 @@
 
 import { BASE } from "./api.js";
 import { element, setText } from "./dom.js";
+import { COVERAGE } from "./measures.js";
 import { qualityMark } from "./quality.js";
 import { number, time, word } from "./words.js";
 
@@ -41,7 +42,7 @@ function lines(stone) {
   return [
     element("span", {}, element("strong", {}, stone.sieve_size_mm === null ? word(`stone.outcome-${stone.outcome}`) : `${number(stone.sieve_size_mm, 2)} mm`), stone.quality && qualityMark(stone.quality)),
     share === undefined ? null : element("span", {}, word("gallery.share", { percent: number(share, 1) })),
-    stone.zingg_class ? element("span", {}, word(`stone.zingg-${stone.zingg_class}`), stone.volume_sd_percent === null ? "" : ` · V ± ${number(2 * stone.volume_sd_percent, 1)} %`) : null,
+    stone.zingg_class ? element("span", {}, word(`stone.zingg-${stone.zingg_class}`), stone.volume_sd_percent === null ? "" : ` · V ± ${number(COVERAGE * stone.volume_sd_percent, 1)} %`) : null,
     element("span", { class: "weak" }, `${Number(stone.id.split("-")[1])} · ${time(stone.captured_at)}`),
   ];
 }

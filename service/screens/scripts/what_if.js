@@ -39,13 +39,13 @@ function cell({ value, low, high }, before, unit, places, i) {
   return element(
     "td",
     { class: isChanged ? "number changed" : "number" },
-    value === null ? word("gallery.verdict-not_measured") : `${number(value, places)} ${unit}`,
+    value === null ? word("verdict.not_measured") : `${number(value, places)} ${unit}`,
     low === null ? null : element("div", { class: "weak interval" }, `${number(low, places)} – ${number(high, places)}`),
   );
 }
 
 function verdictWord(verdict) {
-  return verdict === null ? word("gallery.verdict-none") : word(`gallery.verdict-${verdict}`);
+  return verdict === null ? word("verdict.none") : word(`verdict.${verdict}`);
 }
 
 const passing = ({ curve }, sieveMm) => curve.find((step) => step.sieve_mm === sieveMm)?.passing_percent ?? { value: null, low: null, high: null };

@@ -56,7 +56,7 @@ export function showVerdict({ figures }) {
 function countdown(decisions) {
   return GRAVEST_FIRST.map((verdict) => [verdict, decisions.filter(({ decision }) => decision.verdict === verdict)])
     .filter(([, those]) => those.length > 0)
-    .map(([verdict, those]) => `${those.map(judged).join(", ")}: ${word(`operator.judged-${verdict}`)}`)
+    .map(([verdict, those]) => `${those.map(judged).join(", ")}: ${word(`verdict.${verdict}`)}`)
     .join("; ");
 }
 

@@ -71,6 +71,7 @@ def test_no_word_is_left_over() -> None:
         ("operator.state-", [state for state in AcquisitionState if state is not AcquisitionState.ARMED]),
         ("operator.activity-", ["idle", "measuring", "suspended"]),
         ("operator.verdict-", [*Verdict, "none"]),
+        ("verdict.", [*Verdict, "none"]),
         ("operator.priority-", list(Priority)),
         ("operator.alarm-", list(ANNOUNCED)),
         ("operator.camera-", list(DeviceState)),
