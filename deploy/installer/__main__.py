@@ -34,7 +34,7 @@ def main() -> None:
     start = time.monotonic()
     try:
         changed = _install(host, arguments.switch_to, may_restore=arguments.restore)
-    except InstallError as err:
+    except (InstallError, OSError) as err:
         sys.exit(f"stonefall is not installed: {err}")
     minutes = (time.monotonic() - start) / 60
     if not changed:
@@ -49,7 +49,7 @@ def _install(host: Host, version: str | None, *, may_restore: bool) -> bool:
         changed = building.build(host, HERE, target)
     else:
         target, changed = _installed(host, version), False
-    if not target.folder(host).exists():
+    if host.dry_run and target not in releases.installed(host):
         say(
             "would",
             "place units and files of the host, back up the database, switch, start, and wait for health",
@@ -62,7 +62,14 @@ def _install(host: Host, version: str | None, *, may_restore: bool) -> bool:
             f"remove release {release.version}: {releases.KEEP} are kept",
             partial(shutil.rmtree, release.folder(host)),
         )
-    _say_what_remains(host, target)
+    if host.runs_systemd and not service.is_running(host):
+        changed |= host.step(
+            "enabled, so that it starts with the host",
+            partial(host.run, "systemctl", "enable", service.UNIT),
+            is_done=host.ask("systemctl", "is-enabled", service.UNIT).stdout.strip() == "enabled",
+        )
+    if not host.dry_run:
+        _say_what_remains(host, target)
     return changed
 
 
@@ -76,8 +83,6 @@ def _installed(host: Host, version: str) -> Release:
 
 
 def _say_what_remains(host: Host, release: Release) -> None:
-    if host.dry_run:
-        return
     for problem in sorted(service.read_configuration(host, release).problems):
         say("to do", f"{placement.CONFIGURATION}: {problem}")
     found = service.stonefall(host, release, "check-host", "--config", placement.CONFIGURATION)
@@ -92,8 +97,6 @@ def _say_what_remains(host: Host, release: Release) -> None:
             f" {releases.CURRENT}/bin/stonefall serve --config {placement.CONFIGURATION}"
         )
     elif not service.is_running(host):
-        host.step("enabled, so that it starts with the host", lambda: host.run("systemctl", "enable", service.UNIT),
-                  is_done=host.ask("systemctl", "is-enabled", service.UNIT).stdout.strip() == "enabled")  # fmt: skip
         say("to do", "calibrate and configure the rig (deploy/README.md), then: systemctl start stonefall")
 
 

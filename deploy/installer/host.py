@@ -3,6 +3,7 @@
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ class InstallError(Exception):
 
 def execute(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a command with exactly this environment, and return what it printed and its exit status."""
-    return subprocess.run(command, env=environment, capture_output=True, text=True, cwd="/")  # noqa: S603
+    return subprocess.run(command, env=environment, capture_output=True, text=True, cwd="/")  # noqa: S603 - no shell
 
 
 @dataclass(frozen=True)
@@ -71,5 +72,15 @@ class Host:
 
 
 def say(word: str, text: str) -> None:
-    """Print a line of the installation's log."""
-    print(f"  {word:<10}{text}", flush=True)
+    """Print a line of the installation's log, if the terminal is still there: the work goes on without."""
+    with suppress(OSError):
+        print(f"  {word:<10}{text}", flush=True)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that all may read, as a whole or not at all; make its folder if there is none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    unfinished.write_bytes(content)
+    unfinished.chmod(0o644)
+    unfinished.replace(path)

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from installer import releases
-from installer.host import Host, InstallError
+from installer.host import Host, InstallError, write_whole
 from installer.releases import Release
 
 UNITS = {".service", ".socket", ".timer", ".path", ".target", ".mount"}
@@ -80,7 +80,7 @@ def place(host: Host, release: Release, suffixes: set[str] | None = None) -> lis
             goes_to = each.target + DEFAULT
         beside = host.path(goes_to)
         if not (beside.exists() and beside.read_bytes() == wanted):
-            host.step(_title(each, goes_to, exists), partial(write, beside, wanted))
+            host.step(_title(each, goes_to, exists), partial(write_whole, beside, wanted))
             changed.append(goes_to)
     return changed
 
@@ -97,15 +97,6 @@ def placed(host: Host, every: list[Release]) -> Iterator[tuple[str, bool]]:
     for target, contents in sorted(brought.items()):
         if (path := host.path(target)).is_file():
             yield target, path.read_bytes() not in contents
-
-
-def write(path: Path, content: bytes) -> None:
-    """Write a file as a whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    unfinished.write_bytes(content)
-    unfinished.chmod(0o644)
-    unfinished.replace(path)
 
 
 def _title(each: Placement, goes_to: str, exists: bool) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from installer.host import Host, InstallError
+from installer.host import Host, InstallError, write_whole
 
 FOLDER, CURRENT = "/opt/stonefall/releases", "/opt/stonefall/current"
 COMPLETE = "release.json"
@@ -43,9 +43,7 @@ def read_release(path: Path) -> Release:
 
 def mark_complete(release: Release, folder: Path) -> None:
     """Say that the folder of a release is whole."""
-    unfinished = folder / f".{COMPLETE}"
-    unfinished.write_text(json.dumps(asdict(release), indent=2) + "\n")
-    unfinished.rename(folder / COMPLETE)
+    write_whole(folder / COMPLETE, json.dumps(asdict(release), indent=2).encode())
 
 
 def installed(host: Host) -> list[Release]:
@@ -56,19 +54,31 @@ def installed(host: Host) -> list[Release]:
 
 def current(host: Host) -> Release | None:
     """Return the release that the link `current` leads to; None if there is none, or one installed by hand."""
+    link = read_link(host)
+    folder = host.path(CURRENT).parent / link if link else None
+    return next((release for release in installed(host) if release.folder(host) == folder), None)
+
+
+def read_link(host: Host) -> Path | None:
+    """Return where the link `current` leads; None if there is no such link."""
     link = host.path(CURRENT)
-    if not link.is_symlink():
-        return None
-    version = link.readlink().name
-    return next((release for release in installed(host) if release.version == version), None)
+    return link.readlink() if link.is_symlink() else None
 
 
 def make_current(host: Host, release: Release) -> None:
     """Let the link `current` lead to a release, at one moment."""
+    set_link(host, Path("releases", release.version))
+
+
+def set_link(host: Host, destination: Path | None) -> None:
+    """Let the link `current` lead to a folder, at one moment; None removes it."""
     link = host.path(CURRENT)
+    if destination is None:
+        link.unlink(missing_ok=True)
+        return
     unfinished = link.with_name(".current")
     unfinished.unlink(missing_ok=True)
-    unfinished.symlink_to(f"releases/{release.version}")
+    unfinished.symlink_to(destination)
     unfinished.replace(link)
     folder = os.open(link.parent, os.O_RDONLY)
     try:

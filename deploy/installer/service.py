@@ -13,7 +13,7 @@ from typing import Any
 
 from installer.host import USER, Host, InstallError
 from installer.placement import CONFIGURATION
-from installer.releases import Release
+from installer.releases import FOLDER, Release
 from installer.store import Copy, Stock
 
 UNIT = "stonefall.service"
@@ -22,7 +22,6 @@ READY_S = 90.0
 PATIENCE_S = 20.0
 """Longest look at whether the daemon from before is ready: one slow answer must not weaken the health gate."""
 POLL_S = 1.0
-EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Readiness:
 
 
 def read_configuration(host: Host, release: Release) -> Configuration:
-    """Return what a release makes of the configuration of the host."""
+    """Return what a release makes of the configuration of the host; raise `InstallError` if it does not say."""
     done = stonefall(host, release, "check-config", CONFIGURATION, "--json")
     try:
         document: dict[str, Any] = json.loads(done.stdout)
@@ -53,18 +52,16 @@ def read_configuration(host: Host, release: Release) -> Configuration:
     settings = document["settings"]
     if settings is None:
         return Configuration(None, None, frozenset(document["problems"]))
-    address = EVERY_ADDRESS.get(settings["api"]["host"], settings["api"]["host"])
-    address = f"[{address}]" if ":" in address else address
     return Configuration(
-        Path("/etc/stonefall") / settings["store"]["dir"],
-        f"http://{address}:{settings['api']['port']}/api/v1/health",
+        Path(CONFIGURATION).parent / settings["store"]["dir"],
+        f"{document['url']}/api/v1/health",
         frozenset(document["problems"]),
     )
 
 
 def stonefall(host: Host, release: Release, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Run the command `stonefall` of a release as the user of the service."""
-    return host.ask(Path("/opt/stonefall/releases", release.version, "bin/stonefall"), *arguments, user=USER)
+    return host.ask(f"{FOLDER}/{release.version}/bin/stonefall", *arguments, user=USER)
 
 
 def is_running(host: Host) -> bool:
@@ -77,7 +74,7 @@ def is_running(host: Host) -> bool:
 
 
 def look_at_store(host: Host, release: Release, state_dir: Path) -> Stock:
-    """Return the databases of the store, seen with the rights of the service."""
+    """Return the databases of the store, seen with the rights of the service; `InstallError` if it cannot be read."""
     if not host.path(str(state_dir)).is_dir():
         return Stock(None, ())
     found = json.loads(_store(host, release, "look", state_dir))
@@ -91,8 +88,7 @@ def write_later_results(host: Host, release: Release, database: str, seq: int, o
 
 
 def _store(host: Host, release: Release, *arguments: object) -> str:
-    folder = f"/opt/stonefall/releases/{release.version}/deploy"
-    python = ("env", f"PYTHONPATH={folder}", "/usr/bin/python3", "-B", "-m")
+    python = ("env", f"PYTHONPATH={FOLDER}/{release.version}/deploy", "/usr/bin/python3", "-B", "-m")
     return host.run(*python, "installer.store", *arguments, user=USER)
 
 
@@ -133,7 +129,7 @@ def wait_until_healthy(url: str, before: Readiness, deadline_s: float = READY_S)
 
 
 def start(host: Host) -> None:
-    """Start the daemon; returns when the rig is armed, or held with a reason."""
+    """Start the daemon until the rig is armed, or held with a reason; raise `InstallError` with its log if it fails."""
     host.ask("systemctl", "reset-failed", UNIT)
     done = host.ask("systemctl", "start", UNIT)
     if done.returncode != 0:
@@ -142,7 +138,7 @@ def start(host: Host) -> None:
 
 
 def stop(host: Host) -> None:
-    """Stop the daemon; it measures first what the cameras have seen."""
+    """Stop the daemon, which measures first what the cameras have seen; raise `InstallError` if systemd cannot."""
     host.run("systemctl", "stop", UNIT)
 
 

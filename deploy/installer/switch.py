@@ -58,9 +58,9 @@ def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
     Raises
     ------
     InstallError
-        Nothing was changed, or the release from before is the current one again; the text says which.
+        Nothing was changed, or what was current before is so again, or cannot be; the text says which.
     """
-    previous = releases.current(host)
+    previous, link = releases.current(host), releases.read_link(host)
     if previous == target:
         host.step(f"current release: {target.version}", lambda: None, is_done=True)
         return activate(host, target)
@@ -92,11 +92,14 @@ def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
         _go_on_with(host, target, configuration, before)
     except BaseException as err:
         failure = f"{target.version}: {str(err) or type(err).__name__}"
+        former = previous.version if previous else link or "none"
+        say("rollback", f"to {former}")
         try:
-            _return(host, previous, target, configuration, before, whole)
-        except InstallError as further:
+            _return(host, previous or link, target, configuration, before, whole)
+        except (InstallError, OSError) as further:
             raise InstallError(f"{failure}. The rollback failed, too: {further}") from err
-        raise InstallError(f"{failure}. {_runs_again(previous, before)}") from err
+        runs = " and runs" if before else ""
+        raise InstallError(f"{failure}. Rolled back: {former} is the current release{runs}") from err
     return True
 
 
@@ -120,12 +123,13 @@ def activate(host: Host, release: Release) -> bool:
 def _require_configuration(
     host: Host, previous: Release | None, configuration: Configuration, was_running: bool
 ) -> None:
-    if previous is None:
-        return
-    known = service.read_configuration(host, previous)
-    new = configuration.problems - known.problems
-    if new and (was_running or (configuration.state_dir is None and known.state_dir is not None)):
-        raise InstallError(f"the configuration does not fit, nothing was changed: {'; '.join(sorted(new))}")
+    known = configuration if previous is None else service.read_configuration(host, previous)
+    if configuration.state_dir is None and (was_running or known.state_dir is not None):
+        found = configuration.problems  # with it the daemon could not be started again
+    else:
+        found = configuration.problems - known.problems if was_running else frozenset()
+    if found:
+        raise InstallError(f"the configuration does not fit, nothing was changed: {'; '.join(sorted(found))}")
 
 
 def _back_up(host: Host, previous: Release | None, target: Release, state_dir: Path) -> Path:
@@ -183,28 +187,24 @@ def _go_on_with(host: Host, release: Release, configuration: Configuration, befo
 
 def _return(
     host: Host,
-    previous: Release | None,
+    previous: Release | Path | None,
     target: Release,
     configuration: Configuration,
     before: Readiness | None,
     whole: Path | None,
 ) -> None:
-    """Go back to the release from before, with the database that it can read."""
-    say("rollback", f"to {previous.version}" if previous else "to the daemon from before")
+    """Go back to the release from before with the database that it can read, or to what the link led to by hand."""
     if before is not None:
         host.ask("systemctl", "stop", service.UNIT)
-    if previous is not None:
+    if isinstance(previous, Release):
         if configuration.state_dir is not None:
             stock = service.look_at_store(host, target, configuration.state_dir)
             back = plan_return(previous, stock) if whole is None else _return_to(whole, stock)
             _restore(host, previous, back, stock, configuration.state_dir)
         activate(host, previous)
+    else:
+        releases.set_link(host, previous)
     if before is not None:
         service.start(host)
         if configuration.health_url is not None:
             say("", service.wait_until_healthy(configuration.health_url, before).detail)
-
-
-def _runs_again(previous: Release | None, before: Readiness | None) -> str:
-    version = previous.version if previous else "what was installed before"
-    return f"Rolled back: {version} is the current release{' and runs' if before else ''}"

@@ -7,7 +7,6 @@ import argparse
 import shutil
 import sys
 from functools import partial
-from pathlib import Path
 
 from installer import placement, releases, service
 from installer.host import USER, Host, InstallError, say
@@ -27,7 +26,7 @@ def main() -> None:
     arguments = parser.parse_args()
     try:
         uninstall(Host(dry_run=arguments.dry_run), arguments.purge)
-    except InstallError as err:
+    except (InstallError, OSError) as err:
         sys.exit(f"stonefall is not uninstalled: {err}")
 
 
@@ -37,11 +36,10 @@ def uninstall(host: Host, purge: str | None) -> None:
         raise InstallError(
             f"nothing was changed: --purge is meant only with the words {WORDS!r}, not {purge!r}"
         )
-    state_dir = Path(KEPT[0])
     if not service.is_running(host):
-        service.require_unlocked_store(host.path(str(state_dir)))
+        service.require_unlocked_store(host.path(KEPT[0]))
     files = list(placement.placed(host, releases.installed(host)))
-    if host.runs_systemd:
+    if host.runs_systemd and host.path(f"/etc/systemd/system/{service.UNIT}").exists():
         host.step(
             "stop and disable the daemon", lambda: host.run("systemctl", "disable", "--now", service.UNIT)
         )

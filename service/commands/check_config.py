@@ -14,7 +14,9 @@ from service.errors import SettingsError
 
 def command(
     file: Annotated[Path, typer.Argument(help="Configuration file, see deploy/stonefall.toml.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print settings and problems as JSON.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print settings, problems, and the URL here as JSON.")
+    ] = False,
 ) -> None:
     """Print all settings of a configuration file, defaults included, and what is wrong; exit 0 if nothing is."""
     try:
@@ -26,7 +28,9 @@ def command(
     document = settings.model_dump(mode="json")
     wrong = [*problems(settings), *shortcomings(settings)]
     if as_json:
-        typer.echo(json.dumps({"settings": document, "problems": wrong}, indent=2))
+        typer.echo(
+            json.dumps({"url": settings.api.local_url, "settings": document, "problems": wrong}, indent=2)
+        )
     else:
         typer.echo("\n".join(_sections(document)))
         for problem in wrong:

@@ -436,6 +436,7 @@ def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
     bad = CliRunner().invoke(build_app(), ["check-config", str(path), "--json"])
     assert bad.exit_code == 1
     document = json.loads(bad.stdout)
+    assert document["url"] == "http://127.0.0.1:8080"  # where deploy/install asks the daemon
     assert document["settings"]["workers"]["slots"] == 2
     assert "rig.calibration: " in document["problems"][0]
 
