@@ -100,6 +100,8 @@ def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
             raise InstallError(f"{failure}. The rollback failed, too: {further}") from err
         runs = " and runs" if before else ""
         raise InstallError(f"{failure}. Rolled back: {former} is the current release{runs}") from err
+    if state_dir is not None:
+        _remove_old_copies(host, state_dir)  # only now: one of them may have been the one to restore
     return True
 
 
@@ -133,21 +135,23 @@ def _require_configuration(
 
 
 def _back_up(host: Host, previous: Release | None, target: Release, state_dir: Path) -> Path:
-    """Copy the database with the release that wrote it, keep the newest of such copies, and return the copy."""
-    folder = state_dir / BACKUPS
-    copy = folder / f"before-{target.version}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.sqlite"
+    """Copy the database with the release that wrote it, and return the copy."""
+    copy = state_dir / BACKUPS / f"before-{target.version}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.sqlite"
     maker = previous or target
 
     def back_up() -> None:
         done = service.stonefall(host, maker, "backup", copy, "--config", placement.CONFIGURATION)
         if done.returncode != 0:
             raise InstallError(f"no backup, so no switch: {done.stderr.strip()}")
-        others = sorted(host.path(str(folder)).glob("before-*.sqlite"), key=lambda path: path.stat().st_mtime)
-        for path in others[: -releases.KEEP]:
-            path.unlink()
 
     host.step(f"backup of the database: {copy}", back_up)
     return copy
+
+
+def _remove_old_copies(host: Host, state_dir: Path) -> None:
+    copies = host.path(str(state_dir / BACKUPS)).glob("before-*.sqlite")
+    for path in sorted(copies, key=lambda path: path.stat().st_mtime)[: -releases.KEEP]:
+        host.step(f"remove {path}: {releases.KEEP} such backups are kept", path.unlink)
 
 
 def _restore(host: Host, release: Release, back: Return, stock: Stock, state_dir: Path) -> None:

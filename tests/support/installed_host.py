@@ -69,8 +69,11 @@ class Script:
         elif " backup " in line:
             name = next(word for word in command if word.endswith(".sqlite"))
             self.backups.append(Copy(name, self.schema, self.last_seq, 0.0))
+            self.host.path(name).parent.mkdir(exist_ok=True)
+            self.host.path(name).touch()
         elif " restore " in line:
-            self.schema = next(each.schema for each in self.backups if each.path in command)
+            backup = next(each for each in self.backups if each.path in command)
+            self.schema, code = backup.schema, int(not self.host.path(backup.path).exists())
         elif "systemctl start" in line and releases.current(self.host) == NEW:
             self.schema = 12  # the daemon migrates
         elif "systemctl disable" in line and not self.host.path(UNIT).exists():

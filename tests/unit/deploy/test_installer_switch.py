@@ -1,5 +1,6 @@
 """Switch from one release to another: backup, health gate, rollback and downgrade."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -85,6 +86,16 @@ def test_a_downgrade_across_schemas_is_said_first(upgraded: Host, script: Script
     assert switch.switch(upgraded, OLD, may_restore=True)
     assert names(script.ran) == ["stop", "backup", "later", "restore", "start"]
     assert releases.current(upgraded) == OLD
+
+
+def test_the_backup_to_be_restored_is_not_the_old_one_that_is_removed(upgraded: Host) -> None:
+    folder = upgraded.path("/var/lib/stonefall/backups")
+    (needed,) = folder.glob("before-*")
+    os.utime(needed, (0, 0))
+    for name in ("before-a.sqlite", "before-b.sqlite"):
+        (folder / name).touch()
+    assert switch.switch(upgraded, OLD, may_restore=True)
+    assert len(list(folder.glob("before-*"))) == releases.KEEP and not needed.exists()
 
 
 def test_a_failed_downgrade_brings_the_whole_database_back(
