@@ -68,19 +68,15 @@ def place(host: Host, release: Release, suffixes: set[str] | None = None) -> lis
             continue
         wanted = (folder / each.source).read_bytes()
         target = host.path(each.target)
-        brought = {
-            path.read_bytes() for other in folders if (path := other / each.source).is_file()
-        } if each.owner is Owner.RELEASE else set()  # fmt: skip
-        exists = target.exists()
-        if exists and target.read_bytes() == wanted:
+        found = target.read_bytes() if target.exists() else None
+        if found == wanted:
             continue
-        if each.owner is not Owner.EXAMPLE and (not exists or target.read_bytes() in brought):
-            goes_to = each.target
-        else:
-            goes_to = each.target + DEFAULT
-        beside = host.path(goes_to)
-        if not (beside.exists() and beside.read_bytes() == wanted):
-            host.step(_title(each, goes_to, exists), partial(write_whole, beside, wanted))
+        brought = [other / each.source for other in folders] if each.owner is Owner.RELEASE else []
+        is_unedited = found is None or any(path.is_file() and path.read_bytes() == found for path in brought)
+        goes_to = each.target if is_unedited and each.owner is not Owner.EXAMPLE else each.target + DEFAULT
+        path = host.path(goes_to)
+        if not (path.exists() and path.read_bytes() == wanted):
+            host.step(_title(each, goes_to, found is not None), partial(write_whole, path, wanted))
             changed.append(goes_to)
     return changed
 

@@ -1,6 +1,7 @@
 """The daemon of a host: its configuration, whether it runs, and whether it measures."""
 
 import fcntl
+import http.client
 import json
 import os
 import subprocess
@@ -100,11 +101,11 @@ def ask_readiness(url: str, timeout_s: float = 5.0) -> Readiness:
             return Readiness(True, True, "ready")
     except urllib.error.HTTPError as err:
         try:
-            detail = json.load(err).get("detail", "")
-        except ValueError:
+            detail = str(json.load(err)["detail"])
+        except (ValueError, TypeError, KeyError):
             return Readiness(False, False, f"{url}/ready: status {err.code}, not from stonefall")
         return Readiness(True, False, detail)
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, http.client.HTTPException) as err:
         return Readiness(False, False, f"{url}/ready: {err}")
 
 

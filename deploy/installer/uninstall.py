@@ -31,7 +31,13 @@ def main() -> None:
 
 
 def uninstall(host: Host, purge: str | None) -> None:
-    """Uninstall; raise `InstallError` before anything is changed if that must not be done."""
+    """Uninstall, with results and configuration if `purge` is `WORDS`.
+
+    Raises
+    ------
+    InstallError
+        Other words, or a daemon that systemd does not run: nothing was changed; or a command failed.
+    """
     if purge is not None and purge != WORDS:
         raise InstallError(
             f"nothing was changed: --purge is meant only with the words {WORDS!r}, not {purge!r}"
@@ -48,16 +54,16 @@ def uninstall(host: Host, purge: str | None) -> None:
             say("kept", f"{target}: it was edited here")
         else:
             host.step(f"remove {target}", host.path(target).unlink)
-    for folder in [*TAKEN, *(KEPT if purge == WORDS else ())]:
+    for folder in [*TAKEN, *(KEPT if purge is not None else ())]:
         if host.path(folder).exists():
             host.step(f"remove {folder}", partial(shutil.rmtree, host.path(folder)))
     if host.runs_systemd:
         host.step("systemctl daemon-reload", lambda: host.run("systemctl", "daemon-reload"))
-    if purge == WORDS:
-        host.step(f"remove the account {USER}", lambda: host.run("userdel", USER))
-    else:
+    if purge is None:
         for folder in KEPT:
             say("kept", f'{folder}; --purge "{WORDS}" removes it')
+    elif host.ask("id", USER).returncode == 0:
+        host.step(f"remove the account {USER}", lambda: host.run("userdel", USER))
 
 
 if __name__ == "__main__":

@@ -180,9 +180,11 @@ def prepare(folder: Path) -> Machine:
     clean, tar = folder / "clean", folder / "bundle"
     if not clean.exists():
         with timed("debootstrap"):
-            subprocess.run(
-                ["debootstrap", "--variant=minbase", "bookworm", clean], check=True, stdout=subprocess.DEVNULL
-            )
+            unfinished = folder / "unfinished"
+            shutil.rmtree(unfinished, ignore_errors=True)
+            command = ["debootstrap", "--variant=minbase", "bookworm", unfinished]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            unfinished.rename(clean)
     if commit_of(tar) != output("git", "-C", ROOT, "rev-parse", "HEAD").strip():
         with timed("deploy/bundle"):
             shutil.rmtree(tar, ignore_errors=True)
@@ -202,7 +204,9 @@ def prepare(folder: Path) -> Machine:
 def trial(machine: Machine) -> None:
     first, newer, broken = (
         path.name.removeprefix("stonefall-")
-        for path in sorted((machine.root / "srv").glob("stonefall-*"), key=lambda path: len(path.name))
+        for path in sorted(
+            (machine.root / "srv").glob("stonefall-*"), key=lambda path: (len(path.name), path)
+        )
     )
     install = "/srv/stonefall-{}/deploy/install"
     with timed("refused: a damaged bundle"):
