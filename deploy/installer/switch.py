@@ -79,7 +79,8 @@ def switch(host: Host, target: Release, *, may_restore: bool) -> bool:
             f" {back.backup.path}, without the {back.beyond} results measured since. Nothing was changed; --restore"
             " goes on: these results are then kept in a file and in the database moved aside, no longer in the feed"
         )
-    before = service.usual_readiness(configuration.health_url or "") if was_running else None
+    url = configuration.health_url
+    before = service.usual_readiness(url) if was_running and url is not None else None
     whole = None  # the copy to return to once an older database was put in place
     try:
         if was_running:
