@@ -4,12 +4,15 @@ import hashlib
 import os
 import shutil
 import tempfile
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 N_KEPT = 8
 """Contents that a worker keeps on its disk, the latest used: a background is 84 MB or more."""
+_keeping = threading.Lock()
+"""Held while contents come and go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,19 +40,17 @@ def read_content(path: Path) -> Content:
 
 def keep_content(room: Path, content: Content) -> None:
     """Write a content to the room of a worker, if it is not there, and remove those that were not used for longest."""
-    room.mkdir(parents=True, exist_ok=True)
-    if (room / content.digest).exists():
-        return
-    unfinished = Path(tempfile.mkdtemp(prefix=".", dir=room))
-    for name, data in content.files.items():
-        (unfinished / name).write_bytes(data)
-    try:
+    with _keeping:
+        room.mkdir(parents=True, exist_ok=True)
+        if (room / content.digest).exists():
+            return
+        unfinished = Path(tempfile.mkdtemp(prefix=".", dir=room))
+        for name, data in content.files.items():
+            (unfinished / name).write_bytes(data)
         unfinished.rename(room / content.digest)
-    except OSError:  # another task was quicker
-        shutil.rmtree(unfinished, ignore_errors=True)
-    by_use = sorted(room.glob("[!.]*"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
-    for old in by_use[N_KEPT:]:
-        shutil.rmtree(old, ignore_errors=True)
+        by_use = sorted(room.glob("[!.]*"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
+        for old in by_use[N_KEPT:]:  # a task that asks for it meanwhile finds all of it, or nothing
+            shutil.rmtree(old.rename(room / f".{old.name}"), ignore_errors=True)
 
 
 def kept_content(room: Path, digest: str) -> Path | None:

@@ -13,10 +13,10 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 from uuid import uuid4
 
-from distributed import Client, KilledWorker, wait
+from distributed import CancelledError, Client, KilledWorker
 
 from drivers.errors import RecordingError
 from drivers.files.recording import read_header
@@ -36,19 +36,12 @@ from service.cluster.tasks import (
     keep,
     measure_here,
 )
-from service.processing.measure_job import (
-    MeasuredBundle,
-    MeasureJob,
-    WorkerContext,
-    prepare_to_learn,
-)
+from service.processing.job_pool import Job, Result
+from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, prepare_to_learn
 from service.processing.resting_pool import RestingPool
 from service.processing.segmenters import CLASSICAL
 from service.processing.worker_pool import JobLostError, WorkerPool
 from service.results.fields import LossReason
-
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 
 log = logging.getLogger(__name__)
 
@@ -157,7 +150,7 @@ class ClusterPool:
         rig = await self._content(job.rig_file.path)
         contents = {each.digest: each for each in (self._context, rig, background) if each is not None}
         task = ClusterJob(
-            header=await asyncio.to_thread(read_header, job.bundle_path),
+            header=await asyncio.to_thread(read_header, job.bundle_path.absolute()),
             frames=None,
             camera_ids=job.camera_ids,
             calibration_id=job.rig_file.calibration_id,
@@ -206,16 +199,16 @@ class ClusterPool:
         key = f"stonefall-{task.header.name}-{uuid4().hex}"
         future = self._client.submit(measure_here, task, key=key, pure=False)
         try:
-            await wait(future)
-            if future.status == "finished":
-                return cast(Answer, await future)
-            if future.status != "error":
-                raise ClusterError(f"the scheduler is gone, or has given a bundle up ({future.status})")
-            error = await future.exception()
-            if isinstance(error, KilledWorker):
-                n_died = error.allowed_failures + 1
-                raise JobLostError(LossReason.WORKER_CRASH, f"{n_died} workers of the cluster died over it")
-            raise ClusterError(f"a worker cannot measure: {type(error).__name__}: {error}")
+            return cast(Answer, await future)
+        except KilledWorker as err:
+            n_died = err.allowed_failures + 1
+            raise JobLostError(
+                LossReason.WORKER_CRASH, f"{n_died} workers of the cluster died over it"
+            ) from None
+        except CancelledError as err:
+            raise ClusterError(f"the scheduler is gone, or has given a bundle up: {err}") from None
+        except Exception as err:
+            raise ClusterError(f"a worker cannot measure: {type(err).__name__}: {err}") from err
         finally:
             future.release()
 

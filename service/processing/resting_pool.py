@@ -2,10 +2,9 @@
 
 import asyncio
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Protocol
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
+from service.processing.job_pool import Job, Result
 
 REST_S = 60.0
 """Time without a job after which the processes end; they hold as much memory as the daemon's workers."""
@@ -51,9 +50,7 @@ class RestingPool:
 
     async def _started(self) -> Pool:
         async with self._starting:
-            if self._is_closed:
-                raise asyncio.CancelledError
-            if self._pool is None:
+            if self._pool is None and not self._is_closed:
                 pool = self._make_pool()
                 try:
                     await pool.start()
@@ -61,6 +58,10 @@ class RestingPool:
                     pool.close()
                     raise
                 self._pool = pool
+            if self._is_closed:  # maybe while it started
+                self.rest()
+            if self._pool is None:
+                raise asyncio.CancelledError
             return self._pool
 
     def _stay(self) -> None:

@@ -20,16 +20,13 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
-from typing import TypeVar
 
 from service.errors import ServiceError, WorkerFailure
 from service.processing.fork_server import ensure_fork_server
+from service.processing.job_pool import Job, Result
 from service.processing.process_memory import freeze_gc
 from service.processing.worker_process import Prepare, begin_process, prepare_process, warm_up
 from service.results.fields import LossReason
-
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 
 log = logging.getLogger(__name__)
 
