@@ -8,7 +8,6 @@ REST cannot make up a result. Orders of a command that was killed are removed wh
 
 import asyncio
 import json
-import logging
 import pickle
 import shutil
 from dataclasses import dataclass
@@ -16,16 +15,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from drivers.files.durable import replacing
-from service.processing.measure_job import RESULT_FILES, MeasureJob, WorkerContext
-from service.remeasuring.hindrance import Hindrance, RemeasureError, require_sound
+from service.processing.measure_job import MeasureJob, WorkerContext
+from service.remeasuring.hindrance import Hindrance, RemeasureError
 from service.remeasuring.jobs import Jobs
 from service.remeasuring.revising import revise
 from service.results.version import ALGORITHM_VERSION
 from service.store import Record, Store
 
 Content = TypeVar("Content")
-
-log = logging.getLogger(__name__)
 
 MAX_OPEN = 1024
 """Orders that are open at a time; the oldest give way to others."""
@@ -37,7 +34,6 @@ class Order:
     """How one stone is to be measured; `read_order` and `write_record` are for who measures it."""
 
     job: MeasureJob
-    algorithm_version: str
     context: Path  # the pickled `WorkerContext` of the daemon's workers
 
 
@@ -83,8 +79,8 @@ class Orders:
         folder = self._folder / f"{self._n_orders}"
         job = await self._jobs.job_for(record, folder / "out")
         context = self._folder / CONTEXT
-        await asyncio.to_thread(_write, folder, Order(job, ALGORITHM_VERSION, context), self._context)
         self._open[folder.name] = name
+        await asyncio.to_thread(_write, folder, Order(job, context), self._context)
         while len(self._open) > MAX_OPEN:
             await self._remove(next(iter(self._open)))
         return folder
@@ -99,20 +95,16 @@ class Orders:
         """
         if self._open.get(order) != name:
             raise RemeasureError(Hindrance.NO_ORDER, f"{order} is no open order for {name}")
+        del self._open[order]
         try:
             before = await self._jobs.wanted(name)
             if before is None:
                 return False
             out = self._folder / order / "out"
             record = await asyncio.to_thread(_read_record, out / RECORD, before)
-            files = {path.name: path for each in RESULT_FILES if (path := out / each).is_file()}
-            seq = await self._store.write(revise, self._store.particles_dir, name, record, files, who)
+            return await revise(self._store, before, record, out, who)
         finally:
             await self._remove(order)
-        if seq is None:
-            raise RemeasureError(Hindrance.NO_FRAMES, f"the files of {name} were just removed")
-        log.info("measured again by a cluster id=%s seq=%d by=%s", name, seq, who)
-        return True
 
     async def _remove(self, order: str) -> None:
         self._open.pop(order, None)
@@ -128,7 +120,7 @@ def _write(folder: Path, order: Order, context: WorkerContext) -> None:
 
 
 def _read_record(path: Path, before: Record) -> dict[str, Any]:
-    """Return the record of what was measured; raise `RemeasureError` unless it is one of this stone, and sound."""
+    """Return the record of what was measured; raise `RemeasureError` unless it is one of this stone."""
     try:
         record = dict(json.loads(path.read_text()))
     except (OSError, ValueError, TypeError) as err:
@@ -145,7 +137,6 @@ def _read_record(path: Path, before: Record) -> dict[str, Any]:
             raise RemeasureError(
                 Hindrance.FAILED, f"{before['id']}: {field} is {record.get(field)!r}, not {value!r}"
             )
-    require_sound(before, record)
     return record
 
 

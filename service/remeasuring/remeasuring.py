@@ -8,7 +8,6 @@ ask again.
 """
 
 import asyncio
-import logging
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -16,23 +15,15 @@ from pathlib import Path
 
 from drivers.errors import RecordingError
 from service.processing import measure_job
-from service.processing.measure_job import (
-    RESULT_FILES,
-    MeasuredBundle,
-    MeasureJob,
-    WorkerContext,
-    measure,
-)
+from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, measure
 from service.processing.resting_pool import Pool, RestingPool
 from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 from service.processing.worker_process import WarmUp
-from service.remeasuring.hindrance import Hindrance, RemeasureError, require_sound
+from service.remeasuring.hindrance import Hindrance, RemeasureError
 from service.remeasuring.jobs import Background, Jobs, RigFiles
 from service.remeasuring.orders import Orders
 from service.remeasuring.revising import revise
 from service.store import Store
-
-log = logging.getLogger(__name__)
 
 DEADLINE_S = 300.0
 """Longest time for one stone: it takes 0.1 s of an idle core, but none may be idle for long."""
@@ -97,21 +88,13 @@ class Remeasuring:
             try:
                 job = await self._jobs.job_for(record, out_dir)
                 measured = await self._measured(job)
-                require_sound(record, measured.record)
-                files = {path.name: path for each in RESULT_FILES if (path := out_dir / each).exists()}
-                seq = await self._store.write(
-                    revise, self._store.particles_dir, name, measured.record, files, who
-                )
+                return await revise(self._store, record, measured.record, out_dir, who)
             except RecordingError as err:
                 raise RemeasureError(Hindrance.FAILED, f"{name}: {err.problem}") from err
             except (JobLostError, WorkerStartError) as err:
                 raise RemeasureError(Hindrance.FAILED, f"{name}: {err}") from err
             finally:
                 await asyncio.to_thread(shutil.rmtree, out_dir, ignore_errors=True)
-            if seq is None:
-                raise RemeasureError(Hindrance.NO_FRAMES, f"the files of {name} were just removed")
-            log.info("measured again id=%s seq=%d by=%s", name, seq, who)
-            return True
 
     def close(self) -> None:
         """End the process, and what it measures; requests from now on are refused."""
@@ -128,9 +111,8 @@ class Remeasuring:
                 raise RemeasureError(Hindrance.FAILED, "the daemon stops")
             return self._job.result()
         finally:
-            if (
-                not self._job.done()
-            ):  # whoever asked was given up: nothing of this may get among the next one's files
+            if not self._job.done():
+                # whoever asked was given up: nothing of this may get among the next one's files
                 self._job.cancel()
                 self._pool.rest()
             self._job = None

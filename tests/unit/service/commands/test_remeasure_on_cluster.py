@@ -50,7 +50,7 @@ class FakeDaemon:
             background_path=None,
             out_dir=self.folder / f"{self.n_ordered}" / "out",
         )
-        return f"{self.n_ordered}", Order(job, "1", self.folder / "context.pickle")
+        return f"{self.n_ordered}", Order(job, self.folder / "context.pickle")
 
     async def deliver(self, name: str, order: str) -> bool:
         assert (self.folder / order / "out" / "record.json").is_file()

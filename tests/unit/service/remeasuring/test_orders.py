@@ -61,10 +61,10 @@ async def test_what_was_measured_elsewhere_becomes_one_revision(
     assert before is not None
     for folder in (first, second):
         await measured_there(folder, volume_mm3=7.0, bundle=before["bundle"])
-    assert [await again.orders.deliver(name, folder.name, "anna") for folder in (first, second)] == [
-        True,
-        False,
-    ]
+    delivered = await asyncio.gather(
+        *(again.orders.deliver(name, folder.name, "anna") for folder in (first, second))
+    )
+    assert sorted(delivered) == [False, True]
     newest = await store.particle(name)
     assert newest is not None
     assert (newest["revision"], newest["volume_mm3"]) == (2, 7.0)
@@ -116,6 +116,22 @@ async def test_an_order_without_a_result_or_of_another_stone_is_refused(
     await measured_there(folder)
     await asyncio.to_thread((folder / "out" / "record.json").write_text, json.dumps([1]))
     await assert_refused(again, store, name, folder.name, Hindrance.FAILED)
+
+
+async def test_an_order_that_is_delivered_twice_at_once_is_taken_once(
+    store: Store, again: Remeasuring, name: str
+) -> None:
+    before = await store.particle(name)
+    assert before is not None
+    folder = await ordered(again.orders, name)
+    await measured_there(folder, bundle=before["bundle"])
+    deliveries = [again.orders.deliver(name, folder.name, "anna") for _ in range(2)]
+    taken, refused = await asyncio.gather(*deliveries, return_exceptions=True)
+    assert taken is True
+    assert isinstance(refused, RemeasureError) and refused.why is Hindrance.NO_ORDER
+    newest = await store.particle(name)
+    assert newest is not None
+    assert (newest["revision"], newest["mesh"]) == (2, "particles/2/mesh.ply")
 
 
 async def test_orders_of_killed_commands_give_way(
