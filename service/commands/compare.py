@@ -5,7 +5,7 @@ algorithm versions or revisions of the stones of a running daemon. Exits with 1 
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +20,7 @@ from service.commands.revised_stones import revisions_of_lot
 from service.errors import UsageError
 from service.lots.comparing import ComparedFigure, compared_figures
 from service.lots.evaluation import figures_of
-from service.lots.stone_changes import Group, StoneChanges, beyond_limits, stone_changes
+from service.lots.stone_changes import Group, Records, StoneChanges, beyond_limits, stone_changes
 from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 
@@ -96,7 +96,7 @@ def _by_bundle(results: Path) -> dict[str, dict[str, Any]]:
     return records
 
 
-def _figures(sides: Sequence[Mapping[str, Mapping[str, Any]]], sieve_set: str) -> list[ComparedFigure]:
+def _figures(sides: Sequence[Records], sieve_set: str) -> list[ComparedFigure]:
     """Return the figures of the stones that are in both, as lots."""
     common = [name for name in sides[0] if name in sides[1]]
     stones = [stones_in([side[name] for name in common]) for side in sides]
@@ -114,7 +114,10 @@ def _passing_beyond(figures: Sequence[ComparedFigure], limit: float | None) -> l
     return [
         f"{each.figure} of the lot differs by {each.difference:+.3g}, more than {limit:g}"
         for each in figures
-        if limit is not None and each.figure.startswith("passing") and abs(each.difference or 0.0) > limit
+        if limit is not None
+        and each.figure.startswith("passing")
+        and each.difference is not None
+        and abs(each.difference) > limit
     ]
 
 
@@ -154,9 +157,8 @@ def _lot_table(figures: Sequence[ComparedFigure]) -> Table:
     for name in ("figure", "before", "after", "difference"):
         table.add_column(name, justify="left" if name == "figure" else "right")
     for each in figures:
-        values = (each.a.value, each.b.value)
-        if None not in values:
+        if each.difference is not None:
             table.add_row(
-                each.figure, *(f"{value:.3f}" for value in values), f"{each.difference or 0.0:+.4f}"
+                each.figure, f"{each.a.value:.3f}", f"{each.b.value:.3f}", f"{each.difference:+.4f}"
             )
     return table

@@ -3,10 +3,10 @@
 import json
 import urllib.error
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from http.client import HTTPException
 from typing import Annotated, Any
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 import typer
 
@@ -55,6 +55,15 @@ def ask(
         return dict(json.loads(content))
     except ValueError as err:
         raise DaemonError(f"no answer from {url}: {err}: is the daemon running there?") from None
+
+
+def all_pages(url: str, path: str, key: str | None, query: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the items of a list, page by page; raise `DaemonError` as `ask` does."""
+    cursor: dict[str, str] | None = {}
+    while cursor is not None:
+        page = ask(url, f"{path}?{urlencode({**query, **cursor})}", key)
+        yield from page["items"]
+        cursor = None if page["next_cursor"] is None else {"cursor": page["next_cursor"]}
 
 
 def fetch(

@@ -12,13 +12,12 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
-from urllib.parse import urlencode
 
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from service.commands.daemon_client import Key, ask
+from service.commands.daemon_client import Key, all_pages, ask
 from service.commands.measuring_pool import Executor, one_error
 from service.commands.remeasure_on_cluster import OrderingDaemon, remeasure_on_cluster
 from service.commands.remeasured_stones import Summary, noted_refusal
@@ -72,13 +71,10 @@ def command(
 def _stones(
     url: str, key: str | None, wanted: dict[str, str], *, has_frames: bool
 ) -> Iterator[dict[str, Any]]:
-    """Yield the stones that were looked at, newest first."""
-    cursor: dict[str, str] | None = {}
-    while cursor is not None:
-        query = urlencode({**wanted, **cursor, "has_frames": str(has_frames).lower(), "limit": PAGE})
-        page = ask(url, f"/particles?{query}", key)
-        yield from (item for item in page["items"] if item["outcome"] != Outcome.LOST)
-        cursor = None if page["next_cursor"] is None else {"cursor": page["next_cursor"]}
+    """Return the stones that were looked at, newest first."""
+    query = {**wanted, "has_frames": str(has_frames).lower(), "limit": PAGE}
+    stones = all_pages(url, "/particles", key, query)
+    return (stone for stone in stones if stone["outcome"] != Outcome.LOST)
 
 
 def _remeasure(url: str, key: str | None, name: str, summary: Summary) -> None:

@@ -21,7 +21,7 @@ from service.errors import UsageError
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import measure
 from service.processing.worker_pool import JobLostError
-from service.remeasuring.orders import Order, read_context, read_order, write_record
+from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record
 
 TRIES = 3
 """Orders for one stone: the background that one names may be replaced before it is read."""
@@ -101,7 +101,7 @@ async def remeasure_on_cluster(
     async with open_cluster(executor, context) as pool, asyncio.TaskGroup() as tasks:
         stones = _Stones(daemon, pool, summary, on_progress)
         names_left = chain([name], left)
-        for _ in range(IN_FLIGHT * pool.size):
+        for _ in range(min(IN_FLIGHT * pool.size, MAX_OPEN // 2)):  # there may be another command
             tasks.create_task(stones.remeasure_all(names_left))
 
 
@@ -134,10 +134,10 @@ class _Stones:
                 if attempt == TRIES:
                     self.summary.failed[name] = str(err)
             except RecordingError as err:
-                self.summary.failed[name] = f"{name}: {err.problem}"
+                self.summary.failed[name] = err.problem
                 return
             except JobLostError as err:
-                self.summary.failed[name] = f"{name}: {err}"
+                self.summary.failed[name] = str(err)
                 return
             else:
                 is_new = await self.daemon.deliver(name, order_name)

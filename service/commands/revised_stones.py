@@ -3,9 +3,8 @@
 import re
 from collections.abc import Callable, Iterator
 from typing import Any
-from urllib.parse import urlencode
 
-from service.commands.daemon_client import ask
+from service.commands.daemon_client import all_pages, ask
 from service.errors import UsageError
 
 PAGE = 500
@@ -26,7 +25,7 @@ def revisions_of_lot(url: str, key: str | None, lot: str, sides: tuple[str, str]
     """
     found: tuple[Stones, Stones] = ({}, {})
     wanted = [_is_of(side) for side in sides]
-    for stone in _stones(url, key, lot):
+    for stone in all_pages(url, "/particles", key, {"lot": lot, "kind": "particle", "limit": PAGE}):
         for record in _newest_first(url, key, stone):
             for stones, is_of in zip(found, wanted, strict=True):
                 if record["id"] not in stones and is_of(record):
@@ -43,16 +42,6 @@ def _is_of(side: str) -> Callable[[dict[str, Any]], bool]:
     if revision := REVISION.fullmatch(side):
         return lambda record: bool(record["revision"] == int(revision[1]))
     return lambda record: bool(record["algorithm_version"] == side)
-
-
-def _stones(url: str, key: str | None, lot: str) -> Iterator[dict[str, Any]]:
-    """Yield the stones of the lot, in their newest revisions."""
-    query = {"lot": lot, "kind": "particle", "limit": PAGE}
-    cursor: str | None = ""
-    while cursor is not None:
-        page = ask(url, f"/particles?{urlencode(query | ({'cursor': cursor} if cursor else {}))}", key)
-        yield from page["items"]
-        cursor = page["next_cursor"]
 
 
 def _newest_first(url: str, key: str | None, newest: dict[str, Any]) -> Iterator[dict[str, Any]]:

@@ -48,6 +48,7 @@ FIELDS = (
     ),
 )
 N_LARGEST = 5
+"""Stones that are named for each figure, those that it changed most for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +101,7 @@ class StoneChanges:
         return len(self.words) + sum(each.n_changed for each in self.fields)
 
 
-def stone_changes(before: Records, after: Records, n_largest: int = N_LARGEST) -> StoneChanges:
+def stone_changes(before: Records, after: Records) -> StoneChanges:
     """Return how stones differ that are in both."""
     common = [name for name in before if name in after]
     measured = [
@@ -116,7 +117,7 @@ def stone_changes(before: Records, after: Records, n_largest: int = N_LARGEST) -
             for name in common
             if before[name][field] != after[name][field]
         ],
-        fields=[_changes(field, measured, before, after, n_largest) for field in FIELDS],
+        fields=[_changes(field, measured, before, after) for field in FIELDS],
     )
 
 
@@ -132,9 +133,7 @@ def beyond_limits(changes: StoneChanges, limits: Mapping[Group, float]) -> list[
     ]
 
 
-def _changes(
-    field: ComparedField, names: Sequence[str], before: Records, after: Records, n_largest: int
-) -> FieldChanges:
+def _changes(field: ComparedField, names: Sequence[str], before: Records, after: Records) -> FieldChanges:
     """Return the changes of one figure, without stones that lack it on a side: an old version may measure less."""
     found = [
         StoneChange(name, old, new, 100 * (new - old) / old if field.is_relative else new - old)
@@ -150,5 +149,5 @@ def _changes(
         n_changed=sum(each.before != each.after for each in found),
         mean=sum(each.change for each in found) / max(n_stones, 1),
         rms=sqrt(sum(each.change**2 for each in found) / max(n_stones, 1)),
-        largest=sorted(found, key=lambda each: abs(each.change), reverse=True)[:n_largest],
+        largest=sorted(found, key=lambda each: abs(each.change), reverse=True)[:N_LARGEST],
     )

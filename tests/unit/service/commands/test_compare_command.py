@@ -9,7 +9,7 @@ from support.rest import measured
 from typer.testing import CliRunner, Result
 
 from service.cli import build_app
-from service.commands import revised_stones
+from service.commands import daemon_client, revised_stones
 from service.errors import ServiceError, UsageError
 
 N_STONES = 4
@@ -125,7 +125,8 @@ class Store:
 def test_of_a_store_each_stone_is_taken_in_the_newest_result_of_a_side(
     monkeypatch: pytest.MonkeyPatch, sides: tuple[str, str], found: tuple[dict[str, int], dict[str, int]]
 ) -> None:
-    monkeypatch.setattr(revised_stones, "ask", Store().ask)
+    for module in (daemon_client, revised_stones):
+        monkeypatch.setattr(module, "ask", Store().ask)
     taken = revised_stones.revisions_of_lot("http://x", None, "L1", sides)
     assert tuple({name: record["revision"] for name, record in side.items()} for side in taken) == found
     with pytest.raises(UsageError, match=r"no stone of lot L1 has a result of 99"):

@@ -127,7 +127,7 @@ async def test_a_failure_is_that_of_its_stone_and_a_background_that_went_is_orde
     daemon = FakeDaemon(tmp_path)
     summary = await remeasured(daemon, ["a", "b", "c", "d"])
     assert (sorted(summary.revised), sorted(daemon.delivered)) == (["c", "d"], ["c", "d"])
-    assert summary.failed == {"a": "a: worker_crash: it died", "b": "b: is damaged"}
+    assert summary.failed == {"a": "worker_crash: it died", "b": "is damaged"}
 
 
 async def test_when_all_is_of_this_algorithm_no_cluster_is_asked(tmp_path: Path) -> None:
