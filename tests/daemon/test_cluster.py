@@ -5,6 +5,8 @@ import os
 import shutil
 import signal
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from support.cluster import LocalCluster
 from support.daemon_process import STONEFALL, descendants_of, process_name
 from support.eventually import eventually
 from support.small_recording import write_small_recording
+
+from service.processing.worker_pool import WORKER_NAME
 
 N_STONES = 6
 
@@ -50,13 +54,23 @@ def files(out: Path) -> dict[str, bytes]:
     }
 
 
+@contextmanager
+def measuring(
+    folder: Path, tmp_path: Path, *, n_workers: int, recording: str = "recording"
+) -> Iterator[tuple[LocalCluster, subprocess.Popen[str]]]:
+    """Provide a cluster and the command that measures on it, as soon as its first worker measures a bundle."""
+    with LocalCluster(tmp_path / "cluster", n_workers=n_workers) as cluster:
+        command = measure(folder, recording, tmp_path / "there", "--executor", cluster.executor)
+        eventually(lambda: bool(cluster.jobs(0)))
+        yield cluster, command
+
+
 def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
     folder: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "there"
-    with LocalCluster(tmp_path / "cluster", n_workers=2) as cluster:
-        command = measure(folder, "recording", out, "--executor", cluster.executor)
-        eventually(lambda: bool(cluster.jobs(0)))
+    with measuring(folder, tmp_path, n_workers=2) as (cluster, command):
+        assert not (cluster.jobs(0)[0].parent / "bundle.tiff").exists()  # frames are read where they lie
         cluster.kill_worker(0)
         assert finished(command) == {"bundles": N_STONES, "measured": N_STONES, "rejected": 0, "lost": 0}
     assert untimed(out) == untimed(folder / "here")
@@ -67,30 +81,37 @@ def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
 def test_of_frames_that_are_sent_a_bundle_that_kills_its_processes_is_lost_alone(
     folder: Path, tmp_path: Path
 ) -> None:
-    out = tmp_path / "there"
-    with LocalCluster(tmp_path / "cluster", n_workers=1) as cluster:
-        # this path is another folder to each process, so that workers do not see the frames
-        command = measure(folder, "/proc/self/cwd/recording", out, "--executor", cluster.executor)
+    # this path is another folder to each process, so that workers do not see the frames
+    sent = "/proc/self/cwd/recording"
+    with measuring(folder, tmp_path, n_workers=1, recording=sent) as (cluster, command):
         for _ in range(2):
             eventually(lambda: bool(cluster.jobs(0)))
-            measuring = [
-                pid for pid in descendants_of(cluster.workers[0].pid) if process_name(pid) == "stonefall-work"
+            measurers = [
+                pid for pid in descendants_of(cluster.workers[0].pid) if process_name(pid) == WORKER_NAME
             ]
-            for pid in measuring:
+            for pid in measurers:
                 os.kill(pid, signal.SIGSTOP)
             (job,) = cluster.jobs(0)
+            assert (job.parent / "bundle.tiff").exists()
             shutil.rmtree(job)  # it comes again with the next attempt
-            for pid in measuring:
+            for pid in measurers:
                 os.kill(pid, signal.SIGKILL)
         assert finished(command) == {"bundles": N_STONES, "measured": N_STONES - 1, "rejected": 0, "lost": 1}
-    (lost,) = [record for record in untimed(out) if record["outcome"] == "lost"]
+    records = {record["bundle"]: record for record in untimed(tmp_path / "there")}
+    (lost,) = [record for record in records.values() if record["outcome"] == "lost"]
     assert (lost["reason"], "died" in lost["detail"]) == ("worker_crash", True)
     others = {record["bundle"]: record for record in untimed(folder / "here")}
-    assert all(
-        record == others[record["bundle"]]
-        for record in untimed(out)
-        if record is not lost and record["outcome"] != "lost"
-    )
+    del records[lost["bundle"]], others[lost["bundle"]]
+    assert records == others
+
+
+def test_a_scheduler_that_goes_away_ends_the_command_with_one_error(folder: Path, tmp_path: Path) -> None:
+    with measuring(folder, tmp_path, n_workers=1) as (cluster, command):
+        cluster.kill_scheduler()
+        _, told = command.communicate()
+    assert command.returncode == 1
+    assert "stonefall: the scheduler is gone" in told
+    assert not (tmp_path / "there" / "results.jsonl").exists()
 
 
 def test_without_a_scheduler_it_is_one_line(folder: Path, tmp_path: Path) -> None:

@@ -19,10 +19,9 @@ QUIET = ("--no-dashboard", "--dashboard-address", "127.0.0.1:0")
 class LocalCluster:
     """Start the scheduler and its workers as a context manager; the folders of worker N are `worker-N`."""
 
-    def __init__(self, folder: Path, *, n_workers: int, nanny: str = "--no-nanny") -> None:
+    def __init__(self, folder: Path, *, n_workers: int) -> None:
         self._folder = folder
         self._n_workers = n_workers
-        self._nanny = nanny
         self._scheduler: subprocess.Popen[bytes] | None = None
         self.workers: list[subprocess.Popen[bytes]] = []
         self._address = ""
@@ -37,7 +36,7 @@ class LocalCluster:
             eventually(lambda: file.exists() and bool(file.read_text()))
             self._address = json.loads(file.read_text())["address"]
             for _ in range(self._n_workers):
-                self.add_worker()
+                self._add_worker()
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -47,21 +46,21 @@ class LocalCluster:
     def executor(self) -> str:
         return self._address.replace("tcp://", "dask://")
 
-    def add_worker(self) -> None:
+    def _add_worker(self) -> None:
         number = len(self.workers)
         self.workers.append(
             self._start(
                 f"worker-{number}", "worker", self._address, "--host", "127.0.0.1", "--nthreads", "1",
-                "--local-directory", self.room(number), self._nanny,
+                "--local-directory", self._room(number), "--no-nanny",
             )
         )  # fmt: skip
 
-    def room(self, number: int) -> Path:
+    def _room(self, number: int) -> Path:
         return self._folder / f"worker-{number}"
 
     def jobs(self, number: int) -> list[Path]:
         """Return the folders of the bundles that the worker's processes measure at this moment."""
-        return list(self.room(number).glob("**/stonefall/bundle-*/out"))
+        return list(self._room(number).glob("**/stonefall/bundle-*/out"))
 
     def kill_worker(self, number: int) -> None:
         """Kill it as a machine dies: what it had started ends by itself."""
@@ -70,8 +69,10 @@ class LocalCluster:
         self.workers[number].wait()
         eventually(lambda: not any(Path(f"/proc/{pid}").exists() for pid in started))
 
-    def log(self, name: str) -> str:
-        return (self._folder / f"{name}.log").read_text()
+    def kill_scheduler(self) -> None:
+        assert self._scheduler is not None
+        self._scheduler.kill()
+        self._scheduler.wait()
 
     def _start(self, name: str, *arguments: str | Path) -> subprocess.Popen[bytes]:
         with (self._folder / f"{name}.log").open("wb") as log:
