@@ -1,17 +1,18 @@
 """An upgrade of the algorithm: the command has the daemon measure its stones again, over kills; a client follows."""
 
 import json
-import socket
 import sqlite3
 import subprocess
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 from support.cluster import LocalCluster
-from support.daemon_process import STONEFALL, DaemonProcess
+from support.daemon_process import STONEFALL, DaemonProcess, free_port
 from support.eventually import eventually
 from support.reference_client import start_client
+from support.remeasuring import OLD, make_old
 from support.small_recording import write_small_recording
 
 from service.results.fields import MEASURED_FIELDS
@@ -39,20 +40,8 @@ def summary(command: subprocess.Popen[str]) -> dict[str, Any]:
     return dict(json.loads(printed))
 
 
-def free_port() -> int:
-    with closing(socket.create_server(("127.0.0.1", 0))) as listener:
-        return int(listener.getsockname()[1])
-
-
 def n_archived(folder: Path) -> int:
     return len(list(folder.glob("state/particles/*/*/bundle.tiff")))
-
-
-def make_old(folder: Path) -> None:
-    """Have an older algorithm measured all stones so far."""
-    with closing(sqlite3.connect(folder / "state" / "results.sqlite")) as database, database:
-        database.execute("UPDATE results SET record = json_set(record, '$.algorithm_version', '0')")
-        database.execute("UPDATE stones SET algorithm_version = '0'")
 
 
 def newest_of(items: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -68,34 +57,46 @@ def client_has(path: Path) -> dict[str, tuple[int, int]]:
 def assert_measured_again_alike(folder: Path, before: dict[str, Any], again: dict[str, Any]) -> None:
     assert {name: again[name] for name in OF_THE_STONE} == {name: before[name] for name in OF_THE_STONE}
     assert {name: again[name] for name in NUMBERS} == {name: before[name] for name in NUMBERS}
-    assert (before["algorithm_version"], again["algorithm_version"]) == ("0", ALGORITHM_VERSION)
+    assert (before["algorithm_version"], again["algorithm_version"]) == (OLD, ALGORITHM_VERSION)
     assert again["mesh"] == f"particles/{again['seq']}/mesh.ply"
     (mesh,) = folder.glob(f"state/particles/*/{again['id']}/r2/mesh.sfmesh")
     assert mesh.read_bytes() == (mesh.parents[1] / "mesh.sfmesh").read_bytes()
 
 
-def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_path: Path) -> None:
-    recording, port = tmp_path / "recording", free_port()
+@contextmanager
+def old_archive(folder: Path, recording: Path, port: int) -> Iterator[DaemonProcess]:
+    """Provide a daemon that has archived its stones; it is stopped, and an older algorithm has measured them."""
     write_small_recording(recording, n_stones=N_STONES)
-
-    with DaemonProcess(tmp_path, recording, port=port) as daemon:
+    with DaemonProcess(folder, recording, port=port) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda found: found["measured"] == N_STONES)
-        eventually(lambda: n_archived(tmp_path) == N_STONES)
+        eventually(lambda: n_archived(folder) == N_STONES)
+        yield daemon
+        assert daemon.stop() == 0
+    make_old(folder / "state")
+
+
+def remove_frames(folder: Path, daemon: DaemonProcess) -> str:
+    """Remove the archived frames of the fifth stone, and return its id."""
+    name = str(daemon.get("/particles/5")["id"])
+    next(folder.glob(f"state/particles/*/{name}/bundle.tiff")).unlink()
+    return name
+
+
+def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_path: Path) -> None:
+    recording, port = tmp_path / "recording", free_port()
+    with old_archive(tmp_path, recording, port) as daemon:
         daemon.put("/products/basalt", {"title": "8/16", "density_kg_m3": 2700})
         daemon.post("/lots", {"lot": "L1", "product": "basalt"})
         assert daemon.post("/lots/L1/assign", EVER)["n_assigned"] == N_STONES
         assert daemon.post("/lots/L1/close", {})["revision"] == 1
-        assert daemon.stop() == 0
-    make_old(tmp_path)
 
     following = start_client(f"http://127.0.0.1:{port}", tmp_path / "mes.sqlite", "--consumer", "mes")
     try:
         with DaemonProcess(tmp_path, recording, port=port) as daemon:
             daemon.hear("READY=1")
             daemon.wait_for("/accounting", lambda found: found["measured"] == 2 * N_STONES)
-            without = daemon.get("/particles/5")["id"]
-            next(tmp_path.glob(f"state/particles/*/{without}/bundle.tiff")).unlink()
+            without = remove_frames(tmp_path, daemon)
             command = remeasure(daemon)
             daemon.wait_for("/results?after=10", lambda found: found["items"])
             daemon.process.kill()
@@ -127,7 +128,7 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
             counts = daemon.get("/accounting")
             assert (counts["triggers"], counts["measured"]) == (3 * N_STONES, 3 * N_STONES)
             assert daemon.get("/lots/L1")["revision"] == N_STONES
-            sides = ("0", ALGORITHM_VERSION, "--lot", "L1", "--url", f"http://127.0.0.1:{port}")
+            sides = (OLD, ALGORITHM_VERSION, "--lot", "L1", "--url", f"http://127.0.0.1:{port}")
             limits = ("--max-volume-percent", "0", "--max-axes-mm", "0", "--max-passing-percent", "0")
             compared = subprocess.run(
                 [STONEFALL, "compare", *sides, *limits, "--same-words"], capture_output=True, text=True
@@ -152,21 +153,15 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
 
 def test_a_cluster_measures_stones_again_over_kills_of_the_command_and_of_a_worker(tmp_path: Path) -> None:
     recording, port = tmp_path / "recording", free_port()
-    write_small_recording(recording, n_stones=N_STONES)
-    with DaemonProcess(tmp_path, recording, port=port) as daemon:
-        daemon.hear("READY=1")
-        daemon.wait_for("/accounting", lambda found: found["measured"] == N_STONES)
-        eventually(lambda: n_archived(tmp_path) == N_STONES)
-        assert daemon.stop() == 0
-    make_old(tmp_path)
+    with old_archive(tmp_path, recording, port):
+        pass
     with (
         DaemonProcess(tmp_path, recording, port=port) as daemon,
         LocalCluster(tmp_path / "cluster", n_workers=2) as cluster,
     ):
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda found: found["measured"] == 2 * N_STONES)
-        without = daemon.get("/particles/5")["id"]
-        next(tmp_path.glob(f"state/particles/*/{without}/bundle.tiff")).unlink()
+        without = remove_frames(tmp_path, daemon)
         on_cluster = ("--executor", cluster.executor, "--until", EVER["until"])
 
         command = remeasure(daemon, *on_cluster)

@@ -5,9 +5,8 @@ import signal
 from pathlib import Path
 
 from playwright.sync_api import Route, expect
-from soak.client_kills import free_port
 from support.browser import Watched, origin_of, until
-from support.daemon_process import DaemonProcess
+from support.daemon_process import DaemonProcess, free_port
 
 PATIENCE_MS = 60_000
 REFUSED = re.compile(

@@ -7,9 +7,8 @@ import subprocess
 from pathlib import Path
 
 from playwright.sync_api import expect
-from soak.client_kills import free_port
 from support.browser import Watched, screenshot
-from support.daemon_process import PATIENCE_S, STONEFALL
+from support.daemon_process import PATIENCE_S, STONEFALL, free_port
 from support.eventually import eventually
 
 from service.rehearsal.rehearsed_daemon import is_free

@@ -10,7 +10,6 @@ of the daemon once, with all its fields, and nothing else.
 import argparse
 import json
 import random
-import socket
 import sqlite3
 import sys
 import tempfile
@@ -24,7 +23,7 @@ if __package__ is None:
     sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
 from soak.kills import all_results
-from support.daemon_process import PATIENCE_S, DaemonProcess
+from support.daemon_process import PATIENCE_S, DaemonProcess, free_port
 from support.eventually import eventually
 from support.reference_client import start_client
 from support.small_recording import write_small_recording
@@ -124,13 +123,6 @@ def difference(tally: Tally) -> str:
     theirs, own = ({result["id"]: result for result in each} for each in (tally.results, tally.stored))
     others = [id_ for id_ in theirs.keys() & own.keys() if theirs[id_] != own[id_]]
     return f"lost: {theirs.keys() - own.keys()}, other: {own.keys() - theirs.keys()}, different: {others}"
-
-
-def free_port() -> int:
-    """Return a port that nobody listens on."""
-    with closing(socket.socket()) as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def main() -> None:

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from soak.client_kills import free_port
-from support.daemon_process import PATIENCE_S, STONEFALL
+from support.daemon_process import PATIENCE_S, STONEFALL, free_port
 from support.eventually import eventually
 from support.reference_client import start_client
 

@@ -47,6 +47,12 @@ port = {port}
 """
 
 
+def free_port() -> int:
+    """Return a port that nobody listens on."""
+    with closing(socket.create_server(("127.0.0.1", 0))) as listener:
+        return int(listener.getsockname()[1])
+
+
 class DaemonProcess:
     """Started on entering the context, killed at its end if it still runs."""
 

@@ -1,7 +1,9 @@
 """Measuring again without pixels: a pool that returns a made-up record, and stones with frames."""
 
 import asyncio
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,3 +80,12 @@ async def add_old(
     found = await store.particle(seq)
     assert found is not None
     return str(found["id"])
+
+
+def make_old(state: Path) -> None:
+    """Have an older algorithm measured all stones of the store in this folder, whose daemon has ended."""
+    with closing(sqlite3.connect(state / "results.sqlite")) as database, database:
+        for table in ("results", "revisions"):
+            query = f"UPDATE {table} SET record = json_set(record, '$.algorithm_version', ?)"  # noqa: S608 - two names
+            database.execute(query, (OLD,))
+        database.execute("UPDATE stones SET algorithm_version = ?", (OLD,))
