@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from service.host.finding import Finding, installed, judged, unknown
+from service.host.finding import Finding, fault, installed, judged, unknown
 from service.host.host import Host
 from service.host.needs import CameraNetwork
 
@@ -39,9 +39,8 @@ def check_network(host: Host, network: CameraNetwork) -> Iterator[Finding]:
     for address in network.addresses:
         found = host.interfaces_to(address)
         if not found:
-            yield judged(
+            yield fault(
                 f"port of {address}",
-                is_good=False,
                 found="no network port leads there",
                 wanted="a port with an address in its network",
                 remedy=f"plug its cable in, set its address: {PORTS}",
@@ -63,9 +62,8 @@ def _port(host: Host, port: str, network: CameraNetwork) -> Iterator[Finding]:
     """Yield what was found at one port of the cameras."""
     folder = f"/sys/class/net/{port}"
     if host.text(f"{folder}/operstate") == "down":
-        yield judged(
+        yield fault(
             f"link of {port}",
-            is_good=False,
             found="down",
             wanted="up",
             remedy=f"switch the cameras' switch on, check the cable, then: ip link set {port} up",

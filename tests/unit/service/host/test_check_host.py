@@ -13,7 +13,7 @@ from support.recordings import make_bundle, write_recording
 from service.host.check import check_host
 from service.host.finding import Finding, Verdict
 from service.host.host import Host, Ring, host_at
-from service.host.needs import CameraNetwork, GateKind, HostNeeds
+from service.host.needs import CameraNetwork, HostNeeds
 
 ROOT = Path(__file__).parents[4]
 NETWORK = CameraNetwork(
@@ -21,7 +21,7 @@ NETWORK = CameraNetwork(
 )
 NEEDS = HostNeeds(
     network=NETWORK,
-    gate=(GateKind.TTY, Path(GATE)),
+    gate=Path(GATE),
     spool_dir=Path("/run/stonefall"),
     spool_bytes=340_000_000,
     store_dir=Path("/var/lib/stonefall"),
@@ -101,10 +101,10 @@ def test_a_name_of_the_kernel_and_a_slow_converter_are_faults(tree: Tree) -> Non
     tree.write("/dev/ttyUSB0", "")
     tree.path("/dev/ttyUSB0").chmod(0o660)
     tree.write("/sys/class/tty/ttyUSB0/device/latency_timer", "16")
-    found = faults(tree, replace(NEEDS, gate=(GateKind.TTY, Path("/dev/ttyUSB0"))))
+    found = faults(tree, replace(NEEDS, gate=Path("/dev/ttyUSB0")))
     assert found.keys() == {"light gate's name", "light gate's latency"}
     tree.remove("/dev/ttyUSB0")
-    gone = faults(tree, replace(NEEDS, gate=(GateKind.TTY, Path("/dev/ttyUSB0"))))
+    gone = faults(tree, replace(NEEDS, gate=Path("/dev/ttyUSB0")))
     assert "No such file" in gone["light gate"].found
 
 
