@@ -105,7 +105,7 @@ def test_known_secrets_never_appear_however_they_look(
     planted = " ".join(f"before{secret}after" for secret in secrets)
 
     def fails(_: Inputs) -> None:
-        raise OSError(planted)
+        raise RuntimeError(planted)
 
     makers = {"log.txt": lambda _: planted, "host.json": parts.host}
     if where == "error":
@@ -141,7 +141,14 @@ def test_known_secrets_never_appear_however_they_look(
     ],
 )
 @pytest.mark.parametrize(
-    "line", ["Authorization: Bearer {}", "GET /x?token={} HTTP/1.1", "password = '{}'", "http://u:{}@mes/"]
+    "line",
+    [
+        "Authorization: Bearer {}",
+        "GET /x?token={} HTTP/1.1",
+        "password = '{}'",
+        "http://u:{}@mes/",
+        "http://u:at@{}@mes/",
+    ],
 )
 def test_what_looks_like_a_secret_is_scrubbed_where_nobody_knows_it(secret: str, line: str) -> None:
     text = scrubbed(f"first\n{line.format(secret)}\nlast")
