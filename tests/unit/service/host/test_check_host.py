@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.broken_host import CAMERAS_ADDRESS, CAMERAS_PORT, FAULTS, GATE, Tree
+from support.configurations import REPLAY
 from support.daemon_process import STONEFALL
 from support.recordings import make_bundle, write_recording
 
@@ -120,10 +121,7 @@ def test_a_spool_on_a_tmpfs_that_is_too_small_is_a_fault(tree: Tree) -> None:
 def test_a_replay_needs_no_network_and_the_exit_code_tells(tree: Tree, tmp_path: Path) -> None:
     write_recording(tmp_path / "recording", [make_bundle(1)])
     config = tmp_path / "stonefall.toml"
-    config.write_text(
-        '[rig]\nrecording = "recording"\n[spool]\ndir = "/run/stonefall"\n[store]\ndir = "state"\n'
-        "retention.min_free_gb = 0.0\n"
-    )
+    config.write_text(REPLAY.replace('"spool"', '"/run/stonefall"') + "retention.min_free_gb = 0.0\n")
     command = [STONEFALL, "check-host", "--config", config, "--root", tree.root, "--json"]
     good = subprocess.run(command, capture_output=True, text=True, check=False)
     assert good.returncode == 0, good
