@@ -7,7 +7,8 @@ from typing import Any
 SECRET_NAME = re.compile(
     r"sha256|secret|token|password|passphrase|credential|private|signature", re.IGNORECASE
 )
-USER_IN_URL = re.compile(r"(?<=://)[^/@\s]+@")
+USER_IN_URL = re.compile(r"(?<=://)[^/\s\"]+(?=@)")
+"""User and password, which the last `@` before the path ends."""
 REDACTED = "redacted"
 SECRET_TEXTS = tuple(
     re.compile(pattern, re.IGNORECASE | re.DOTALL)
@@ -17,7 +18,7 @@ SECRET_TEXTS = tuple(
         r"\bstonefall_[A-Za-z0-9_-]{43,}",  # tokens of `stonefall keys`; names of metrics are shorter
         r"(?<=\bBearer )[^\s\"',]+",
         r"(?<=\bBasic )[A-Za-z0-9+/=]{6,}",
-        r"(?<=://)[^/@\s\"]+(?=@)",  # user and password in an URL
+        USER_IN_URL.pattern,
         r"(?<=[?&])[^\s\"'<>]+=[^\s\"'<>]*",  # the query of an URL, which may be a token
         r"(?<=sha256)[\"']?\s*[=:]\s*[\"']?[0-9a-f]{64}",
         r"(?:password|passphrase|token|secret)[\"']?\s*[=:]\s*[\"']?[^\s\"',}]+",
@@ -39,7 +40,7 @@ def redacted(document: Any) -> Any:
         case list() | tuple():
             return [redacted(each) for each in document]
         case str():
-            return USER_IN_URL.sub(f"{REDACTED}@", document)
+            return USER_IN_URL.sub(REDACTED, document)
     return document
 
 

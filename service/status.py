@@ -111,6 +111,13 @@ class CheckStatus(StrEnum):
     WARN = "warn"
     FAIL = "fail"
 
+    @classmethod
+    def of(cls, *, warn: bool = False, fail: bool = False) -> "CheckStatus":
+        """Return the worst that applies."""
+        if fail:
+            return cls.FAIL
+        return cls.WARN if warn else cls.PASS
+
 
 class Ne107(StrEnum):
     """Device state in the words of NAMUR NE 107."""

@@ -15,7 +15,7 @@ from service.alarms.alarms import Alarms
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
 from service.diagnostics.inputs import Inputs
-from service.health.assessment import Facts
+from service.health.facts import Facts
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring

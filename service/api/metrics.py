@@ -18,7 +18,8 @@ from prometheus_client.registry import Collector
 from pipeline.views.quality import Quality
 from service.api.version import API_VERSION
 from service.calibration.verifications import Verification
-from service.health.assessment import Facts, assess
+from service.health.assessment import assess
+from service.health.facts import Facts
 from service.results.fields import LossReason, Outcome, Verified
 from service.results.version import ALGORITHM_VERSION
 from service.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107

@@ -17,6 +17,10 @@ TIMEOUT_S = 30.0
 DEFAULT_URL = "http://127.0.0.1:8080"
 
 Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
+ConfiguredUrl = Annotated[
+    str | None,
+    typer.Option(help="Address of the daemon; default: as [api] says.", envvar="STONEFALL_URL"),
+]
 Key = Annotated[
     str | None,
     typer.Option(

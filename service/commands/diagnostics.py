@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.commands.daemon_client import DaemonError, Key, fetch
+from service.commands.daemon_client import ConfiguredUrl, DaemonError, Key, fetch
 from service.commands.doctor_daemon import is_running
 from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import load_settings
@@ -23,10 +23,7 @@ def command(
     out: Annotated[
         Path | None, typer.Argument(help="File to write; default: stonefall-TIME.tar.gz here.")
     ] = None,
-    url: Annotated[
-        str | None,
-        typer.Option(help="Address of the daemon; default: as [api] says.", envvar="STONEFALL_URL"),
-    ] = None,
+    url: ConfiguredUrl = None,
     key: Key = None,
     offline: Annotated[
         bool,
@@ -48,9 +45,6 @@ def command(
     else:
         os.nice(10)  # it may run beside a daemon
         content, source = build_archive(diagnostic_inputs(settings)), "files alone: no daemon was asked"
-    descriptor = os.open(
-        out, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600
-    )  # for its reader only, redacted as it is
-    with open(descriptor, "wb") as file:  # noqa: PTH123 - of a descriptor
-        file.write(content)
+    out.touch(0o600, exist_ok=False)  # for its reader only, redacted as it is
+    out.write_bytes(content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB, of {source}")

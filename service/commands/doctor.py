@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from service.commands.check_host import Root
-from service.commands.daemon_client import Key
+from service.commands.daemon_client import ConfiguredUrl, Key
 from service.commands.doctor_daemon import check_daemon, is_running
 from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
 from service.commands.findings import document, has_fault, show
@@ -17,7 +17,7 @@ from service.configuration.host_needs import host_needs
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.host.check import check_host
-from service.host.finding import Finding, judged, unknown
+from service.host.finding import Finding, fault, good, unknown
 from service.host.host import ROOT, Host, host_at
 from service.store.lock import is_locked
 
@@ -31,10 +31,7 @@ def command(
         ),
     ] = False,
     root: Root = ROOT,
-    url: Annotated[
-        str | None,
-        typer.Option(help="Address of the daemon; default: as [api] says.", envvar="STONEFALL_URL"),
-    ] = None,
+    url: ConfiguredUrl = None,
     key: Key = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all findings by part as JSON.")] = False,
 ) -> None:
@@ -63,9 +60,9 @@ def _configuration(file: Path, settings: Settings) -> Iterator[Finding]:
     for problem in wrong:
         field, _, text = problem.partition(": ")
         remedy = f"edit {file}, then: stonefall check-config {file}"
-        yield judged(field, is_good=False, found=text, wanted="nothing is wrong with it", remedy=remedy)
+        yield fault(field, found=text, wanted="nothing is wrong with it", remedy=remedy)
     if not wrong:
-        yield judged(str(file), is_good=True, found="nothing is wrong with it", wanted="", remedy="")
+        yield good(str(file), "nothing is wrong with it", "")
 
 
 def _rig(settings: Settings, host: Host, url: str, key: str | None, *, is_fired: bool) -> Iterator[Finding]:

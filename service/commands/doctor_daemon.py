@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from service.alarms.rules import load_rules
 from service.commands.daemon_client import DaemonError, ask
-from service.host.finding import Finding, judged, unknown
+from service.host.finding import Finding, fault, judged, unknown
 from service.language import Language
 
 TIMEOUT_S = 5.0
@@ -19,33 +19,32 @@ def is_running(url: str) -> bool:
 
 
 def check_daemon(url: str, key: str | None) -> Iterator[Finding]:
-    """Yield each check of the daemon's health that does not pass, with what its alarm says is to be done."""
+    """Yield each check of the daemon's health that is an alarm, with what is to be done."""
     try:
         health = ask(url, "/health", key, timeout_s=TIMEOUT_S)
     except DaemonError as err:
         if err.kind is None:
             remedy = "systemctl restart stonefall; journalctl -u stonefall"
-            yield judged("daemon", is_good=False, found=str(err), wanted="answers", remedy=remedy)
+            yield fault("daemon", found=str(err), wanted="answers", remedy=remedy)
         else:
             yield unknown("daemon", f"runs, {err}", "--key or STONEFALL_KEY: a key of scope read")
         return
     checks = health["checks"]
     failing = {name: check for name, check in checks.items() if check["status"] != "pass"}
+    alarms = {name: rule for name in failing if (rule := load_rules().of(name)) is not None}
     yield judged(
         "daemon",
-        is_good=not failing and health["ready"],
+        is_good=not alarms and health["ready"],
         found=f"{health['ne107']}, {len(checks) - len(failing)} of {len(checks)} checks pass"
         + ("" if health["ready"] else "; the next stone will not be measured"),
         wanted="good, and ready for stones",
         remedy="see below, and stonefall alarms",
     )
-    for name, check in failing.items():
-        rule = load_rules().of(name)
-        if rule is not None:
-            yield judged(
-                name,
-                is_good=False,
-                found=check.get("detail") or str(check.get("observed_value")),
-                wanted="passes",
-                remedy=rule.action[Language.ENGLISH],
-            )
+    for name, rule in alarms.items():
+        check = failing[name]
+        yield fault(
+            name,
+            found=check.get("detail") or str(check.get("observed_value")),
+            wanted="passes",
+            remedy=rule.action[Language.ENGLISH],
+        )

@@ -17,7 +17,7 @@ from service.acquisition.empty_rig import EmptyRigParameters
 from service.acquisition.triggers import NoAccounting
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import Settings
-from service.host.finding import Finding, judged, unknown
+from service.host.finding import Finding, fault, judged, unknown
 from service.host.host import Host
 from service.status import AcquisitionTarget
 
@@ -30,9 +30,7 @@ DARK_GREY = 20.0
 def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
     """Yield how many cameras answer, and each that does not, or is another one, or behind another port."""
     sought = rig.sought_cameras()
-    with ThreadPoolExecutor(
-        len(sought)
-    ) as threads:  # a camera named by its serial takes half a second to find
+    with ThreadPoolExecutor(len(sought)) as threads:  # one named by its serial takes half a second to find
         answers = list(threads.map(_find, sought))
     found = {
         camera.id: answer
@@ -49,9 +47,8 @@ def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
     elsewhere = _everywhere() if len(found) < len(sought) else []
     for camera, answer in zip(sought, answers, strict=True):
         if isinstance(answer, DeviceError):
-            yield judged(
+            yield fault(
                 f"camera {camera.id}",
-                is_good=False,
                 found=str(answer).removeprefix(f"{camera.id}: ") + _elsewhere(camera, elsewhere, host),
                 wanted="answers, with what [[rig.cameras]] says of it",
                 remedy="check power and cable; which camera is where: /setup#places, or stonefall init",
@@ -89,9 +86,8 @@ def _wrong_ports(
     for name, device in found.items():
         ports = set(host.interfaces_to(device.address))
         if ours and ports and not ours & ports:
-            yield judged(
+            yield fault(
                 f"camera {name}",
-                is_good=False,
                 found=f"{device.address} is behind {', '.join(sorted(ports))}",
                 wanted=f"behind {', '.join(sorted(ours))}, as rig.interfaces says",
                 remedy="plug it into the cameras' switch, or add this machine's address there to rig.interfaces",
@@ -106,9 +102,8 @@ def _uncalibrated(rig: AravisRigSettings, found: Mapping[CameraId, DiscoveredCam
         return
     for name, device in found.items():
         if (serial := calibrated.get(name)) and serial != device.serial:
-            yield judged(
+            yield fault(
                 f"camera {name}",
-                is_good=False,
                 found=f"serial number {device.serial}",
                 wanted=f"{serial}, with which {rig.calibration} was made",
                 remedy="put the cameras back in their places, or calibrate anew: stonefall calibration start",
@@ -123,9 +118,8 @@ def check_gate(rig: AravisRigSettings) -> Finding:
         gate.open()
         warnings = gate.warnings
     except DeviceError as err:
-        return judged(
+        return fault(
             "gate",
-            is_good=False,
             found=str(err),
             wanted=wanted,
             remedy="check plug, cable, power and [rig.gate]; end other programs that use the port",
@@ -169,9 +163,8 @@ async def check_pulse(settings: Settings) -> list[Finding]:
         return list(_judged_pulse(bundle))
     except TimeoutError:
         return [
-            judged(
+            fault(
                 "test pulse",
-                is_good=False,
                 found=f"no image of it within {PULSE_S:g} s{f': {acquisition.trouble}' if acquisition.trouble else ''}",
                 wanted=wanted,
                 remedy="check the gate's test output and the trigger line; some gates have none (drivers/README.md)",

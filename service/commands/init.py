@@ -2,7 +2,7 @@
 
 import csv
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -71,9 +71,7 @@ def command(
     interfaces = tuple(interface or (_asked_interfaces() if is_asked else ()))
     rig_file = file.resolve().parent / "rig.json"
     rig = read_rig(rig_file) if rig_file.exists() else nominal_rig()
-    named: Mapping[str, CameraPlace] = (
-        _from_csv(cameras) if cameras is not None else _from_options(camera or [])
-    )
+    named = _from_csv(cameras) if cameras is not None else _from_options(camera or [])
     if unknown := sorted(named.keys() - set(rig.camera_ids)):
         raise UsageError(f"{', '.join(unknown)}: no place of the rig, which has {', '.join(rig.camera_ids)}")
     if not named:
@@ -112,7 +110,7 @@ def _from_options(given: Sequence[str]) -> dict[str, CameraPlace]:
             raise UsageError(f"--camera {each}: must be PLACE=SERIAL, such as c01=12345")
         if place in named:
             raise UsageError(f"--camera {each}: {place} is there twice")
-        named[place] = CameraPlace(id=CameraId(place), serial=serial)
+        named[place] = _place(place, serial)
     return named
 
 
@@ -142,18 +140,15 @@ def _answering(interfaces: tuple[str, ...]) -> list[DiscoveredCamera]:
 
 def _placed(
     places: Sequence[str], found: Sequence[DiscoveredCamera], *, is_asked: bool
-) -> Mapping[str, CameraPlace]:
+) -> dict[str, CameraPlace]:
     """Return which camera is in which place: as its user name says, else in the order of their addresses."""
     by_name = {device.user_name: device for device in found if device.user_name in places}
     others = iter(device for device in found if device.user_name not in places)
     suggested = {place: by_name.get(place) or next(others, None) for place in places}
     if not is_asked:
-        complete = len(found) == len(places) and all(suggested.values())
-        return (
-            {place: _place(place, device.serial) for place, device in suggested.items() if device}
-            if complete
-            else {}
-        )
+        if len(found) != len(places) or not all(suggested.values()):
+            return {}
+        return {place: _place(place, device.serial) for place, device in suggested.items() if device}
     for device in found:
         typer.echo(
             f"  {device.serial:20} {device.address:15} {device.user_name} ({device.vendor} {device.model})"

@@ -1,9 +1,11 @@
 """The configuration file that `stonefall init` writes: what a site must say, each with a comment."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from service.configuration.rig_settings import CameraPlace
 
@@ -34,24 +36,26 @@ def configuration_text(answers: Answers) -> str:
             "",
             "[rig]",
             'backend = "aravis"',
-            f"is_simulated = {json.dumps(answers.is_simulated)}  # true: results are marked as synthetic",
-            f"calibration = {_text(answers.calibration)}  # rig file; the design until the rig is calibrated",
-            f"interfaces = {json.dumps(answers.interfaces)}  # this machine's addresses towards the cameras; []: all",
+            _line("is_simulated", answers.is_simulated, "true: results are marked as synthetic"),
+            _line(
+                "calibration", str(answers.calibration), "rig file; the design until the rig is calibrated"
+            ),
+            _line("interfaces", answers.interfaces, "this machine's addresses towards the cameras; []: all"),
             "",
             *_gate(answers.gate),
             "",
             "# Which camera is in which place; /setup#places tells them apart by their lamps.",
             *(line for place in answers.places for line in _camera(place, answers.cameras.get(place))),
             "[spool]",
-            f"dir = {_text(answers.spool)}  # on tmpfs",
+            _line("dir", str(answers.spool), "on tmpfs"),
             "",
             "[store]",
-            f"dir = {_text(answers.store)}  # results, meshes, silhouettes, recordings",
+            _line("dir", str(answers.store), "results, meshes, silhouettes, recordings"),
             "",
             "[measuring]",
             "# density_g_cm3 = 2.70  # particle density (EN 1097-6); without it no mass is reported"
             if answers.density_g_cm3 is None
-            else f"density_g_cm3 = {answers.density_g_cm3}  # particle density (EN 1097-6)",
+            else _line("density_g_cm3", answers.density_g_cm3, "particle density (EN 1097-6)"),
             "",
         ]
     )
@@ -66,7 +70,7 @@ def _gate(port: str | None) -> Sequence[str]:
         ]
     return [
         "[rig.gate.serial]",
-        f"port = {json.dumps(port)}  # a name that stays when the gate is plugged in elsewhere",
+        _line("port", port, "a name that stays when the gate is plugged in elsewhere"),
     ]
 
 
@@ -75,14 +79,16 @@ def _camera(place: str, camera: CameraPlace | None) -> Sequence[str]:
         return [
             f"# {MISSING}: camera {place}",
             "# [[rig.cameras]]",
-            f"# id = {json.dumps(place)}",
+            f'# id = "{place}"',
             '# serial = "..."',
             "",
         ]
     named = {"id": place, "serial": camera.serial, "address": camera.address, "user_name": camera.user_name}
-    lines = [f"{name} = {json.dumps(value)}" for name, value in named.items() if value is not None]
-    return ["[[rig.cameras]]", *lines, ""]
+    return [
+        "[[rig.cameras]]",
+        tomli_w.dumps({name: value for name, value in named.items() if value is not None}),
+    ]
 
 
-def _text(path: Path) -> str:
-    return json.dumps(str(path))
+def _line(name: str, value: Any, comment: str) -> str:
+    return f"{tomli_w.dumps({name: value}).rstrip()}  # {comment}"

@@ -102,7 +102,7 @@ def _described(settings: Settings) -> list[dict[str, Any]]:
 
 def _require_not_configured(settings: Settings, name: str) -> None:
     if any(key.name == name for key in settings.api.keys):
-        raise UsageError(f"key {name!r} is in the configuration, [[api.keys]]: change it there, then restart")
+        raise UsageError(f"key {name!r} is in the configuration, [[api.keys]]: change it there, then reload")
 
 
 def _expiry(text: str, now: datetime) -> str:

@@ -4,9 +4,10 @@ from pathlib import Path
 
 from drivers.errors import RecordingError
 from drivers.files.rig_file import read_rig
+from drivers.gates.gpio import GpioGateSettings
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
 from service.configuration.settings import Settings
-from service.host.needs import CameraNetwork, GateKind, HostNeeds
+from service.host.needs import CameraNetwork, HostNeeds
 
 BUNDLE_BYTES = 16 * 1280 * 1024
 """Size of a bundle while there is no rig file that tells."""
@@ -39,13 +40,11 @@ def _network(rig: AravisRigSettings | ReplayRigSettings) -> CameraNetwork | None
     )
 
 
-def _gate(rig: AravisRigSettings | ReplayRigSettings) -> tuple[GateKind, Path] | None:
+def _gate(rig: AravisRigSettings | ReplayRigSettings) -> Path | None:
     if isinstance(rig, ReplayRigSettings):
         return None
-    if rig.gate.gpio is not None:
-        return GateKind.GPIO, Path(rig.gate.gpio.chip)
-    port = rig.gate.serial or rig.gate.modem_line
-    return None if port is None else (GateKind.TTY, Path(port.port))
+    gate = rig.gate.device
+    return Path(gate.chip if isinstance(gate, GpioGateSettings) else gate.port)
 
 
 def _bundle_bytes(rig_file: Path) -> int:

@@ -35,10 +35,10 @@ class BackingUp:
         """Make a backup whenever the newest one is too old."""
         pause_s = await asyncio.to_thread(self._due_in_s)
         while True:
-            self._is_changed.clear()
             try:
                 async with asyncio.timeout(pause_s if self._every_s > 0 else None):
                     await self._is_changed.wait()
+                self._is_changed.clear()
                 pause_s = await asyncio.to_thread(self._due_in_s)
             except TimeoutError:
                 await self._back_up()

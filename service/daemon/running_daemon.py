@@ -29,8 +29,9 @@ from service.daemon.retaining import Retaining
 from service.delivery.file_drop import FileDrop
 from service.delivery.webhooks import Webhooks
 from service.diagnostics.inputs import Inputs
-from service.health.assessment import Facts, assess
+from service.health.assessment import assess
 from service.health.device_words import camera_ne107
+from service.health.facts import Facts
 from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch

@@ -117,8 +117,8 @@ class Webhooks:
 
     async def _tell_all(self) -> None:
         async with asyncio.TaskGroup() as tasks:
-            for endpoint in self._endpoints.values():
-                tasks.create_task(self._tell(endpoint))
+            for name, endpoint in self._endpoints.items():
+                tasks.create_task(self._tell(endpoint, self._told[name]))
             while not self._store.is_released:
                 await self._store.wait_beyond_event(self._store.last_event)
                 for told in self._told.values():
@@ -130,19 +130,21 @@ class Webhooks:
 
     async def status(self, name: str) -> EndpointStatus:
         """Return how far an endpoint is."""
-        endpoint = self._endpoints[name]
-        progress = await self._store.read(table.progress_of, name)
+        return await self._status_of(self._endpoints[name])
+
+    async def _status_of(self, endpoint: WebhookEndpoint) -> EndpointStatus:
+        progress = await self._store.read(table.progress_of, endpoint.name)
         n_due = await self._store.read(table.n_due, progress.after, endpoint.events)
         return EndpointStatus(endpoint=endpoint, progress=progress, n_due=n_due)
 
     async def statuses(self) -> list[EndpointStatus]:
         """Return how far all endpoints are."""
-        return [await self.status(name) for name in self._endpoints]
+        return [await self._status_of(endpoint) for endpoint in self._endpoints.values()]
 
     async def enable(self, name: str, who: str) -> None:
         """Try an endpoint again at once, whether it was disabled or waits."""
         await self._store.write(table.enable, name, who)
-        self._told[name].wake.set()
+        self._wake(name)
 
     async def replay(self, name: str, after: int, who: str) -> None:
         """Tell an endpoint of all events after a number, again; one that is disabled when it is enabled.
@@ -153,7 +155,7 @@ class Webhooks:
             They are not there yet, or no longer.
         """
         await self._store.write(table.replay, name, after, who)
-        self._told[name].wake.set()
+        self._wake(name)
 
     async def test(self, name: str, who: str) -> Delivery:
         """Send a message that tells of nothing, once and whether the endpoint is disabled or not.
@@ -163,24 +165,28 @@ class Webhooks:
         BeingTestedError
             One is being sent.
         """
-        told = self._told[name]
+        endpoint, told = self._endpoints[name], self._told[name]
         if told.is_testing:
             raise BeingTestedError(f"webhook {name} is being tested")
         told.is_testing = True
         try:
             message = trial_message(self._store.instance_id, rfc3339(self._now()))
-            _, delivery = await self._send(self._endpoints[name], message, attempt=1)
+            _, delivery = await self._send(endpoint, told, message, attempt=1)
             await self._store.write(table.note_trial, name, delivery, who)
         finally:
             told.is_testing = False
         return delivery
 
+    def _wake(self, name: str) -> None:
+        if name in self._told:  # else it was taken out of the configuration meanwhile
+            self._told[name].wake.set()
+
     # --- the task of an endpoint ---
 
-    async def _tell(self, endpoint: WebhookEndpoint) -> None:
+    async def _tell(self, endpoint: WebhookEndpoint, told: _Told) -> None:
         while not self._store.is_released:
             try:
-                await self._step(endpoint, self._told[endpoint.name])
+                await self._step(endpoint, told)
             except StoreError as err:  # health says so, too
                 log.error("webhook %s: %s", endpoint.name, err)
                 await asyncio.sleep(STORE_RETRY_S)
@@ -206,7 +212,7 @@ class Webhooks:
             await told.wake.wait()
             return
         message = message_of(due.event, self._store.instance_id)
-        answer, delivery = await self._send(endpoint, message, attempt=before.attempts + 1)
+        answer, delivery = await self._send(endpoint, told, message, attempt=before.attempts + 1)
         after = next_progress(before, due.event["seq"], answer, self._now(), self._chance())
         if after.disabled_at is not None:
             log.error("webhook %s is disabled: %s", endpoint.name, answer.problem)
@@ -217,12 +223,12 @@ class Webhooks:
         told.progress = await self._store.write(table.note, endpoint.name, delivery, before, after)
 
     async def _send(
-        self, endpoint: WebhookEndpoint, message: Message, attempt: int
+        self, endpoint: WebhookEndpoint, told: _Told, message: Message, attempt: int
     ) -> tuple[Answer, Delivery]:
         now = self._now()
         try:
             headers = await asyncio.to_thread(_signed, endpoint, message, int(now.timestamp()))
-            tls = await self._tls_of(endpoint)
+            tls = await _tls_of(endpoint, told)
         except ValueError as err:  # of a secret or a certificate
             answer = Answer(problem=str(err))
         else:
@@ -239,12 +245,12 @@ class Webhooks:
         )
         return answer, delivery
 
-    async def _tls_of(self, endpoint: WebhookEndpoint) -> ssl.SSLContext | None:
-        """Return what TLS trusts, read once."""
-        told = self._told[endpoint.name]
-        if told.tls is None and endpoint.target.scheme == "https":
-            told.tls = await asyncio.to_thread(endpoint.tls)
-        return told.tls
+
+async def _tls_of(endpoint: WebhookEndpoint, told: _Told) -> ssl.SSLContext | None:
+    """Return what TLS trusts, read once."""
+    if told.tls is None and endpoint.target.scheme == "https":
+        told.tls = await asyncio.to_thread(endpoint.tls)
+    return told.tls
 
 
 def _signed(endpoint: WebhookEndpoint, message: Message, timestamp_s: int) -> dict[str, str]:

@@ -28,7 +28,17 @@ class Finding:
 def judged(subject: str, *, is_good: bool, found: str, wanted: str, remedy: str) -> Finding:
     """Return a finding that is good, or a fault with its remedy."""
     if is_good:
-        return Finding(subject=subject, verdict=Verdict.GOOD, found=found, wanted=wanted)
+        return good(subject, found, wanted)
+    return fault(subject, found=found, wanted=wanted, remedy=remedy)
+
+
+def good(subject: str, found: str, wanted: str) -> Finding:
+    """Return a finding of what is as it should be."""
+    return Finding(subject=subject, verdict=Verdict.GOOD, found=found, wanted=wanted)
+
+
+def fault(subject: str, *, found: str, wanted: str, remedy: str) -> Finding:
+    """Return a finding of what is wrong, with its remedy."""
     return Finding(subject=subject, verdict=Verdict.FAULT, found=found, wanted=wanted, remedy=remedy)
 
 

@@ -72,7 +72,7 @@ class Host:
 
     def path(self, path: str | Path) -> Path:
         """Return where a path of the host lies."""
-        return self.root / Path(path).relative_to("/")
+        return self.root / str(path).lstrip("/")
 
     def text(self, path: str | Path) -> str | None:
         """Return the content of a file, stripped; None if it cannot be read."""
@@ -95,12 +95,14 @@ class Host:
 
     def free_bytes(self, path: Path) -> int | None:
         """Return the free space of the file system that a folder is on, or will be on; None if it cannot be asked."""
-        while not (there := self.path(path)).exists() and path != path.parent:
-            path = path.parent
-        try:
-            return shutil.disk_usage(there).free
-        except OSError:
-            return None
+        for folder in (path, *path.parents):
+            try:
+                return shutil.disk_usage(self.path(folder)).free
+            except FileNotFoundError:  # will be made on the file system of its parent
+                continue
+            except OSError:
+                break
+        return None
 
     def mount(self, path: Path) -> Mount | None:
         """Return the file system that a folder is on, None if the mounts cannot be read."""

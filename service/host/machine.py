@@ -4,15 +4,16 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from service.host.finding import Finding, installed, judged, unknown
+from service.host.finding import Finding, fault, installed, judged, unknown
 from service.host.host import Host, Mount
-from service.host.needs import GateKind, HostNeeds
+from service.host.needs import HostNeeds
 
 FILES = 4096
 """Open files and connections: cameras, workers, and what REST admits; as the unit sets it."""
 KERNEL_NAME = re.compile(r"/dev/tty(USB|ACM)\d+")
 """Names that the kernel gives in the order of plugging in."""
 LATENCY_MS = 1
+"""Time for which the driver of a USB converter may collect bytes."""
 UNIT = "/etc/systemd/system/stonefall.service"
 GATE_RULES = installed(
     "90-stonefall-gate.rules", "/etc/udev/rules.d", "udevadm control --reload && udevadm trigger"
@@ -32,10 +33,10 @@ def check_machine(host: Host, needs: HostNeeds) -> Iterator[Finding]:
     yield from _gate(host, needs)
     yield _clock(host)
     yield _journal(host)
-    yield from _spool(host, needs)
+    yield _spool(host, needs)
     yield _descriptors(host)
     yield _disk(host, needs)
-    yield from _memory(host, needs)
+    yield _memory(host, needs)
 
 
 def _governor(host: Host) -> Finding:
@@ -56,24 +57,21 @@ def _governor(host: Host) -> Finding:
 def _gate(host: Host, needs: HostNeeds) -> Iterator[Finding]:
     if needs.gate is None:
         return
-    kind, port = needs.gate
+    port = needs.gate
     wanted = "a device that the group dialout may use"
     try:
         mode = host.path(port).stat().st_mode
     except OSError as err:
-        yield judged(
+        yield fault(
             "light gate",
-            is_good=False,
             found=f"{port}: {err.strerror}",
             wanted=wanted,
             remedy="plug it in; ls -l /dev/serial/by-id shows the name for [rig.gate]",
         )
         return
-    is_stable = KERNEL_NAME.fullmatch(str(port)) is None
-    if not is_stable:
-        yield judged(
+    if KERNEL_NAME.fullmatch(str(port)):
+        yield fault(
             "light gate's name",
-            is_good=False,
             found=f"{port}, which another device may have after the next start",
             wanted="a name that stays",
             remedy="use the name below /dev/serial/by-id (or by-path) in [rig.gate]",
@@ -87,7 +85,7 @@ def _gate(host: Host, needs: HostNeeds) -> Iterator[Finding]:
         remedy=GATE_RULES,
     )
     latency = f"/sys/class/tty/{device.name}/device/latency_timer"
-    if kind is GateKind.TTY and (ms := host.number(latency)) is not None:
+    if (ms := host.number(latency)) is not None:
         yield judged(
             "light gate's latency",
             is_good=ms <= LATENCY_MS,
@@ -135,15 +133,14 @@ def _journal(host: Host) -> Finding:
     )
 
 
-def _spool(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+def _spool(host: Host, needs: HostNeeds) -> Finding:
     wanted = f"tmpfs with room for {needs.spool_bytes / 1e9:.2f} GB of bundles"
     if (mount := host.mount(needs.spool_dir)) is None:
-        yield unknown("spool", "the mounts cannot be read", wanted)
-        return
+        return unknown("spool", "the mounts cannot be read", wanted)
     room = host.free_bytes(needs.spool_dir)
     size = _size_bytes(mount)
     is_large = all(known is None or known >= needs.spool_bytes for known in (room, size))
-    yield judged(
+    return judged(
         "spool",
         is_good=mount.kind == "tmpfs" and is_large,
         found=f"{needs.spool_dir} is on {mount.kind}"
@@ -195,14 +192,13 @@ def _disk(host: Host, needs: HostNeeds) -> Finding:
     )
 
 
-def _memory(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+def _memory(host: Host, needs: HostNeeds) -> Finding:
     wanted = f"{needs.memory_bytes / 1e9:.1f} GB for {needs.workers} workers and the spool"
     total = re.search(r"MemTotal:\s+(\d+) kB", host.text("/proc/meminfo") or "")
     if total is None:
-        yield unknown("memory", "/proc/meminfo cannot be read", wanted)
-        return
+        return unknown("memory", "/proc/meminfo cannot be read", wanted)
     n_bytes = int(total[1]) << 10
-    yield judged(
+    return judged(
         "memory",
         is_good=n_bytes >= needs.memory_bytes,
         found=f"{n_bytes / 1e9:.1f} GB",

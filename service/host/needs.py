@@ -1,18 +1,10 @@
 """What the daemon needs of its host, as its configuration says."""
 
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
 DAEMON_BYTES, WORKER_BYTES, CALIBRATION_BYTES = 800 << 20, 400 << 20, 500 << 20
 """Memory of the daemon and of a worker, measured, and of a calibration that is solved, reckoned."""
-
-
-class GateKind(Enum):
-    """How the light gate is connected, which decides what its name may be."""
-
-    TTY = "tty"
-    GPIO = "gpio"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +22,7 @@ class HostNeeds:
     """What is looked for on the host."""
 
     network: CameraNetwork | None  # None: a recording is replayed
-    gate: tuple[GateKind, Path] | None
+    gate: Path | None  # device of the light gate; None: a recording is replayed
     spool_dir: Path
     spool_bytes: int  # of all bundles that may wait
     store_dir: Path

@@ -2,15 +2,14 @@
 
 from collections.abc import Iterator
 
-from service.host.finding import Finding, installed, judged, unknown
+from service.host.finding import Finding, fault, installed, judged, unknown
 from service.host.host import Host
 from service.host.needs import CameraNetwork
 
 BACKLOG = 10_000
 """Packets that a port of 10 Gb/s may hand over at one interrupt."""
 JUMBO = 9000
-SMALL = 1500
-"""Packets of Ethernet's own size need no larger ones."""
+"""Largest packets that network cards commonly allow, with which the files of deploy/host set the ports up."""
 RING = 4096
 """Wanted receive ring, as far as the port has one: two milliseconds of a full link of 10 Gb/s in packets of 8 KB."""
 NETWORKS = "/etc/systemd/network"
@@ -39,9 +38,8 @@ def check_network(host: Host, network: CameraNetwork) -> Iterator[Finding]:
     for address in network.addresses:
         found = host.interfaces_to(address)
         if not found:
-            yield judged(
+            yield fault(
                 f"port of {address}",
-                is_good=False,
                 found="no network port leads there",
                 wanted="a port with an address in its network",
                 remedy=f"plug its cable in, set its address: {PORTS}",
@@ -63,14 +61,13 @@ def _port(host: Host, port: str, network: CameraNetwork) -> Iterator[Finding]:
     """Yield what was found at one port of the cameras."""
     folder = f"/sys/class/net/{port}"
     if host.text(f"{folder}/operstate") == "down":
-        yield judged(
+        yield fault(
             f"link of {port}",
-            is_good=False,
             found="down",
             wanted="up",
             remedy=f"switch the cameras' switch on, check the cable, then: ip link set {port} up",
         )
-    wanted = JUMBO if network.packet_bytes > SMALL else network.packet_bytes
+    wanted = network.packet_bytes
     if (mtu := host.number(f"{folder}/mtu")) is None:
         yield unknown(f"MTU of {port}", f"{folder}/mtu cannot be read", f"at least {wanted}")
     else:
@@ -78,7 +75,7 @@ def _port(host: Host, port: str, network: CameraNetwork) -> Iterator[Finding]:
             f"MTU of {port}",
             is_good=mtu >= wanted,
             found=f"{mtu}",
-            wanted=f"at least {wanted}, as rig.packet_size_bytes = {network.packet_bytes}",
+            wanted=f"at least {wanted}, for packets of rig.packet_size_bytes",
             remedy=f"{PORTS}; until the next start: ip link set {port} mtu {JUMBO}",
         )
     if (ring := host.ring(port)) is not None:

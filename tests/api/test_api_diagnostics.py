@@ -1,11 +1,12 @@
 """`GET /diagnostics`: scope, content, and that it is made once for all who ask."""
 
-import io
 import json
-import tarfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support.configurations import KEY, KEY_SHA256, REPLAY
+from support.diagnostics import files_of
 from support.rest import FakeControl, app_of, client_of
 
 from service.api.key_file import sha256_of
@@ -14,25 +15,12 @@ from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import load_settings
 from service.store import Store
 
-CONFIG = """
-[rig]
-recording = "{0}/recording"
-[spool]
-dir = "spool"
-[store]
-dir = "{1}"
-[[api.keys]]
-name = "mes"
-sha256 = "{2}"
-scopes = ["read"]
-"""
-
 
 @pytest.fixture
 def diagnosed(store: Store, control: FakeControl, tmp_path: Path) -> FakeControl:
     path = tmp_path / "stonefall.toml"
-    path.write_text(CONFIG.format(tmp_path, store.dir, 64 * "a"))
-    control.diagnosed = diagnostic_inputs(load_settings(path))
+    path.write_text(REPLAY + KEY)
+    control.diagnosed = replace(diagnostic_inputs(load_settings(path)), store_dir=store.dir)
     return control
 
 
@@ -41,14 +29,13 @@ async def test_it_has_what_the_daemon_says_and_no_secret(store: Store, diagnosed
         answer = await client.get("/diagnostics")
     assert answer.status_code == 200
     assert answer.headers["content-type"] == "application/gzip"
-    with tarfile.open(fileobj=io.BytesIO(answer.content)) as tar:
-        texts = {name.rpartition("/")[2]: tar.extractfile(name).read().decode() for name in tar.getnames()}  # type: ignore[union-attr]
+    texts = files_of(answer.content)
     assert json.loads(texts["health.json"])["ne107"] == diagnosed.health().ne107
     assert len(json.loads(texts["cameras.json"])) == len(diagnosed.cameras())
     assert "stonefall_ready" in texts["metrics.txt"]
     assert json.loads(texts["store.json"])["instance_id"] == store.instance_id
     assert json.loads(texts["configuration.json"])["api"]["keys"][0]["name"] == "mes"
-    assert 64 * "a" not in "".join(texts.values())
+    assert KEY_SHA256 not in "".join(texts.values())
     assert "no daemon runs" not in texts["missing.txt"]
 
 

@@ -3,11 +3,11 @@
 import json
 import signal
 import subprocess
-import tarfile
 from pathlib import Path
 
 import pytest
 from support.daemon_process import STONEFALL, DaemonProcess
+from support.diagnostics import files_of
 from support.eventually import eventually
 from support.small_recording import write_small_recording
 from support.webhook_receiver import SECRET
@@ -78,8 +78,6 @@ def test_good_bad_and_partly_appliable_configurations(daemon: DaemonProcess) -> 
         ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert "of the daemon at" in done.stdout, done
-        with tarfile.open(out) as archive:
-            state = archive.extractfile("stonefall-diagnostics/configuration-state.json")
-            assert state is not None
-            assert json.load(state)["restart_needed_for"] == ["workers.slots"]
+        state = json.loads(files_of(out.read_bytes())["configuration-state.json"])
+        assert state["restart_needed_for"] == ["workers.slots"]
         assert daemon.stop() == 0

@@ -28,7 +28,7 @@ from service.api.settings import ApiSettings
 from service.calibration.calibrations import Calibrations
 from service.delivery.webhooks import Webhooks
 from service.diagnostics.inputs import Inputs
-from service.health.assessment import Facts
+from service.health.facts import Facts
 from service.health.refinement_watch import RefinementTrend
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings

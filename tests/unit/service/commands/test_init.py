@@ -37,6 +37,7 @@ def complete(folder: Path, *more: str) -> Result:
 
 
 def test_what_it_writes_passes_check_config_and_it_says_what_comes_next(tmp_path: Path) -> None:
+    tmp_path /= 'Werk "\U0001d7d9"'
     done = complete(tmp_path, "--product", "8-16", "--density-g-cm3", "2.65")
     assert done.exit_code == 0, done.output
     assert "nothing is missing" in done.output

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.configurations import REPLAY
 from typer.testing import CliRunner, Result
 
 from drivers.files.durable import unfinished
@@ -16,14 +17,8 @@ from service.api.key_file import KEYS, LOCK, PREFIX, KeyFileError, create_key, r
 from service.api.settings import Scope
 from service.cli import build_app
 
-CONFIG = """
-[rig]
-recording = "recording"
-[spool]
-dir = "spool"
-[store]
-dir = "state"
-[[api.keys]]
+CONFIG = f"""
+{REPLAY}[[api.keys]]
 name = "scada"
 sha256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 """

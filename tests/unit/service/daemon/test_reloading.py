@@ -4,6 +4,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
+from support.configurations import KEY, REPLAY
 from support.recordings import make_bundle, write_recording
 
 from service.configuration.settings import Settings, load_settings
@@ -26,14 +27,11 @@ class Applied:
         self.now = new
 
 
-BASE = '[rig]\nrecording = "recording"\n[spool]\ndir = "spool"\n[store]\ndir = "state"\n'
-
-
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     write_recording(tmp_path / "recording", [make_bundle(1)])
     file = tmp_path / "stonefall.toml"
-    file.write_text(BASE)
+    file.write_text(REPLAY)
     return file
 
 
@@ -49,7 +47,7 @@ async def reload(configuration: Configuration, file: Path, text: str, store: Sto
 
 
 async def test_what_can_be_applied_is_and_the_rest_is_named(file: Path, store: Store) -> None:
-    text = BASE + "keep_raw = 7\nretention.files_days = 30\n[optics]\ndust = 0.2\n[workers]\nslots = 1\n"
+    text = REPLAY + "keep_raw = 7\nretention.files_days = 30\n[optics]\ndust = 0.2\n[workers]\nslots = 1\n"
     applied = Applied()
     configuration = await reloaded(file, text, store, applied)
     assert applied.now is configuration.settings
@@ -69,9 +67,9 @@ async def test_what_can_be_applied_is_and_the_rest_is_named(file: Path, store: S
     ("text", "named"),
     [
         ("[rig", "stonefall.toml"),
-        (BASE + "[optics]\ndust = -1.0\n", "dust must be positive"),
-        (BASE.replace('recording"', 'gone"'), "rig.recording"),
-        (BASE + "[carving]\nmax_disagreeing_views = 7\n", "views.min"),
+        (REPLAY + "[optics]\ndust = -1.0\n", "dust must be positive"),
+        (REPLAY.replace('recording"', 'gone"'), "rig.recording"),
+        (REPLAY + "[carving]\nmax_disagreeing_views = 7\n", "views.min"),
     ],
 )
 async def test_a_bad_file_changes_nothing_and_is_told(
@@ -83,23 +81,22 @@ async def test_a_bad_file_changes_nothing_and_is_told(
     assert applied.now is None
     assert configuration.settings == before
     assert named in str(configuration.state.problem)
-    await reload(configuration, file, BASE + "[optics]\ndust = 0.2\n", store, applied)  # mended
+    await reload(configuration, file, REPLAY + "[optics]\ndust = 0.2\n", store, applied)  # mended
     assert configuration.state.problem is None
     assert configuration.settings.optics.dust == 0.2
 
 
 async def test_a_store_that_is_damaged_refuses_the_configuration(file: Path, store: Store) -> None:
     configuration = await reloaded(
-        file, BASE + "[optics]\ndust = 0.2\n", store, Applied(StoreError("is damaged"))
+        file, REPLAY + "[optics]\ndust = 0.2\n", store, Applied(StoreError("is damaged"))
     )
     assert configuration.settings.optics.dust == 0.1
     assert configuration.state.problem == "is damaged"
 
 
 async def test_keys_are_not_given_up_before_the_address_of_the_network_is(file: Path, store: Store) -> None:
-    key = f'[[api.keys]]\nname = "mes"\nsha256 = "{64 * "a"}"\nscopes = ["read"]\n'
-    await asyncio.to_thread(file.write_text, BASE + '[api]\nhost = "0.0.0.0"\n' + key)
-    configuration = await reloaded(file, BASE, store, Applied())
+    await asyncio.to_thread(file.write_text, REPLAY + '[api]\nhost = "0.0.0.0"\n' + KEY)
+    configuration = await reloaded(file, REPLAY, store, Applied())
     assert len(configuration.settings.api.keys) == 1
     assert "every host that reaches 0.0.0.0" in str(configuration.state.problem)
     assert "needs a restart" in str(configuration.state.problem)
@@ -112,7 +109,7 @@ def test_another_secret_is_a_difference(file: Path) -> None:
     )
     versions = []
     for secret in (32 * "A", 32 * "B"):
-        file.write_text(BASE + endpoint.format(secret))
+        file.write_text(REPLAY + endpoint.format(secret))
         versions.append(load_settings(file))
     old, new = versions
     assert differences(old, new) == ["webhooks.endpoints"]

@@ -4,6 +4,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from support.configurations import REPLAY
 from support.webhook_receiver import CERTIFICATE, OTHER_SECRET, SECRET
 
 from service.configuration.settings import Settings, load_settings, shortcomings
@@ -11,14 +12,6 @@ from service.delivery.settings import DropFormat, delivery_shortcomings
 from service.errors import SettingsError
 from service.store.events import EventType
 
-CONFIG = """
-[rig]
-recording = "recording"
-[spool]
-dir = "spool"
-[store]
-dir = "state"
-"""
 ENDPOINT = f"""
 [webhooks]
 allowed_hosts = ["mes.plant.example", "10.0.0.7", "fd00::7"]
@@ -31,7 +24,7 @@ secrets = ["{SECRET}"]
 
 def load(folder: Path, text: str) -> Settings:
     path = folder / "stonefall.toml"
-    path.write_text(CONFIG + text)
+    path.write_text(REPLAY + text)
     return load_settings(path)
 
 

@@ -310,3 +310,23 @@ async def test_other_endpoints_are_taken_while_it_runs(store: Store) -> None:
             await receiver.received(1)
         assert webhooks.find("old") is None
         assert (before.events, after.events) == ([1], [2])
+
+
+async def test_endpoints_that_are_taken_away_between_two_attempts_end_nothing(store: Store) -> None:
+    async with Receiver([answer(500)]) as before, Receiver() as after:
+        old, new = (
+            WebhooksSettings(allowed_hosts=("127.0.0.1",), endpoints=(endpoint(receiver, name),))
+            for receiver, name in ((before, "old"), (after, "new"))
+        )
+
+        async def wait(_: asyncio.Event, __: float) -> None:
+            await webhooks.use(new)  # and at once the task of `old` goes on
+
+        await open_webhooks(store, old)
+        webhooks = Webhooks(store, old, wait=wait)
+        async with telling(webhooks):
+            await happen(store, EventType.LOT_OPENED)
+            await soon(lambda: webhooks.find("new") is not None)
+            await happen(store, EventType.LOT_CLOSED)
+            await after.received(1)
+    assert after.events == [2]

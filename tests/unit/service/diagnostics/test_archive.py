@@ -1,18 +1,17 @@
 """The archive for support: what is in it, that no secret is, and that what fails takes nothing else with it."""
 
 import base64
-import io
 import json
 import stat
 import subprocess
-import tarfile
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.configurations import KEY, KEY_SHA256, REPLAY
 from support.daemon_process import STONEFALL
+from support.diagnostics import files_of
 from support.recordings import make_bundle, write_recording
 from support.webhook_receiver import SECRET
 
@@ -24,19 +23,8 @@ from service.diagnostics.inputs import Inputs, Secrets
 from service.redaction import scrubbed
 from service.store import open_store
 
-SHA = 64 * "a"
 CONFIG = f"""
-[rig]
-recording = "recording"
-[spool]
-dir = "spool"
-[store]
-dir = "state"
-[[api.keys]]
-name = "mes"
-sha256 = "{SHA}"
-scopes = ["read"]
-[webhooks]
+{REPLAY}{KEY}[webhooks]
 allowed_hosts = ["127.0.0.1"]
 [[webhooks.endpoints]]
 name = "mes"
@@ -61,17 +49,6 @@ def inputs(config: Path) -> Inputs:
     return diagnostic_inputs(load_settings(config))
 
 
-def files_of(content: bytes) -> Mapping[str, str]:
-    with tarfile.open(fileobj=io.BytesIO(content)) as tar:
-        members = {member.name.removeprefix("stonefall-diagnostics/"): member for member in tar.getmembers()}
-        texts = {}
-        for name, member in members.items():
-            file = tar.extractfile(member)
-            assert file is not None
-            texts[name] = file.read().decode()
-        return texts
-
-
 def test_what_is_in_it(inputs: Inputs) -> None:
     files = files_of(build_archive(inputs))
     assert files.keys() == {"README.txt", "configuration.json", "missing.txt", *archive.PARTS}
@@ -87,7 +64,7 @@ def test_what_is_in_it(inputs: Inputs) -> None:
 
 def test_the_configuration_has_no_secret(inputs: Inputs) -> None:
     everything = "\n".join(files_of(build_archive(inputs)).values())
-    for secret in (SHA, SECRET, "in-the-query", base64.b64encode(32 * b"x").decode()):
+    for secret in (KEY_SHA256, SECRET, "in-the-query", base64.b64encode(32 * b"x").decode()):
         assert secret not in everything
     assert '"name": "mes"' in everything
 
@@ -105,7 +82,7 @@ def test_known_secrets_never_appear_however_they_look(
     planted = " ".join(f"before{secret}after" for secret in secrets)
 
     def fails(_: Inputs) -> None:
-        raise OSError(planted)
+        raise RuntimeError(planted)
 
     makers = {"log.txt": lambda _: planted, "host.json": parts.host}
     if where == "error":
@@ -141,7 +118,14 @@ def test_known_secrets_never_appear_however_they_look(
     ],
 )
 @pytest.mark.parametrize(
-    "line", ["Authorization: Bearer {}", "GET /x?token={} HTTP/1.1", "password = '{}'", "http://u:{}@mes/"]
+    "line",
+    [
+        "Authorization: Bearer {}",
+        "GET /x?token={} HTTP/1.1",
+        "password = '{}'",
+        "http://u:{}@mes/",
+        "http://u:at@{}@mes/",
+    ],
 )
 def test_what_looks_like_a_secret_is_scrubbed_where_nobody_knows_it(secret: str, line: str) -> None:
     text = scrubbed(f"first\n{line.format(secret)}\nlast")

@@ -4,11 +4,20 @@ import pytest
 
 from pipeline.frames import CameraId
 from pipeline.views.quality import ViewsParameters
-from service.health.assessment import LOW_DISK_BYTES, CalibrationFacts, Facts, assess
+from service.health.assessment import assess
+from service.health.facts import Facts
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.refinement_watch import RefinementTrend
 from service.health.rig_watch import Suspicion
-from service.status import AcquisitionState, AcquisitionStatus, CameraStatus, CheckStatus, Ne107
+from service.health.store_checks import LOW_DISK_BYTES
+from service.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    CalibrationFacts,
+    CameraStatus,
+    CheckStatus,
+    Ne107,
+)
 from service.store.disk_use import RetentionFacts, StoreUse
 
 

@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from support.configurations import REPLAY
 from typer.testing import CliRunner
 
 from service.cli import build_app
@@ -88,7 +89,7 @@ async def test_entries_of_an_earlier_version_are_covered_by_the_first_after_them
 
 async def test_the_command_checks_the_store_of_a_running_daemon(store: Store, state_dir: Path) -> None:
     config = state_dir.parent / "stonefall.toml"
-    config.write_text('[rig]\nrecording = "recording"\n[spool]\ndir = "spool"\n[store]\ndir = "state"\n')
+    config.write_text(REPLAY)
     await note(store, 2)
     verify = ["audit", "verify", "--config", str(config)]
     told = CliRunner().invoke(build_app(["audit"]), verify)
