@@ -10,7 +10,7 @@ from support.daemon_process import DaemonProcess
 from typer.testing import CliRunner, Result
 
 from service.cli import build_app
-from service.commands import remeasure
+from service.commands import daemon_client, remeasure
 from service.commands.daemon_client import DaemonError
 
 FAILURES = {"b": "not-kept", "c": "calibration-gone", "d": "not-measured"}
@@ -46,7 +46,8 @@ class Daemon:
 @pytest.fixture
 def daemon(monkeypatch: pytest.MonkeyPatch) -> Daemon:
     daemon = Daemon()
-    monkeypatch.setattr(remeasure, "ask", daemon.ask)
+    for module in (daemon_client, remeasure):
+        monkeypatch.setattr(module, "ask", daemon.ask)
     return daemon
 
 
