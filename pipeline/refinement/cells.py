@@ -6,26 +6,28 @@ import numpy as np
 
 from pipeline.arrays import Indices, PointsMM, Values, Vector
 from pipeline.compiled import compiled, compiled_within
+from pipeline.geometry.bounds import bounds
 
 
 class Cells(NamedTuple):
-    """Points by cell: those of cell c are `order[starts[c] : starts[c + 1]]`."""
+    """Points by cell: those of cell c are `order[starts[c] : starts[c + 1]]`, and so are `sorted_mm`."""
 
     low_mm: Vector
     edge_mm: float
     counts: Indices  # (3,) cells along each axis
     starts: Indices
     order: Indices
+    sorted_mm: PointsMM  # copies in this order: what is looked at together lies together
 
 
 def sort_into_cells(points_mm: PointsMM, edge_mm: float) -> Cells:
     """Sort points (N, 3) into cells with this edge."""
-    low_mm = points_mm.min(axis=0)
-    counts = np.floor((points_mm.max(axis=0) - low_mm) / edge_mm).astype(np.int64) + 1
+    low_mm, high_mm = bounds(points_mm)
+    counts = np.floor((high_mm - low_mm) / edge_mm).astype(np.int64) + 1
     starts = np.zeros(counts.prod() + 1, np.int64)
     order = np.empty(len(points_mm), np.int64)
     _sort(points_mm, low_mm, edge_mm, counts, starts, order)
-    return Cells(low_mm, edge_mm, counts, starts, order)
+    return Cells(low_mm, edge_mm, counts, starts, order, points_mm[order])
 
 
 @compiled
@@ -49,12 +51,10 @@ def _sort(
 
 
 @compiled_within
-def find_near(
-    cells: Cells, points_mm: PointsMM, center_mm: Vector, reach_mm: float, found: Indices, distances2: Values
-) -> int:
+def find_near(cells: Cells, center_mm: Vector, reach_mm: float, found: Indices, distances2: Values) -> int:
     """Fill in the points within a reach of a place and their squared distances (mm2); return how many these are.
 
-    `cells` are those of the points (N, 3); `found` and `distances2` (N,) are room for them all.
+    `found` and `distances2` (N,) are room for all points of the cells.
     """
     n = 0
     x, y, z = center_mm[0], center_mm[1], center_mm[2]
@@ -65,10 +65,10 @@ def find_near(
         for cy in range(y0, y1 + 1):
             row = (cx * cells.counts[1] + cy) * cells.counts[2]
             for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
-                j = cells.order[at]
-                d2 = (points_mm[j, 0] - x) ** 2 + (points_mm[j, 1] - y) ** 2 + (points_mm[j, 2] - z) ** 2
+                sorted_mm = cells.sorted_mm
+                d2 = (sorted_mm[at, 0] - x) ** 2 + (sorted_mm[at, 1] - y) ** 2 + (sorted_mm[at, 2] - z) ** 2
                 if d2 < reach_mm * reach_mm:
-                    found[n], distances2[n] = j, d2
+                    found[n], distances2[n] = cells.order[at], d2
                     n += 1
     return n
 

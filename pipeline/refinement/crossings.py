@@ -1,13 +1,18 @@
 """Self-intersections of a shifted mesh: triangles that cross, and shifts that are smoothed until none do."""
 
+from typing import Annotated
+
 import numpy as np
 
-from pipeline.arrays import Faces, Flags, Indices, PointsMM, Vector
+from pipeline.arrays import Faces, Flags, Floats, Indices, PointsMM, Vector
 from pipeline.compiled import compiled, compiled_within
+from pipeline.geometry.bounds import bounds
+
+Boxes = Annotated[Floats, "(F, 2, 3)"]
 
 N_REPAIRS = 8
-CELL_MM = 0.25
-"""Edge of the cells in which triangles are compared: about that of a triangle."""
+CELL_MM = 0.35
+"""Edge of the cells in which triangles are compared: about that of a triangle, and half as much again."""
 MOST_CELLS = 128
 """Cells along an axis; those of larger bodies are larger."""
 
@@ -32,39 +37,48 @@ def crossing_vertices(vertices_mm: PointsMM, faces: Faces, is_new: Flags | None 
 
     With `is_new` (V,), only pairs are compared one of which has such a vertex.
     """
-    low_mm = vertices_mm.min(axis=0)
-    extents_mm = vertices_mm.max(axis=0) - low_mm
+    low_mm, high_mm = bounds(vertices_mm)
+    extents_mm = high_mm - low_mm
     edge_mm = max(CELL_MM, float(extents_mm.max()) / MOST_CELLS)
     counts = np.floor(extents_mm / edge_mm).astype(np.int64) + 1
     starts = np.zeros(int(counts.prod()) + 1, np.int64)
-    _count(vertices_mm, faces, low_mm, edge_mm, counts, starts)
+    boxes_mm = np.empty((len(faces), 2, 3))
+    _fill_boxes(vertices_mm, faces, boxes_mm)
+    _count(boxes_mm, low_mm, edge_mm, counts, starts)
     members = np.empty(int(starts[-1]), np.int64)
     crossing = np.zeros(len(vertices_mm), np.bool_)
-    _fill(vertices_mm, faces, low_mm, edge_mm, counts, starts, members)
+    _fill(boxes_mm, low_mm, edge_mm, counts, starts, members)
     is_compared = np.asarray(np.full(len(faces), True) if is_new is None else is_new[faces].any(axis=1))
-    _compare(vertices_mm, faces, starts, members, is_compared, crossing)
+    _compare(vertices_mm, faces, boxes_mm, starts, members, is_compared, crossing)
     return crossing
 
 
+@compiled
+def _fill_boxes(vertices_mm: PointsMM, faces: Faces, boxes_mm: Boxes) -> None:
+    """Fill in the lowest and the highest coordinates of the triangles."""
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        for axis in range(3):
+            x, y, z = vertices_mm[a, axis], vertices_mm[b, axis], vertices_mm[c, axis]
+            boxes_mm[face, 0, axis] = min(x, y, z)
+            boxes_mm[face, 1, axis] = max(x, y, z)
+
+
 @compiled_within
-def _cells_of(
-    vertices_mm: PointsMM, faces: Faces, face: int, axis: int, low_mm: Vector, edge_mm: float
-) -> tuple[int, int]:
-    a = vertices_mm[faces[face, 0], axis]
-    b = vertices_mm[faces[face, 1], axis]
-    c = vertices_mm[faces[face, 2], axis]
-    return int((min(a, b, c) - low_mm[axis]) / edge_mm), int((max(a, b, c) - low_mm[axis]) / edge_mm)
+def _cells_of(boxes_mm: Boxes, face: int, axis: int, low_mm: Vector, edge_mm: float) -> tuple[int, int]:
+    return (
+        int((boxes_mm[face, 0, axis] - low_mm[axis]) / edge_mm),
+        int((boxes_mm[face, 1, axis] - low_mm[axis]) / edge_mm),
+    )
 
 
 @compiled
-def _count(
-    vertices_mm: PointsMM, faces: Faces, low_mm: Vector, edge_mm: float, counts: Indices, starts: Indices
-) -> None:
+def _count(boxes_mm: Boxes, low_mm: Vector, edge_mm: float, counts: Indices, starts: Indices) -> None:
     """Fill in where the triangles of each cell end."""
-    for face in range(len(faces)):
-        x0, x1 = _cells_of(vertices_mm, faces, face, 0, low_mm, edge_mm)
-        y0, y1 = _cells_of(vertices_mm, faces, face, 1, low_mm, edge_mm)
-        z0, z1 = _cells_of(vertices_mm, faces, face, 2, low_mm, edge_mm)
+    for face in range(len(boxes_mm)):
+        x0, x1 = _cells_of(boxes_mm, face, 0, low_mm, edge_mm)
+        y0, y1 = _cells_of(boxes_mm, face, 1, low_mm, edge_mm)
+        z0, z1 = _cells_of(boxes_mm, face, 2, low_mm, edge_mm)
         for x in range(x0, x1 + 1):
             for y in range(y0, y1 + 1):
                 for z in range(z0, z1 + 1):
@@ -75,20 +89,14 @@ def _count(
 
 @compiled
 def _fill(
-    vertices_mm: PointsMM,
-    faces: Faces,
-    low_mm: Vector,
-    edge_mm: float,
-    counts: Indices,
-    starts: Indices,
-    members: Indices,
+    boxes_mm: Boxes, low_mm: Vector, edge_mm: float, counts: Indices, starts: Indices, members: Indices
 ) -> None:
     """Fill in the triangles of each cell, from its end to its start."""
     free = starts[1:].copy()
-    for face in range(len(faces)):
-        x0, x1 = _cells_of(vertices_mm, faces, face, 0, low_mm, edge_mm)
-        y0, y1 = _cells_of(vertices_mm, faces, face, 1, low_mm, edge_mm)
-        z0, z1 = _cells_of(vertices_mm, faces, face, 2, low_mm, edge_mm)
+    for face in range(len(boxes_mm)):
+        x0, x1 = _cells_of(boxes_mm, face, 0, low_mm, edge_mm)
+        y0, y1 = _cells_of(boxes_mm, face, 1, low_mm, edge_mm)
+        z0, z1 = _cells_of(boxes_mm, face, 2, low_mm, edge_mm)
         for x in range(x0, x1 + 1):
             for y in range(y0, y1 + 1):
                 for z in range(z0, z1 + 1):
@@ -101,23 +109,60 @@ def _fill(
 def _compare(
     vertices_mm: PointsMM,
     faces: Faces,
+    boxes_mm: Boxes,
     starts: Indices,
     members: Indices,
     is_compared: Flags,
     crossing: Flags,
 ) -> None:
+    """Flag the vertices of triangles that cross; most pairs are ruled out side by side, by box and common vertices."""
+    most = 0
     for cell in range(len(starts) - 1):
-        for one in range(starts[cell], starts[cell + 1]):
-            i = members[one]
+        most = max(most, starts[cell + 1] - starts[cell])
+    low, high, corners = np.empty((3, most)), np.empty((3, most)), np.empty((3, most), faces.dtype)
+    is_near = np.empty(most, faces.dtype)
+    for cell in range(len(starts) - 1):
+        begin, n = starts[cell], starts[cell + 1] - starts[cell]
+        for one in range(n):
+            i = members[begin + one]
+            for k in range(3):
+                low[k, one], high[k, one] = boxes_mm[i, 0, k], boxes_mm[i, 1, k]
+                corners[k, one] = faces[i, k]
             a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
-            for other in range(starts[cell], one):
-                j = members[other]
-                if not (is_compared[i] or is_compared[j]):
+            x0, y0, z0 = low[0, one], low[1, one], low[2, one]
+            x1, y1, z1 = high[0, one], high[1, one], high[2, one]
+            n_near = 0
+            for other in range(one):
+                p, q, r = corners[0, other], corners[1, other], corners[2, other]
+                meets = (
+                    (x0 <= high[0, other])
+                    & (low[0, other] <= x1)
+                    & (y0 <= high[1, other])
+                    & (low[1, other] <= y1)
+                    & (z0 <= high[2, other])
+                    & (low[2, other] <= z1)
+                )
+                shares = (
+                    (a == p)
+                    | (a == q)
+                    | (a == r)
+                    | (b == p)
+                    | (b == q)
+                    | (b == r)
+                    | (c == p)
+                    | (c == q)
+                    | (c == r)
+                )
+                is_near[other] = meets & ~shares
+                n_near += is_near[other]
+            if n_near == 0:
+                continue
+            for other in range(one):
+                j = members[begin + other]
+                if not (is_near[other] and (is_compared[i] or is_compared[j])):
                     continue
                 p, q, r = faces[j, 0], faces[j, 1], faces[j, 2]
-                if a in (p, q, r) or b in (p, q, r) or c in (p, q, r):
-                    continue
-                if not _boxes_meet(vertices_mm, a, b, c, p, q, r):
+                if _is_beside(vertices_mm, a, b, c, p, q, r) or _is_beside(vertices_mm, p, q, r, a, b, c):
                     continue
                 if (
                     _passes_through(vertices_mm, a, b, p, q, r)
@@ -162,13 +207,14 @@ def _neighbour_means(values: PointsMM, faces: Faces) -> PointsMM:
 
 
 @compiled_within
-def _boxes_meet(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r: int) -> bool:
-    for axis in range(3):
-        ua, ub, uc = vertices_mm[a, axis], vertices_mm[b, axis], vertices_mm[c, axis]
-        vp, vq, vr = vertices_mm[p, axis], vertices_mm[q, axis], vertices_mm[r, axis]
-        if max(ua, ub, uc) < min(vp, vq, vr) or max(vp, vq, vr) < min(ua, ub, uc):
-            return False
-    return True
+def _is_beside(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r: int) -> bool:
+    """Return whether p, q and r all lie on one side of the plane of a, b and c."""
+    one, two, three = (
+        _volume6(vertices_mm, p, a, b, c),
+        _volume6(vertices_mm, q, a, b, c),
+        _volume6(vertices_mm, r, a, b, c),
+    )
+    return (one > 0 and two > 0 and three > 0) or (one < 0 and two < 0 and three < 0)
 
 
 @compiled_within

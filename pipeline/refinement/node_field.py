@@ -5,8 +5,9 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.arrays import Directions, Flags, Floats, PointsMM, Singles, Values
-from pipeline.refinement.nodes import Nodes, smoothed
+from pipeline.arrays import Directions, Flags, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.compiled import compiled
+from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
 CURVATURE_ROUNDS = 2
@@ -30,17 +31,40 @@ def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
 
 def facing(points_mm: PointsMM, nodes: Nodes) -> Directions:
     """Return the normals (K, 3) of the shifted surface: of planes through each node by its neighbours."""
-    axes, has = tangent_axes(nodes.normals), nodes.neighbours >= 0
-    offsets_mm = (points_mm[nodes.neighbours] - points_mm[:, None]) * has[:, :, None]
-    s, t = (np.einsum("nkc,nc->nk", offsets_mm, axes[:, axis]) for axis in range(2))
-    heights_mm = np.einsum("nkc,nc->nk", offsets_mm, nodes.normals)
-    ridge = 0.05 * nodes.spacing_mm**2  # of the regression: a node with few neighbours keeps its normal
-    ss, st, tt = (s * s).sum(axis=1) + ridge, (s * t).sum(axis=1), (t * t).sum(axis=1) + ridge
-    sh, th = (s * heights_mm).sum(axis=1), (t * heights_mm).sum(axis=1)
-    slopes = np.stack([tt * sh - st * th, ss * th - st * sh], axis=1) / (ss * tt - st * st)[:, None]
+    slopes = np.empty((len(points_mm), 2))
+    axes = tangent_axes(nodes.normals)
+    # of the regression: a node with few neighbours keeps its normal
+    _fit_slopes(points_mm, nodes.normals, axes, nodes.neighbours, 0.05 * nodes.spacing_mm**2, slopes)
     slopes = np.clip(slopes, -MAX_SLOPE, MAX_SLOPE)
-    normals = nodes.normals - np.einsum("na,nac->nc", slopes, axes)
+    normals = nodes.normals - slopes[:, :1] * axes[:, 0] - slopes[:, 1:] * axes[:, 1]
     return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+
+@compiled
+def _fit_slopes(
+    points_mm: PointsMM,
+    normals: Directions,
+    axes: Annotated[Floats, "(K, 2, 3)"],
+    neighbours: Indices32,
+    ridge_mm2: float,
+    slopes: Annotated[Floats, "(K, 2)"],
+) -> None:
+    """Fill in how steeply the neighbours of each node rise along its axes, by least squares."""
+    for i in range(len(points_mm)):
+        ss, st, tt, sh, th = ridge_mm2, 0.0, ridge_mm2, 0.0, 0.0
+        for k in range(MAX_NEIGHBOURS):
+            j = neighbours[i, k]
+            if j < 0:
+                break
+            s = t = h = 0.0
+            for axis in range(3):
+                offset_mm = points_mm[j, axis] - points_mm[i, axis]
+                s += offset_mm * axes[i, 0, axis]
+                t += offset_mm * axes[i, 1, axis]
+                h += offset_mm * normals[i, axis]
+            ss, st, tt, sh, th = ss + s * s, st + s * t, tt + t * t, sh + s * h, th + t * h
+        slopes[i, 0] = (tt * sh - st * th) / (ss * tt - st * st)
+        slopes[i, 1] = (ss * th - st * sh) / (ss * tt - st * st)
 
 
 def flat_gate(nodes: Nodes) -> Values:
@@ -93,10 +117,12 @@ def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:
     A patch that reaches over an edge, or takes one of many equal crystals for another, is wrong alone.
     """
     has = nodes.neighbours >= 0
-    around_mm = np.where(has, shifts_mm[nodes.neighbours], np.nan)
-    around_mm[~has.any(axis=1), 0] = 0.0
-    median_mm = np.nanmedian(around_mm, axis=1)
-    spreads_mm = np.nanmean(np.abs(around_mm - median_mm[:, None]), axis=1)
+    n = np.maximum(has.sum(axis=1), 1)
+    around_mm = np.where(has, shifts_mm[nodes.neighbours], np.inf)
+    around_mm[~has.any(axis=1)] = 0.0
+    ordered_mm, rows = np.sort(around_mm, axis=1), np.arange(len(n))
+    median_mm = (ordered_mm[rows, (n - 1) // 2] + ordered_mm[rows, n // 2]) / 2
+    spreads_mm = np.abs(around_mm - median_mm[:, None]).sum(axis=1, where=has) / n
     limits_mm = np.minimum(most_mm, SPIKE_MM + SPIKE_SPREADS * spreads_mm)
     return np.asarray(np.clip(shifts_mm, median_mm - limits_mm, median_mm + limits_mm))
 

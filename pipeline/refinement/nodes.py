@@ -113,7 +113,7 @@ def _choose(
             continue
         chosen[n_chosen] = i
         n_chosen += 1
-        for at in range(find_near(cells, points_mm, points_mm[i], spacing_mm, near, distances2)):
+        for at in range(find_near(cells, points_mm[i], spacing_mm, near, distances2)):
             if cosine(normals[i], normals[near[at]]) > SAME_SIDE:
                 is_free[near[at]] = False
         is_free[i] = False
@@ -134,9 +134,7 @@ def _link(
     nearest2 = np.empty(MAX_NEIGHBOURS)
     for i in range(len(points_mm)):
         n = 0
-        for at in range(
-            find_near(cells, points_mm, points_mm[i], NEIGHBOURS_WITHIN * spacing_mm, near, distances2)
-        ):
+        for at in range(find_near(cells, points_mm[i], NEIGHBOURS_WITHIN * spacing_mm, near, distances2)):
             j, d2 = near[at], distances2[at]
             if j == i:
                 continue
@@ -201,7 +199,7 @@ def _interpolate(
     near, distances2 = np.empty(len(nodes_mm), np.int64), np.empty(len(nodes_mm))
     for i in range(len(points_mm)):
         total = 0.0
-        for at in range(find_near(cells, nodes_mm, points_mm[i], reach_mm, near, distances2)):
+        for at in range(find_near(cells, points_mm[i], reach_mm, near, distances2)):
             j = near[at]
             # falls to zero at the reach, as (1 - d2 / reach2)^3: a Gaussian without its cost
             fall = 1 - distances2[at] / (reach_mm * reach_mm)

@@ -4,13 +4,13 @@ Patches are flat and slanted as the surface is. Their grey levels in two views a
 cross-correlation (ZNCC); noise in its denominator keeps patches without texture near zero.
 """
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.refinement.sightings import PhotoViews, project_into
 
 
@@ -85,9 +85,14 @@ def _score(
     height, width = images.shape[1], images.shape[2]
     flat = images.reshape(len(images), height * width)
     greys = np.empty((most, n_samples, n_depths), np.float32)
+    room = _Room(
+        np.empty(n_samples * n_depths, np.int32),
+        np.empty((2, n_samples * n_depths), np.float32),
+        np.empty((4, n_samples * n_depths), np.int32),
+    )
     inverse_sd = np.empty((most, n_depths), np.float32)
     at_u, at_v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
-    sums, totals = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
+    sums = np.empty(n_depths, np.float32)
     is_used = np.empty(most, np.bool_)
     pairs = np.empty((most * (most - 1) // 2, n_depths), np.float32)
     pair_weights = np.empty(len(pairs), np.float32)
@@ -138,33 +143,8 @@ def _score(
                 continue
             is_used[k] = True
             n_used += 1
-            image, own = flat[view], greys[k]
-            sums[:] = 0
-            for q in range(n_samples):
-                du = ua * offsets_mm[q, 0] + ub * offsets_mm[q, 1]
-                dv = va * offsets_mm[q, 0] + vb * offsets_mm[q, 1]
-                gain = gains[q]
-                for depth in range(n_depths):
-                    u, v = at_u[depth] + du, at_v[depth] + dv
-                    column, row = np.uint32(np.int32(u)), np.uint32(np.int32(v))
-                    fu, fv = u - np.float32(column), v - np.float32(row)
-                    at = row * np.uint32(width) + column
-                    left, right = np.float32(image[at]), np.float32(image[at + np.uint32(1)])
-                    above = left + (right - left) * fu
-                    under = at + np.uint32(width)
-                    left, right = np.float32(image[under]), np.float32(image[under + np.uint32(1)])
-                    below = left + (right - left) * fu
-                    own[q, depth] = above + (below - above) * fv
-                for depth in range(n_depths):
-                    sums[depth] += gain * own[q, depth]
-            totals[:] = noise2
-            for q in range(n_samples):
-                gain = gains[q]
-                for depth in range(n_depths):
-                    own[q, depth] -= sums[depth]
-                    totals[depth] += gain * own[q, depth] * own[q, depth]
-            for depth in range(n_depths):
-                inverse_sd[k, depth] = np.float32(1) / np.sqrt(totals[depth])
+            _sample(flat[view], width, at_u, at_v, (ua, va, ub, vb), offsets_mm, room, greys[k])
+            _normalize(greys[k], gains, noise2, sums, inverse_sd[k])
         if n_used < 2:
             continue
         n_pairs = 0
@@ -176,8 +156,8 @@ def _score(
                 weight = weights[i, k] * weights[i, m]
                 pair_weights[n_pairs] = weight
                 total_weight += weight
-                sums[:] = 0
                 one, other = greys[k], greys[m]
+                sums[:] = 0
                 for q in range(n_samples):
                     gain = gains[q]
                     for depth in range(n_depths):
@@ -186,13 +166,100 @@ def _score(
                     alike = sums[depth] * inverse_sd[k, depth] * inverse_sd[m, depth]
                     pairs[n_pairs, depth] = max(alike, np.float32(0))
                 n_pairs += 1
-        counted = pairs_share * total_weight
+        if pairs_share < 1:
+            _average_best(pairs[:n_pairs], pair_weights, pairs_share * total_weight, scores[i])
+        else:
+            for pair in range(n_pairs):
+                weight = pair_weights[pair] / total_weight
+                for depth in range(n_depths):
+                    scores[i, depth] += weight * pairs[pair, depth]
+
+
+class _Room(NamedTuple):
+    """Where samples are, and what is read there, for all depths of a patch in a view."""
+
+    places: Indices32  # of the pixel to the upper left
+    parts: Singles  # right of it and below it
+    corners: Indices32  # grey levels of four pixels
+
+
+@compiled_within
+def _sample(
+    image: NDArray[np.uint8],
+    width: int,
+    at_u: Singles,
+    at_v: Singles,
+    axes_px: tuple[np.float32, np.float32, np.float32, np.float32],
+    offsets_mm: Singles,
+    room: _Room,
+    greys: Singles,
+) -> None:
+    """Fill in the grey levels of a patch (samples, depths), bilinear.
+
+    What computes goes side by side, so what reads pixels one by one is a loop of its own.
+    """
+    n_samples, n_depths = greys.shape
+    places, parts, corners = room.places, room.parts, room.corners
+    rights, belows = parts[0], parts[1]
+    upper_left, upper_right, lower_left, lower_right = corners[0], corners[1], corners[2], corners[3]
+    ua, va, ub, vb = axes_px
+    for q in range(n_samples):
+        du = ua * offsets_mm[q, 0] + ub * offsets_mm[q, 1]
+        dv = va * offsets_mm[q, 0] + vb * offsets_mm[q, 1]
         for depth in range(n_depths):
-            left = counted
-            for _ in range(n_pairs):
-                best = np.argmax(pairs[:n_pairs, depth])
-                weight = min(pair_weights[best], left)
-                scores[i, depth] += weight * pairs[best, depth]
-                pairs[best, depth] = -1
-                left -= weight
-            scores[i, depth] /= counted
+            u, v = at_u[depth] + du, at_v[depth] + dv
+            column, row = np.int32(u), np.int32(v)
+            at = q * n_depths + depth
+            rights[at], belows[at] = u - np.float32(column), v - np.float32(row)
+            places[at] = row * np.int32(width) + column
+    for at in range(n_samples * n_depths):
+        place = np.uint32(places[at])
+        upper_left[at], upper_right[at] = image[place], image[place + np.uint32(1)]
+        place += np.uint32(width)
+        lower_left[at], lower_right[at] = image[place], image[place + np.uint32(1)]
+    found = greys.reshape(-1)
+    for at in range(n_samples * n_depths):
+        left, right = np.float32(upper_left[at]), np.float32(upper_right[at])
+        above = left + (right - left) * rights[at]
+        left, right = np.float32(lower_left[at]), np.float32(lower_right[at])
+        below = left + (right - left) * rights[at]
+        found[at] = above + (below - above) * belows[at]
+
+
+@compiled_within
+def _normalize(
+    greys: Singles, gains: Singles, noise2: np.float32, sums: Singles, inverse_sd: Singles
+) -> None:
+    """Take the mean from the grey levels (samples, depths), and fill in the inverse of their standard deviation."""
+    n_samples, n_depths = greys.shape
+    sums[:] = 0
+    for q in range(n_samples):
+        gain = gains[q]
+        for depth in range(n_depths):
+            sums[depth] += gain * greys[q, depth]
+    inverse_sd[:] = noise2
+    for q in range(n_samples):
+        gain = gains[q]
+        for depth in range(n_depths):
+            greys[q, depth] -= sums[depth]
+            inverse_sd[depth] += gain * greys[q, depth] * greys[q, depth]
+    for depth in range(n_depths):
+        inverse_sd[depth] = np.float32(1) / np.sqrt(inverse_sd[depth])
+
+
+@compiled_within
+def _average_best(pairs: Singles, weights: Singles, counted: np.float32, scores: Singles) -> None:
+    """Fill in the mean for each depth of the pairs (pairs, depths) that are most alike, as many as weigh `counted`."""
+    n_pairs, n_depths = pairs.shape
+    for depth in range(n_depths):
+        left = counted
+        while left > 0:
+            best = 0
+            for pair in range(1, n_pairs):
+                if pairs[pair, depth] > pairs[best, depth]:
+                    best = pair
+            weight = min(weights[best], left)
+            scores[depth] += weight * pairs[best, depth]
+            pairs[best, depth] = -1
+            left -= weight
+        scores[depth] /= counted

@@ -129,8 +129,8 @@ def refine_body(
     scale = float(np.clip(size_mm / FULL_SIZE_MM, LEAST_SCALE, 1.0))
     views = photo_views(frames, prepared, vertices_mm)
     field = None
-    for each, nodes, gate in _levels(vertices_mm, normals, scale):
-        field = _passed(each, nodes, gate, field, views, estimate.corners_mm, scale, size_mm)
+    for level in _levels(vertices_mm, normals, estimate.corners_mm, scale):
+        field = _passed(level, field, views, scale, size_mm)
     supported_share = 0.0 if field is None else field.supported_share
     if field is None or supported_share < MIN_SUPPORTED:
         return Refinement(
@@ -146,32 +146,34 @@ def refine_body(
     return Refinement(mesh=mesh, views=views, supported_share=supported_share, relief_mm=field.found_mm)
 
 
-def _levels(vertices_mm: PointsMM, normals: Floats, scale: float) -> list[tuple[Pass, Nodes, Values]]:
-    """Return nodes and gates for each pass: those of a coarse one are some of the next finer one's."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Level:
+    """A pass, the nodes it shifts, and what holds these to the estimate."""
+
+    each: Pass
+    nodes: Nodes
+    gate: Values  # (K,) 1 where the estimate is smooth, 0 at its sharp convex edges
+    touches: Values  # (K,) 1 where a tangent ray touches, 0 far from it
+
+
+def _levels(vertices_mm: PointsMM, normals: Floats, touches_mm: PointsMM, scale: float) -> list[_Level]:
+    """Return nodes for each pass: those of a coarse one are some of the next finer one's."""
     order = np.random.default_rng(0).permutation(len(vertices_mm))  # always the same: no pattern, no chance
     nodes = spread_nodes(vertices_mm, normals, scale * PASSES[-1].spacing_mm, order)
-    gate = flat_gate(nodes)
+    gate, touches = flat_gate(nodes), touch_weights(nodes.points_mm, touches_mm)
     smooth = smoothed(nodes, nodes.normals, NORMAL_ROUNDS)
     nodes = nodes._replace(normals=smooth / np.linalg.norm(smooth, axis=1)[:, None])
-    levels = [(PASSES[-1], nodes, gate)]
+    levels = [_Level(each=PASSES[-1], nodes=nodes, gate=gate, touches=touches)]
     for each in reversed(PASSES[:-1]):
         nodes = spread_nodes(nodes.points_mm, nodes.normals, scale * each.spacing_mm)
-        gate = gate[nodes.chosen]
-        levels.append((each, nodes, gate))
+        gate, touches = gate[nodes.chosen], touches[nodes.chosen]
+        levels.append(_Level(each=each, nodes=nodes, gate=gate, touches=touches))
     return levels[::-1]
 
 
-def _passed(
-    each: Pass,
-    nodes: Nodes,
-    gate: Values,
-    before: _Field | None,
-    views: PhotoViews,
-    touches_mm: PointsMM,
-    scale: float,
-    size_mm: float,
-) -> _Field:
+def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: float, size_mm: float) -> _Field:
     """Return the shifts after one pass."""
+    each, nodes, gate, touches = level.each, level.nodes, level.gate, level.touches
     half_mm = scale * each.half_mm
     is_last = each is PASSES[-1]
     base_mm, base_settled = np.zeros((2, len(nodes.points_mm)))
@@ -196,7 +198,6 @@ def _passed(
         NOISE_GREY,
         each.pairs_share,
     )
-    touches = touch_weights(nodes.points_mm, touches_mm)
     costs = gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
     costs += PIN * touches[:, None] * np.abs(base_mm[:, None] + depths_mm)
     stiffness = each.stiffness / nodes.spacing_mm

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Directions, Floats, Indices, Indices32, Mask, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
 from pipeline.frames import CameraId, Frame
+from pipeline.geometry.bounds import bounds
 from pipeline.rig.lens import region_lenses, region_pixel
 from pipeline.segmentation.silhouette import OUTSIDE, Silhouette
 from pipeline.views.prepared import PreparedViews
@@ -59,7 +60,7 @@ def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices
         (left, top), image = low[i], frames[camera.id].image
         part = image[top : top + height, left : left + width]
         below, right = height - part.shape[0], width - part.shape[1]
-        regions[i] = cv2.copyMakeBorder(part, 0, below, 0, right, cv2.BORDER_REPLICATE)
+        cv2.copyMakeBorder(part, 0, below, 0, right, cv2.BORDER_REPLICATE, dst=regions[i])
     cameras = views.cameras
     return PhotoViews(
         regions,
@@ -75,11 +76,16 @@ def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices
 def _inner(silhouette: Silhouette, corner_uv: Indices, size: tuple[int, int]) -> Mask:
     """Return which pixels of the coarse image of a region are so far within the outline that no wall shines in."""
     canvas = np.zeros((size[0] // COARSE + 1, size[1] // COARSE + 1), np.uint8)
-    u = np.arange(canvas.shape[1]) * COARSE + COARSE // 2 + corner_uv[0] - silhouette.offset_uv[0]
-    v = np.arange(canvas.shape[0]) * COARSE + COARSE // 2 + corner_uv[1] - silhouette.offset_uv[1]
-    has_u = (u >= 0) & (u < silhouette.labels.shape[1])
-    has_v = (v >= 0) & (v < silhouette.labels.shape[0])
-    canvas[np.ix_(has_v, has_u)] = silhouette.labels[np.ix_(v[has_v], u[has_u])] != OUTSIDE
+    own, labels = [], []
+    for n, begin, offset, n_labels in zip(
+        canvas.shape, corner_uv[::-1], silhouette.offset_uv[::-1], silhouette.labels.shape, strict=True
+    ):
+        at = COARSE // 2 + int(begin) - offset  # in the silhouette, of the first pixel of the coarse image
+        first = min(max(-(at // COARSE), 0), n)
+        last = min(max(first, (n_labels - 1 - at) // COARSE + 1), n)
+        own.append(slice(first, last))
+        labels.append(slice(at + first * COARSE, at + last * COARSE, COARSE))
+    canvas[tuple(own)] = silhouette.labels[tuple(labels)] != OUTSIDE
     sigma_px = SHARP_SIGMA_PX if silhouette.edge_sigma_px is None else silhouette.edge_sigma_px
     return np.asarray(cv2.distanceTransform(canvas, cv2.DIST_L2, 3) * COARSE > BORDER_SIGMAS * sigma_px)
 
@@ -90,7 +96,7 @@ def _halved(regions: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _box_corners(vertices_mm: PointsMM) -> PointsMM:
-    ends = np.stack([vertices_mm.min(axis=0), vertices_mm.max(axis=0)])
+    ends = np.stack(bounds(vertices_mm))
     return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
