@@ -5,14 +5,14 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.arrays import Directions, Flags, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled
 from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
 CURVATURE_ROUNDS = 2
 MAX_SLOPE = 1.5
-CHANCE_MM = (0.02, 0.09)
+CHANCE_MM = (0.015, 0.06)
 """Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
 CHANCE_ROUNDS = 4
 SPIKE_MM = 0.03
@@ -92,11 +92,10 @@ def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:
 
 def depths_of(
     beliefs: Singles, scores: Singles, depths_mm: Values, nodes: Nodes, gate: Values
-) -> tuple[Values, Values, Flags]:
-    """Return the most believed depth of each node (K,), its weight, and whether it is a peak.
+) -> tuple[Values, Values]:
+    """Return the most believed depth of each node (K,), and its weight.
 
-    It lies between the steps, by a parabola. The weight is 0 where the neighbourhood has no evidence. The first and the
-    last depth are no peaks: the surface may lie beyond.
+    It lies between the steps, by a parabola. The weight is 0 where the neighbourhood has no evidence.
     """
     rows = np.arange(len(beliefs))
     best = beliefs.argmin(axis=1)
@@ -108,7 +107,7 @@ def depths_of(
     sure = gate * sure * np.clip(curvature / PEAKED, 0.05, 1)
     region = np.clip(smoothed(nodes, sure, 2) / EVIDENCE - 1, 0, 1)
     found_mm = depths_mm[best] + part * (depths_mm[1] - depths_mm[0])
-    return found_mm, np.maximum(sure, DOUBTFUL) * region, best == inner
+    return found_mm, np.maximum(sure, DOUBTFUL) * region
 
 
 def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:

@@ -14,7 +14,8 @@ class Pass:
     outward_mm: float  # limits of the depths that are tried, relative to the pass before
     inward_mm: float
     deepest_share: float  # limit of these as a share of the stone's size
-    n_depths: int  # a multiple of 8: they are computed side by side
+    n_depths: int  # at least; a multiple of 8: they are computed side by side
+    step_mm: float  # of depths at most: of large stones more are tried
     stiffness: float  # cost of a millimetre between neighbours a millimetre apart
     staying: float  # cost of a millimetre away from the estimate
     n_samples: int  # along an edge of a patch
@@ -30,9 +31,10 @@ COARSE = Pass(
     half_mm=0.55,
     scale=0.5,
     outward_mm=0.17,
-    inward_mm=2.6,
+    inward_mm=6.0,
     deepest_share=0.17,  # most dents are 0.15 of the cube root of the volume deep, some twice that: the next pass
     n_depths=16,
+    step_mm=0.2,
     stiffness=0.0525,
     staying=0.06,
     n_samples=5,
@@ -48,6 +50,7 @@ MIDDLE = Pass(
     inward_mm=0.36,
     deepest_share=0.065,
     n_depths=16,
+    step_mm=inf,
     stiffness=0.028,
     staying=0.0,
     n_samples=5,
@@ -60,26 +63,26 @@ PASSES = (
     # again from there: which views see the bottom of a dent is known once it is found in part
     replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0),
     MIDDLE,
-    MIDDLE,  # again: what lay deeper than it looked, as walls and bottoms of steep dents, and is seen better from there
     Pass(
-        spacing_mm=0.45,
+        spacing_mm=0.36,
         half_mm=0.35,
         scale=1.0,
         outward_mm=0.11,
         inward_mm=0.11,
         deepest_share=0.065,
         n_depths=8,
+        step_mm=inf,
         stiffness=0.028,
         staying=0.0,
-        n_samples=6,
-        max_views=4,
+        n_samples=5,
+        max_views=3,
         pairs_share=1.0,
         spike_slope=0.4,
     ),
 )
-FULL_SIZE_MM = 9.0
+FULL_SIZE_MM = 13.0
 """Cube root of the volume from which lengths are those of the passes; those of smaller stones shrink with it."""
-LEAST_SCALE = 0.6
+LEAST_SCALE = 0.75
 NORMAL_ROUNDS = 2
 """Smoothing of the normals along which the surface is shifted: of half a millimetre around."""
 NOISE_GREY = 1.3
@@ -92,16 +95,6 @@ EVIDENCE = 0.3
 """Mean confidence of a neighbourhood from which it is shifted at all; from twice that, fully."""
 DOUBTFUL = 0.1
 """Weight of a node without confidence of its own amid others: it follows the propagation."""
-OLDER, SURE = 0.5, 0.3
-"""Weight of a shift that only the pass before the last one has evidence for, and its weight there from which it counts.
-
-From twice that it counts fully.
-"""
-SETTLED = 0.5
-"""Part of the last pass's reach by which the pass before may still have moved a node whose evidence stays.
-
-What was found elsewhere when it was looked at again may be false, and from farther the last pass cannot undo it.
-"""
 TOUCH_MM = 0.3
 """Reach of a point where a tangent ray touches: there the silhouettes say where the surface is."""
 PIN = 0.5

@@ -9,6 +9,7 @@ beside them.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -41,11 +42,8 @@ from pipeline.refinement.passes import (
     LEAST_SCALE,
     NOISE_GREY,
     NORMAL_ROUNDS,
-    OLDER,
     PASSES,
     PIN,
-    SETTLED,
-    SURE,
     TRUNCATED_MM,
     Pass,
 )
@@ -108,7 +106,6 @@ class _Field:
     shifts_mm: Values  # (K,)
     weights: Values  # (K,) of the pixels and of the silhouettes
     sure: Values  # (K,) of the pixels
-    settled: Values  # (K,) of the pixels where patches deeper and shallower are less alike, and were before
     supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
     found_mm: float  # rms of what this pass added to the shifts of these nodes
 
@@ -176,15 +173,14 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
     each, nodes, gate, touches = level.each, level.nodes, level.gate, level.touches
     half_mm = scale * each.half_mm
     is_last = each is PASSES[-1]
-    base_mm, base_settled = np.zeros((2, len(nodes.points_mm)))
+    base_mm = np.zeros(len(nodes.points_mm))
     if before is not None:
-        base_mm, base_settled = _carried_over(before, nodes)
+        base_mm = _spread(before, before.shifts_mm[:, None], nodes.points_mm, nodes.normals)[:, 0]
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
     seen_by = sightings(views, maps, points_mm, normals, half_mm, each.max_views)
-    least_mm = -min(each.outward_mm, each.deepest_share * size_mm)
-    depths_mm = np.linspace(least_mm, min(each.inward_mm, each.deepest_share * size_mm), each.n_depths)
+    depths_mm = _depths(each, size_mm)
     scores = patch_scores(
         views,
         each.scale,
@@ -207,16 +203,13 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         stiffness * float(depths_mm[1] - depths_mm[0]),
         stiffness * TRUNCATED_MM,
     )
-    found_mm, sure, is_peak = depths_of(beliefs, scores, depths_mm, nodes, gate)
-    is_settled = is_peak & (np.abs(found_mm) <= SETTLED * PASSES[-1].inward_mm)
+    found_mm, sure = depths_of(beliefs, scores, depths_mm, nodes, gate)
     is_supported = sure > 0
     rms_mm = float(np.sqrt(np.mean(found_mm[is_supported] ** 2))) if is_supported.any() else 0.0
     if is_last:
         found_mm = found_mm + patch_sagittas(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
-        # what only larger patches show, as the bottom of a dent, stays as they found it
-        sure = np.maximum(sure, OLDER * gate * np.clip(base_settled / SURE - 1, 0, 1))
     shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
     shifts_mm = without_spikes(shifts_mm, nodes, each.spike_slope * nodes.spacing_mm)
     if is_last:
@@ -228,16 +221,17 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         shifts_mm=shifts_mm,
         weights=weights,
         sure=sure,
-        settled=np.where(is_settled, sure, 0.0),
         supported_share=float((is_supported & ~nodes.at_edge).sum() / max((~nodes.at_edge).sum(), 1)),
         found_mm=rms_mm,
     )
 
 
-def _carried_over(field: _Field, nodes: Nodes) -> tuple[Values, Values]:
-    """Return the shifts of the pass before at other nodes (K,), and the weights of what is settled."""
-    values = _spread(field, np.column_stack([field.shifts_mm, field.settled]), nodes.points_mm, nodes.normals)
-    return values[:, 0], values[:, 1]
+def _depths(each: Pass, size_mm: float) -> Values:
+    """Return the depths (L,) that a pass tries on a stone of this size, L a multiple of 8."""
+    least_mm = -min(each.outward_mm, each.deepest_share * size_mm)
+    most_mm = min(each.inward_mm, each.deepest_share * size_mm)
+    n_depths = 8 * ceil(((most_mm - least_mm) / each.step_mm + 1) / 8)
+    return np.linspace(least_mm, most_mm, max(n_depths, each.n_depths))
 
 
 def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, room_mm: PointsMM) -> PointsMM:
