@@ -1,7 +1,11 @@
 """The passes over the surface, from coarse to fine, and what counts as evidence."""
 
 from dataclasses import dataclass, replace
-from math import inf
+from math import ceil, inf
+
+import numpy as np
+
+from pipeline.arrays import Values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +28,13 @@ class Pass:
     spike_slope: (
         float  # distance of a node from the median of its neighbours, per spacing, that is believed at most
     )
+
+    def depths_mm(self, size_mm: float) -> Values:
+        """Return the depths (L,) that are tried on a stone of this size, L a multiple of 8."""
+        least_mm = -min(self.outward_mm, self.deepest_share * size_mm)
+        most_mm = min(self.inward_mm, self.deepest_share * size_mm)
+        n_depths = 8 * ceil(((most_mm - least_mm) / self.step_mm + 1) / 8)
+        return np.linspace(least_mm, most_mm, max(n_depths, self.n_depths))
 
 
 COARSE = Pass(

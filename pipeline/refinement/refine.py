@@ -9,7 +9,6 @@ beside them.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 
@@ -180,7 +179,7 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
     seen_by = sightings(views, maps, points_mm, normals, half_mm, each.max_views)
-    depths_mm = _depths(each, size_mm)
+    depths_mm = each.depths_mm(size_mm)
     scores = patch_scores(
         views,
         each.scale,
@@ -224,14 +223,6 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         supported_share=float((is_supported & ~nodes.at_edge).sum() / max((~nodes.at_edge).sum(), 1)),
         found_mm=rms_mm,
     )
-
-
-def _depths(each: Pass, size_mm: float) -> Values:
-    """Return the depths (L,) that a pass tries on a stone of this size, L a multiple of 8."""
-    least_mm = -min(each.outward_mm, each.deepest_share * size_mm)
-    most_mm = min(each.inward_mm, each.deepest_share * size_mm)
-    n_depths = 8 * ceil(((most_mm - least_mm) / each.step_mm + 1) / 8)
-    return np.linspace(least_mm, most_mm, max(n_depths, each.n_depths))
 
 
 def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, room_mm: PointsMM) -> PointsMM:
