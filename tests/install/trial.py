@@ -188,8 +188,9 @@ def never_ready(source: Path) -> None:
 def measures_wrong(source: Path) -> None:
     path = source / "pipeline/particle.py"
     text = path.read_text()
-    assert text.count("volume_mm3=volume_mm3,") == 1
-    path.write_text(text.replace("volume_mm3=volume_mm3,", "volume_mm3=1.005 * volume_mm3,"))
+    place = "    density = parameters.density_g_cm3\n"
+    assert text.count(place) == 1
+    path.write_text(text.replace(place, f"{place}    volume_mm3 *= 1.005\n"))
 
 
 def prepare(folder: Path) -> Machine:
