@@ -265,6 +265,7 @@ def trial(machine: Machine) -> None:
     with machine.booted():
         with timed("started by systemd"):
             machine.run("systemctl", "enable", "--now", "stonefall")
+            assert machine.unit("Slice") == "stonefall.slice"
             machine.measures()
         with timed("reload: what is applied, what needs a restart, what is refused"):
             reload_configurations(machine)
