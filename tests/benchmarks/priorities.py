@@ -5,7 +5,7 @@ Run as root: .venv/bin/python tests/benchmarks/priorities.py [--seconds 25] [--r
 Sixteen simulated GigE cameras on loopback, whose own processor time is guaranteed. Calm: workers with little to do.
 Loaded: workers that never catch up, and `--foreign` processes in sessions of their own that never wait. The unit's
 priorities are taken from it and its slice: `Nice=` by nice(1), `CPUWeight=` by a control group beside that of the
-foreign processes, as the slices of systemd lie side by side.
+foreign processes, as the slices of systemd lie side by side (at equal weight: services beside who is logged in).
 Exits with 1 if a bundle with the unit's priorities lacks a frame.
 """
 
@@ -76,10 +76,12 @@ def setting(path: Path, name: str) -> int:
 
 def conditions() -> list[Condition]:
     nice, weight = setting(UNIT, "Nice"), setting(SLICE, "CPUWeight")
+    equal = DEFAULT_WEIGHT
     return [
         Condition(name="calm, the unit", is_loaded=False, nice=nice, weight=weight),
         Condition(name="loaded, no priorities", is_loaded=True),
         Condition(name="loaded, Nice= of the unit alone", is_loaded=True, nice=nice),
+        Condition(name="loaded, Nice= in a group of equal weight", is_loaded=True, nice=nice, weight=equal),
         Condition(name="loaded, the unit and its slice", is_loaded=True, nice=nice, weight=weight),
     ]
 
@@ -162,7 +164,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=25, help="for each condition")
+    parser.add_argument("--seconds", type=float, default=25, help="of stones under each condition")
     parser.add_argument("--rate", type=float, default=4, help="stones a second")
     parser.add_argument("--foreign", type=int, default=4, help="processes that compute beside the daemon")
     parser.add_argument(
@@ -190,7 +192,8 @@ def main() -> int:
             cells = percentiles(outcome.latency_ms), str(outcome.incomplete), f"{outcome.loop_ms:.0f}"
             table.add_row(condition.name, str(len(outcome.latency_ms)), *cells)
     Console(width=130).print(table)
-    return int(any(outcome.incomplete for condition, outcome in outcomes.items() if condition.weight))
+    unit = setting(SLICE, "CPUWeight")
+    return int(any(outcome.incomplete for condition, outcome in outcomes.items() if condition.weight == unit))
 
 
 if __name__ == "__main__":
