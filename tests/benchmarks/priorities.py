@@ -76,12 +76,13 @@ def setting(path: Path, name: str) -> int:
 
 def conditions() -> list[Condition]:
     nice, weight = setting(UNIT, "Nice"), setting(SLICE, "CPUWeight")
-    equal = DEFAULT_WEIGHT
     return [
         Condition(name="calm, the unit", is_loaded=False, nice=nice, weight=weight),
         Condition(name="loaded, no priorities", is_loaded=True),
         Condition(name="loaded, Nice= of the unit alone", is_loaded=True, nice=nice),
-        Condition(name="loaded, Nice= in a group of equal weight", is_loaded=True, nice=nice, weight=equal),
+        Condition(
+            name="loaded, Nice= in a group of equal weight", is_loaded=True, nice=nice, weight=DEFAULT_WEIGHT
+        ),
         Condition(name="loaded, the unit and its slice", is_loaded=True, nice=nice, weight=weight),
     ]
 
