@@ -100,9 +100,9 @@ class Machine:
         answer = output(*self.command("python3", "-c", ASK, f"http://127.0.0.1:8080/api/v1{path}"))
         return dict(json.loads(answer))
 
-    def unit(self, name: str) -> str:
-        """Return a property of the unit."""
-        return output(*self.command("systemctl", "show", "--value", "--property", name, "stonefall")).strip()
+    def unit(self, name: str, unit: str = "stonefall") -> str:
+        """Return a property of a unit."""
+        return output(*self.command("systemctl", "show", "--value", "--property", name, unit)).strip()
 
     def current(self) -> str:
         return (self.root / "opt/stonefall/current").readlink().name
@@ -265,7 +265,7 @@ def trial(machine: Machine) -> None:
     with machine.booted():
         with timed("started by systemd"):
             machine.run("systemctl", "enable", "--now", "stonefall")
-            assert machine.unit("Slice") == "stonefall.slice"
+            assert machine.unit("CPUWeight", machine.unit("Slice")) == "1000"
             machine.measures()
         with timed("reload: what is applied, what needs a restart, what is refused"):
             reload_configurations(machine)
