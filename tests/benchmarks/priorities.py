@@ -1,6 +1,6 @@
 """Measure how late bundles are complete while computation wants all cores, by the priority that the daemon has.
 
-Run as root: .venv/bin/python tests/benchmarks/priorities.py [--seconds 25] [--rate 4] [--foreign 4]
+Run as root: .venv/bin/python tests/benchmarks/priorities.py [--seconds 15] [--rate 4] [--foreign 8]
 
 Sixteen simulated GigE cameras on loopback, whose own processor time is guaranteed. Calm: workers with little to do.
 Loaded: workers that never catch up, and `--foreign` processes in sessions of their own that never wait. The unit's
@@ -165,9 +165,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=25, help="of stones under each condition")
+    parser.add_argument("--seconds", type=float, default=15, help="of stones under each condition")
     parser.add_argument("--rate", type=float, default=4, help="stones a second")
-    parser.add_argument("--foreign", type=int, default=4, help="processes that compute beside the daemon")
+    parser.add_argument("--foreign", type=int, default=8, help="processes that compute beside the daemon")
     parser.add_argument(
         "--queue", type=int, default=60, help="bundles that may wait; more are lost, after they are complete"
     )
