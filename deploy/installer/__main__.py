@@ -49,13 +49,13 @@ def _install(host: Host, version: str | None, *, may_restore: bool) -> bool:
         changed = building.build(host, HERE, target)
     else:
         target, changed = _installed(host, version), False
-    if host.dry_run and target not in releases.installed(host):
+    previous = releases.current(host)
+    if host.dry_run and (target not in releases.installed(host) or not (host.is_root or target == previous)):
         say(
             "would",
             "place units and files of the host, back up the database, switch, start, and wait for health",
         )
-        return changed
-    previous = releases.current(host)
+        return True
     changed |= switch(host, target, may_restore=may_restore)
     for release in releases.expendable(releases.installed(host), (target, previous)):
         changed |= host.step(

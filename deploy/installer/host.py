@@ -1,5 +1,6 @@
 """The host that is installed: its paths, commands run on it, and a line for each step."""
 
+import os
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -36,6 +37,11 @@ class Host:
     def runs_systemd(self) -> bool:
         """Return whether systemd runs the host; not so in a chroot and in most containers."""
         return self.path("/run/systemd/system").is_dir()
+
+    @property
+    def is_root(self) -> bool:
+        """Return whether configuration and database of the host can be looked at."""
+        return os.geteuid() == 0
 
     def ask(self, *command: object, user: str | None = None) -> subprocess.CompletedProcess[str]:
         """Run a command that may fail, as root or as a user."""

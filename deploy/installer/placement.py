@@ -15,7 +15,7 @@ from installer import releases
 from installer.host import Host, InstallError, write_whole
 from installer.releases import Release
 
-UNITS = {".service", ".socket", ".timer", ".path", ".target", ".mount"}
+UNITS = {".service", ".socket", ".timer", ".path", ".target", ".mount", ".slice"}
 BY_SUFFIX = {".sysusers": "/etc/sysusers.d/stonefall.conf", ".tmpfiles": "/etc/tmpfiles.d/stonefall.conf"}
 GOES_TO = re.compile(r"# Goes to (/[^\s:;,]+)")
 EXAMPLES = {".network", ".link"}

@@ -23,6 +23,8 @@ READY_S = 90.0
 PATIENCE_S = 20.0
 """Longest look at whether the daemon from before is ready: one slow answer must not weaken the health gate."""
 POLL_S = 1.0
+NOT_READY = (503, "urn:stonefall:problem:not-ready")
+"""Status and type of the daemon's answer while it would not measure the next stone."""
 
 
 @dataclass(frozen=True)
@@ -97,16 +99,31 @@ def ask_readiness(url: str, timeout_s: float = 5.0) -> Readiness:
     """Ask a daemon whether the next stone will be measured; needs no key."""
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy of the plant between
     try:
-        with opener.open(f"{url}/ready", timeout=timeout_s):
-            return Readiness(True, True, "ready")
-    except urllib.error.HTTPError as err:
         try:
-            detail = str(json.load(err)["detail"])
-        except (ValueError, TypeError, KeyError):
-            return Readiness(False, False, f"{url}/ready: status {err.code}, not from stonefall")
-        return Readiness(True, False, detail)
+            answer = opener.open(f"{url}/ready", timeout=timeout_s)
+        except urllib.error.HTTPError as err:
+            answer = err
+        with answer:
+            status, body = answer.status, answer.read()
     except (OSError, ValueError, http.client.HTTPException) as err:
         return Readiness(False, False, f"{url}/ready: {err}")
+    return _readiness(status, body) or Readiness(
+        False, False, f"{url}/ready: status {status}, not from stonefall"
+    )
+
+
+def _readiness(status: int, body: bytes) -> Readiness | None:
+    """Return what an answer says, None if no daemon answers so."""
+    try:
+        document = json.loads(body)
+    except ValueError:
+        return None
+    match document:
+        case {"ready": True} if status == 200:
+            return Readiness(True, True, "ready")
+        case {"type": str(kind), "detail": str(detail)} if (status, kind) == NOT_READY:
+            return Readiness(True, False, detail)
+    return None
 
 
 def usual_readiness(url: str, patience_s: float = PATIENCE_S) -> Readiness:
@@ -136,6 +153,17 @@ def start(host: Host) -> None:
     if done.returncode != 0:
         log = host.ask("journalctl", "-u", UNIT, "-n", "3", "-o", "cat").stdout.strip().splitlines()
         raise InstallError(f"the daemon did not start: {' | '.join(log)}")
+
+
+def require_release(host: Host, release: Release) -> None:
+    """Raise `InstallError` when the daemon that systemd has started is not of a release, as after an edited unit."""
+    pid = host.run("systemctl", "show", "--property=MainPID", "--value", UNIT).strip()
+    try:
+        python = host.path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[0].decode()
+    except OSError as err:
+        raise InstallError(f"the daemon ended after its start: {err}") from err
+    if not python.startswith(f"{FOLDER}/{release.version}/"):
+        raise InstallError(f"{python} was started, not {release.version}: systemctl cat {UNIT} shows why")
 
 
 def stop(host: Host) -> None:

@@ -47,8 +47,10 @@ def plan_return(target: Release, stock: Stock) -> Return:
 
 
 def _return_to(whole: Path, stock: Stock) -> Return:
-    """Return how to put the database back that a failed downgrade has replaced."""
+    """Return how to put the database back that a downgrade has replaced, which may have failed before that."""
     backup = next(copy for copy in stock.backups if Path(copy.path) == whole)
+    if stock.in_use is not None and stock.in_use.schema == backup.schema:
+        return Return(None, 0)
     return Return(backup, stock.in_use.last_seq - backup.last_seq if stock.in_use else 0)
 
 
@@ -187,6 +189,7 @@ def _go_on_with(host: Host, release: Release, configuration: Configuration, befo
     if before is not None and configuration.health_url is not None:
         url = configuration.health_url
         host.step("start the daemon", lambda: service.start(host))
+        service.require_release(host, release)
         host.step("health gate", lambda: say("", service.wait_until_healthy(url, before).detail))
 
 

@@ -3,8 +3,9 @@
     sudo .venv/bin/python tests/install/trial.py [--folder FOLDER]
 
 Needs root, and debootstrap and systemd-container of Debian. systemd-nspawn runs the root, at first without systemd, as
-in a chroot, then booted: there the real unit runs with all its settings. Two more bundles are made of the first one: an
-upgrade with a migration of the store, and a release that measures but never says that it is ready.
+in a chroot, then booted: there the real unit runs with all its settings. Three more bundles are made of the first one:
+an upgrade with a migration of the store, a release that measures but never says that it is ready, and one that
+measures wrong.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 BOOT_S = 60.0
@@ -33,6 +35,7 @@ dir = "/var/lib/stonefall"
 [workers]
 slots = 2
 """
+ASK = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1]).read().decode())"
 MIGRATION = "CREATE TABLE trial (one INTEGER) STRICT;\n"
 NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network")
 
@@ -91,6 +94,15 @@ class Machine:
             (schema,) = connection.execute("PRAGMA user_version").fetchone()
             (count,) = connection.execute("SELECT count(*) FROM results").fetchone()
         return schema, count
+
+    def get(self, path: str) -> dict[str, Any]:
+        """Return a document of the daemon."""
+        answer = output(*self.command("python3", "-c", ASK, f"http://127.0.0.1:8080/api/v1{path}"))
+        return dict(json.loads(answer))
+
+    def unit(self, name: str, unit: str = "stonefall") -> str:
+        """Return a property of a unit."""
+        return output(*self.command("systemctl", "show", "--value", "--property", name, unit)).strip()
 
     def current(self) -> str:
         return (self.root / "opt/stonefall/current").readlink().name
@@ -173,8 +185,16 @@ def never_ready(source: Path) -> None:
     path.write_text(text.replace("if not health.ready:", "if health is not None:"))
 
 
+def measures_wrong(source: Path) -> None:
+    path = source / "pipeline/particle.py"
+    text = path.read_text()
+    place = "    density = parameters.density_g_cm3\n"
+    assert text.count(place) == 1
+    path.write_text(text.replace(place, f"{place}    volume_mm3 *= 1.005\n"))
+
+
 def prepare(folder: Path) -> Machine:
-    """Make the root and three bundles in it; what an earlier trial has made of the same commit is used again."""
+    """Make the root and four bundles in it; what an earlier trial has made of the same commit is used again."""
     machine = Machine(folder / "root")
     bundles = machine.root / "srv"
     clean, tar = folder / "clean", folder / "bundle"
@@ -194,15 +214,16 @@ def prepare(folder: Path) -> Machine:
     subprocess.run(["tar", "-x", "-C", bundles, "-f", *tar.glob("*.tar")], check=True)
     (first,) = bundles.glob("stonefall-*")
     major = first.name.removeprefix("stonefall-").split(".")[0]
-    with timed("two more bundles"):
+    with timed("three more bundles"):
         derive(first, f"{major}.9001.0", migrate)
         derive(first, f"{major}.9002.0", never_ready)
+        derive(first, f"{major}.9003.0", measures_wrong)
     shutil.rmtree(bundles / "source")
     return machine
 
 
 def trial(machine: Machine) -> None:
-    first, newer, broken = (
+    first, newer, broken, wrong = (
         path.name.removeprefix("stonefall-")
         for path in sorted(
             (machine.root / "srv").glob("stonefall-*"), key=lambda path: (len(path.name), path)
@@ -244,15 +265,33 @@ def trial(machine: Machine) -> None:
     with machine.booted():
         with timed("started by systemd"):
             machine.run("systemctl", "enable", "--now", "stonefall")
+            weight = f"CPUWeight={machine.unit('CPUWeight', machine.unit('Slice'))}\n"
+            assert weight in (ROOT / "systemd/stonefall.slice").read_text()
+            machine.measures()
+        with timed("reload: what is applied, what needs a restart, what is refused"):
+            reload_configurations(machine)
+        with timed("a release that measures wrong, not switched to"):
+            pid = machine.unit("MainPID")
+            said = machine.run(install.format(wrong), expect=1)
+            assert "self-test: " in said and "volume_mm3" in said
+            assert machine.current() == first and machine.unit("MainPID") == pid
+            assert not (machine.root / f"opt/stonefall/releases/{wrong}").exists()
             machine.measures()
         with timed("upgrade with a migration"):
             schema, count = machine.database()
             machine.run(install.format(newer))
             assert machine.current() == newer
+            stood_s = (
+                float(machine.unit("ActiveEnterTimestampMonotonic"))
+                - float(machine.unit("ActiveExitTimestampMonotonic"))
+            ) / 1e6
+            print(f"=== the daemon stood for {stood_s:.0f} s", flush=True)
             machine.measures()
             assert machine.database()[0] == schema + 1 and machine.database()[1] > count
         with timed("downgrade: refused, then with --restore"):
             switch = "/opt/stonefall/current/deploy/install"
+            anyone = ("runuser", "-u", "nobody", "--", switch, "--switch-to", first, "--dry-run")
+            assert "nothing was changed" in machine.run(*anyone)
             assert "Nothing was changed" in machine.run(switch, "--switch-to", first, expect=1)
             assert machine.current() == newer
             machine.run(switch, "--switch-to", first, "--restore")
@@ -273,15 +312,44 @@ def trial(machine: Machine) -> None:
             assert (machine.root / "etc/stonefall/stonefall.toml").read_text() == CONFIGURATION
 
 
+def reload_configurations(machine: Machine) -> None:
+    """Reload good and bad configurations of the daemon, and restart it with a bad one."""
+    file, alarm = machine.root / "etc/stonefall/stonefall.toml", machine.root / "var/lib/stonefall/alarm.txt"
+    pid = machine.unit("MainPID")
+
+    def reload(text: str, is_so: Callable[[dict[str, Any]], bool]) -> None:
+        file.write_text(text)
+        machine.run("systemctl", "reload", "stonefall")
+        eventually(lambda: is_so(machine.get("/config")))
+        assert machine.unit("MainPID") == pid
+
+    reload(CONFIGURATION + "[optics]\ndust = 0.2\n", lambda now: now["settings"]["optics"]["dust"] == 0.2)
+    fewer = CONFIGURATION.replace("slots = 2", "slots = 1")
+    reload(fewer, lambda now: now["restart_needed_for"] == ["workers.slots"])
+    broken = CONFIGURATION + "[optics]\ndust = -1.0\n"
+    reload(broken, lambda now: "dust must be positive" in str(now["problem"]))
+    assert machine.get("/health")["checks"]["configuration"]["status"] == "warn"
+    machine.measures()
+    machine.run("systemctl", "restart", "stonefall", expect=1)
+    eventually(alarm.exists)
+    assert "stonefall.service failed" in alarm.read_text()
+    log = machine.run("journalctl", "--unit", "stonefall", "--lines", "20", "--output", "cat")
+    assert "dust must be positive" in log
+    file.write_text(CONFIGURATION)
+    machine.run("systemctl", "reset-failed", "stonefall")
+    machine.run("systemctl", "start", "stonefall")
+    alarm.unlink()
+    machine.measures()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--folder", type=Path, default=ROOT / "build/trial", help="6 GB; default: build/trial"
-    )
+    parser.add_argument("--folder", type=Path, default=ROOT / "build/trial", help="default: build/trial")
     folder: Path = parser.parse_args().folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
     with timed("all"):
         trial(prepare(folder))
+    print(f"=== {output('du', '--summarize', '--block-size=1M', folder).split()[0]} MB in {folder}")
 
 
 if __name__ == "__main__":

@@ -32,13 +32,16 @@ def serve() -> Iterator[Callable[[bytes], str]]:
         yield listen
 
 
+NOT_READY = {"type": "urn:stonefall:problem:not-ready"}
+
+
 def http(status: str, body: object) -> bytes:
     return f"HTTP/1.1 {status}\r\nConnection: close\r\n\r\n{json.dumps(body)}".encode()
 
 
 def test_the_daemon_says_whether_it_is_ready(serve: Callable[[bytes], str]) -> None:
     assert ask_readiness(serve(http("200 OK", {"ready": True}))) == Readiness(True, True, "ready")
-    held = serve(http("503 Service Unavailable", {"detail": "the gate is silent"}))
+    held = serve(http("503 Service Unavailable", NOT_READY | {"detail": "the gate is silent"}))
     assert ask_readiness(held) == Readiness(True, False, "the gate is silent")
 
 
@@ -47,6 +50,9 @@ def test_the_daemon_says_whether_it_is_ready(serve: Callable[[bytes], str]) -> N
     [
         (http("502 Bad Gateway", ["a proxy"]), "status 502, not from stonefall"),
         (http("404 Not Found", {"error": "another program"}), "status 404, not from stonefall"),
+        (http("503 Service Unavailable", {"detail": "another program"}), "status 503, not from stonefall"),
+        (http("500 Internal Server Error", NOT_READY | {"detail": "?"}), "status 500, not from stonefall"),
+        (http("200 OK", {"detail": "another program"}), "status 200, not from stonefall"),
         (b"SSH-2.0-OpenSSH\r\n", "SSH-2.0-OpenSSH"),
         (b"", "closed connection"),
     ],

@@ -110,6 +110,28 @@ def test_a_failed_downgrade_brings_the_whole_database_back(
     assert "0.10.0: " in restored[1] and "/before-0.3.0-" in restored[1]
 
 
+def test_a_downgrade_that_failed_before_it_restored_anything_leaves_the_database(
+    upgraded: Host, script: Script
+) -> None:
+    script.damaged = {OLD.version}
+    with pytest.raises(InstallError, match=r"Rolled back: 0\.10\.0"):
+        switch.switch(upgraded, OLD, may_restore=True)
+    assert names(script.ran) == ["stop", "backup", "later", "restore", "stop", "start"]
+    assert script.schema == NEW.schema
+
+
+def test_a_daemon_of_another_release_is_not_taken_for_the_new_one(
+    host: Host, script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers(monkeypatch, lambda: READY)
+    script.starts = OLD  # ExecStart in a drop-in
+    with pytest.raises(
+        InstallError, match=r"releases/0\.3\.0/bin/python was started, not 0\.10\.0.*Rolled back"
+    ):
+        switch.switch(replace(host, execute=script), NEW, may_restore=False)
+    assert releases.current(host) == OLD
+
+
 def test_a_configuration_that_the_new_release_refuses_stops_nothing(
     host: Host, script: Script, monkeypatch: pytest.MonkeyPatch
 ) -> None:
