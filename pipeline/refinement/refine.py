@@ -60,7 +60,7 @@ OUTWARD_MM = 0.02
 LEAST_WEIGHT = 1e-3
 BETWEEN = 0.02
 """Weight of a node that only its neighbours say something of."""
-MIN_SUPPORTED = 0.05
+MIN_SUPPORTED = 0.1
 """Share of the surface below which the estimate stays as it is: so few patches are alike by chance."""
 
 
