@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.arrays import Directions, Flags, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled
 from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
@@ -92,10 +92,11 @@ def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:
 
 def depths_of(
     beliefs: Singles, scores: Singles, depths_mm: Values, nodes: Nodes, gate: Values
-) -> tuple[Values, Values]:
-    """Return the most believed depth of each node (K,), and its weight.
+) -> tuple[Values, Values, Flags]:
+    """Return the most believed depth of each node (K,), its weight, and whether it is a peak.
 
-    It lies between the steps, by a parabola. The weight is 0 where the neighbourhood has no evidence.
+    It lies between the steps, by a parabola. The weight is 0 where the neighbourhood has no evidence. The first and the
+    last depth are no peaks: the surface may lie beyond.
     """
     rows = np.arange(len(beliefs))
     best = beliefs.argmin(axis=1)
@@ -107,7 +108,7 @@ def depths_of(
     sure = gate * sure * np.clip(curvature / PEAKED, 0.05, 1)
     region = np.clip(smoothed(nodes, sure, 2) / EVIDENCE - 1, 0, 1)
     found_mm = depths_mm[best] + part * (depths_mm[1] - depths_mm[0])
-    return found_mm, np.maximum(sure, DOUBTFUL) * region
+    return found_mm, np.maximum(sure, DOUBTFUL) * region, best == inner
 
 
 def without_spikes(shifts_mm: Values, nodes: Nodes, most_mm: float) -> Values:

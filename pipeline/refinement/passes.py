@@ -106,6 +106,11 @@ EVIDENCE = 0.3
 """Mean confidence of a neighbourhood from which it is shifted at all; from twice that, fully."""
 DOUBTFUL = 0.1
 """Weight of a node without confidence of its own amid others: it follows the propagation."""
+OLDER, SURE = 0.5, 0.3
+"""Weight of a shift that only the pass before the last one has evidence for, and its weight there from which it counts.
+
+From twice that it counts fully.
+"""
 TOUCH_MM = 0.3
 """Reach of a point where a tangent ray touches: there the silhouettes say where the surface is."""
 PIN = 0.5

@@ -41,8 +41,10 @@ from pipeline.refinement.passes import (
     LEAST_SCALE,
     NOISE_GREY,
     NORMAL_ROUNDS,
+    OLDER,
     PASSES,
     PIN,
+    SURE,
     TRUNCATED_MM,
     Pass,
 )
@@ -105,6 +107,7 @@ class _Field:
     shifts_mm: Values  # (K,)
     weights: Values  # (K,) of the pixels and of the silhouettes
     sure: Values  # (K,) of the pixels
+    peaked: Values  # (K,) of the pixels where patches deeper and shallower are less alike
     supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
     found_mm: float  # rms of what this pass added to the shifts of these nodes
 
@@ -172,9 +175,9 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
     each, nodes, gate, touches = level.each, level.nodes, level.gate, level.touches
     half_mm = scale * each.half_mm
     is_last = each is PASSES[-1]
-    base_mm = np.zeros(len(nodes.points_mm))
+    base_mm, base_peaked = np.zeros((2, len(nodes.points_mm)))
     if before is not None:
-        base_mm = _spread(before, before.shifts_mm[:, None], nodes.points_mm, nodes.normals)[:, 0]
+        base_mm, base_peaked = _carried_over(before, nodes)
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
@@ -202,13 +205,15 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         stiffness * float(depths_mm[1] - depths_mm[0]),
         stiffness * TRUNCATED_MM,
     )
-    found_mm, sure = depths_of(beliefs, scores, depths_mm, nodes, gate)
+    found_mm, sure, is_peak = depths_of(beliefs, scores, depths_mm, nodes, gate)
     is_supported = sure > 0
     rms_mm = float(np.sqrt(np.mean(found_mm[is_supported] ** 2))) if is_supported.any() else 0.0
     if is_last:
         found_mm = found_mm + patch_sagittas(
             points_mm, normals, nodes, half_mm, *patch_samples(each.n_samples)
         )
+        # what only larger patches show, as the bottom of a dent, stays as they found it
+        sure = np.maximum(sure, OLDER * gate * np.clip(base_peaked / SURE - 1, 0, 1))
     shifts_mm, weights = base_mm + np.where(is_supported, found_mm, 0.0), sure
     shifts_mm = without_spikes(shifts_mm, nodes, each.spike_slope * nodes.spacing_mm)
     if is_last:
@@ -220,9 +225,16 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         shifts_mm=shifts_mm,
         weights=weights,
         sure=sure,
+        peaked=np.where(is_peak, sure, 0.0),
         supported_share=float((is_supported & ~nodes.at_edge).sum() / max((~nodes.at_edge).sum(), 1)),
         found_mm=rms_mm,
     )
+
+
+def _carried_over(field: _Field, nodes: Nodes) -> tuple[Values, Values]:
+    """Return the shifts of the pass before at other nodes (K,), and the weights of its peaks."""
+    values = _spread(field, np.column_stack([field.shifts_mm, field.peaked]), nodes.points_mm, nodes.normals)
+    return values[:, 0], values[:, 1]
 
 
 def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, room_mm: PointsMM) -> PointsMM:

@@ -35,10 +35,11 @@ def test_shifts_by_chance_vanish_and_larger_ones_stay():
         assert low - 1e-9 <= share.min() <= share.max() <= high + 1e-9
 
 
-def test_a_depth_lies_between_those_tried_and_not_beyond_them():
+def test_a_depth_at_the_end_of_those_tried_is_no_peak():
     nodes = nodes_of(ball())
     depths_mm = np.linspace(-0.35, 0.35, 8)
     peaks_mm = np.where(nodes.points_mm[:, 0] > 0, 0.12, 0.8)
     scores = np.exp(-(((depths_mm - peaks_mm[:, None]) / 0.2) ** 2)).astype(np.float32)
-    found_mm, _ = depths_of(1 - scores, scores, depths_mm, nodes, np.ones(len(peaks_mm)))
-    np.testing.assert_allclose(found_mm, np.where(peaks_mm < 0.35, peaks_mm, 0.35), atol=0.01)
+    found_mm, _, is_peak = depths_of(1 - scores, scores, depths_mm, nodes, np.ones(len(peaks_mm)))
+    np.testing.assert_array_equal(is_peak, peaks_mm < 0.35)
+    np.testing.assert_allclose(found_mm, np.where(is_peak, peaks_mm, 0.35), atol=0.01)
