@@ -12,7 +12,7 @@ from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE,
 
 CURVATURE_ROUNDS = 2
 MAX_SLOPE = 1.5
-CHANCE_MM = (0.02, 0.07)
+CHANCE_MM = (0.02, 0.08)
 """Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
 CHANCE_ROUNDS = 4
 SPIKE_MM = 0.03

@@ -57,7 +57,7 @@ from pipeline.views.prepared import PreparedViews, prepare_views
 
 SPREAD = 0.6
 """Standard deviation of the interpolation between nodes, in their spacing."""
-OUTWARD_MM = 0.02
+OUTWARD_MM = 0.03
 """Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
 LEAST_WEIGHT = 1e-3
 BETWEEN = 0.02
