@@ -56,7 +56,7 @@ def find_near(cells: Cells, center_mm: Vector, reach_mm: float, found: Indices, 
 
     `found` and `distances2` (N,) are room for all points of the cells.
     """
-    n = 0
+    n, sorted_mm = 0, cells.sorted_mm
     x, y, z = center_mm[0], center_mm[1], center_mm[2]
     x0, x1 = _cell_range(cells, x, 0, reach_mm)
     y0, y1 = _cell_range(cells, y, 1, reach_mm)
@@ -65,7 +65,6 @@ def find_near(cells: Cells, center_mm: Vector, reach_mm: float, found: Indices, 
         for cy in range(y0, y1 + 1):
             row = (cx * cells.counts[1] + cy) * cells.counts[2]
             for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
-                sorted_mm = cells.sorted_mm
                 d2 = (sorted_mm[at, 0] - x) ** 2 + (sorted_mm[at, 1] - y) ** 2 + (sorted_mm[at, 2] - z) ** 2
                 if d2 < reach_mm * reach_mm:
                     found[n], distances2[n] = cells.order[at], d2

@@ -31,10 +31,9 @@ def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
 
 def facing(points_mm: PointsMM, nodes: Nodes) -> Directions:
     """Return the normals (K, 3) of the shifted surface: of planes through each node by its neighbours."""
-    slopes = np.empty((len(points_mm), 2))
-    axes = tangent_axes(nodes.normals)
-    # of the regression: a node with few neighbours keeps its normal
-    _fit_slopes(points_mm, nodes.normals, axes, nodes.neighbours, 0.05 * nodes.spacing_mm**2, slopes)
+    axes, slopes = tangent_axes(nodes.normals), np.empty((len(points_mm), 2))
+    ridge_mm2 = 0.05 * nodes.spacing_mm**2  # of the regression: a node with few neighbours keeps its normal
+    _fit_slopes(points_mm, nodes.normals, axes, nodes.neighbours, ridge_mm2, slopes)
     slopes = np.clip(slopes, -MAX_SLOPE, MAX_SLOPE)
     normals = nodes.normals - slopes[:, :1] * axes[:, 0] - slopes[:, 1:] * axes[:, 1]
     return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
