@@ -51,7 +51,7 @@ def lower_priority(context: None) -> tuple[WarmUp, ...]:
 def import_answers() -> bool:
     """Import what makes pages, meshes and pictures; nothing is compiled."""
     import service.api.pages  # here: only this process needs them
-    import service.api.renditions  # noqa: F401
+    import service.api.renditions  # noqa: F401 - as above
 
     return False
 

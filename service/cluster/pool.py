@@ -207,7 +207,7 @@ class ClusterPool:
             ) from None
         except CancelledError as err:
             raise ClusterError(f"the scheduler is gone, or has given a bundle up: {err}") from None
-        except Exception as err:
+        except Exception as err:  # whatever a worker raised, such as another version's error
             raise ClusterError(f"a worker cannot measure: {type(err).__name__}: {err}") from err
         finally:
             future.release()

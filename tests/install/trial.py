@@ -11,17 +11,20 @@ measures wrong.
 import argparse
 import json
 import shutil
-import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from install.debian_root import Machine, output
+from install.derived_bundles import derive, measures_wrong, migrate, never_ready
+from support.eventually import eventually
+
 ROOT = Path(__file__).parents[2]
-BOOT_S = 60.0
 CONFIGURATION = """
 [rig]
 backend = "replay"
@@ -35,90 +38,6 @@ dir = "/var/lib/stonefall"
 [workers]
 slots = 2
 """
-ASK = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1]).read().decode())"
-MIGRATION = "CREATE TABLE trial (one INTEGER) STRICT;\n"
-NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network")
-
-
-class Machine:
-    """A root folder and how commands are run in it."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.leader: int | None = None
-
-    def command(self, *words: str) -> list[str]:
-        if self.leader is not None:
-            return ["nsenter", "--target", str(self.leader), "--all", *words]
-        return [*NSPAWN, "--pipe", "--directory", str(self.root), *words]
-
-    def run(self, *words: str, expect: int = 0) -> str:
-        """Run a command, show what it prints, and require its exit status."""
-        print(f"$ {' '.join(words)}", flush=True)
-        done = subprocess.run(self.command(*words), capture_output=True, text=True)
-        said = done.stdout + done.stderr
-        print(said, flush=True)
-        assert done.returncode == expect, f"exit {done.returncode} instead of {expect}"
-        return said
-
-    @contextmanager
-    def booted(self) -> Iterator[None]:
-        """Let systemd run the machine."""
-        nspawn = subprocess.Popen(
-            [*NSPAWN, "--boot", "--directory", str(self.root)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        try:
-            children = Path(f"/proc/{nspawn.pid}/task/{nspawn.pid}/children")
-            eventually(lambda: children.read_text().split())
-            leader = int(children.read_text().split()[0])
-            eventually(lambda: Path(f"/proc/{leader}/root/run/systemd/private").exists())
-            self.leader = leader
-            self.run("systemctl", "--no-pager", "list-units", "--failed")
-            yield
-        finally:
-            self.leader = None
-            nspawn.terminate()
-            nspawn.wait(60)
-
-    def database(self) -> tuple[int, int]:
-        """Return schema and number of results of the store, through a copy: a look must leave nothing beside it."""
-        copy = self.root.parent / "look"
-        shutil.rmtree(copy, ignore_errors=True)
-        copy.mkdir()
-        for path in (self.root / "var/lib/stonefall").glob("results.sqlite*"):
-            shutil.copy(path, copy)
-        with closing(sqlite3.connect(copy / "results.sqlite")) as connection:
-            (schema,) = connection.execute("PRAGMA user_version").fetchone()
-            (count,) = connection.execute("SELECT count(*) FROM results").fetchone()
-        return schema, count
-
-    def get(self, path: str) -> dict[str, Any]:
-        """Return a document of the daemon."""
-        answer = output(*self.command("python3", "-c", ASK, f"http://127.0.0.1:8080/api/v1{path}"))
-        return dict(json.loads(answer))
-
-    def unit(self, name: str, unit: str = "stonefall") -> str:
-        """Return a property of a unit."""
-        return output(*self.command("systemctl", "show", "--value", "--property", name, unit)).strip()
-
-    def current(self) -> str:
-        return (self.root / "opt/stonefall/current").readlink().name
-
-    def measures(self) -> None:
-        """Wait until results come."""
-        _, before = self.database()
-        eventually(lambda: self.database()[1] > before + 2)
-
-
-def eventually(is_true: Callable[[], object], patience_s: float = BOOT_S) -> None:
-    """Wait until something is true."""
-    end = time.monotonic() + patience_s
-    while not is_true():
-        assert time.monotonic() < end, f"not within {patience_s:.0f} s"
-        time.sleep(0.5)
 
 
 @contextmanager
@@ -130,67 +49,12 @@ def timed(title: str) -> Iterator[None]:
     print(f"=== {title}: {(time.monotonic() - start) / 60:.1f} minutes", flush=True)
 
 
-def derive(bundle: Path, version: str, change: Callable[[Path], None]) -> None:
-    """Make the bundle of a changed source out of a bundle: another wheel and another description."""
-    derived = bundle.with_name(f"stonefall-{version}")
-    shutil.copytree(bundle, derived)
-    source = bundle.with_name("source")
-    shutil.rmtree(source, ignore_errors=True)
-    source.mkdir()
-    archive = subprocess.run(["git", "-C", ROOT, "archive", "HEAD"], capture_output=True, check=True).stdout
-    subprocess.run(["tar", "-x", "-C", source], input=archive, check=True)
-    facts = json.loads((derived / "bundle.json").read_text())
-    project = source / "pyproject.toml"
-    project.write_text(
-        project.read_text().replace(f'version = "{facts["version"]}"', f'version = "{version}"', 1)
-    )
-    change(source)
-    next(derived.glob("wheels/stonefall-*.whl")).unlink()
-    pip = [sys.executable, "-m", "pip", "--quiet", "wheel", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*pip, "--wheel-dir", derived / "wheels", source], check=True)
-    facts |= {"version": version, "commit": version, "schema": len(list(source.glob("service/store/*.sql")))}
-    (derived / "bundle.json").write_text(json.dumps(facts, indent=4) + "\n")
-    (derived / "SHA256SUMS").unlink()
-    sums = subprocess.run(
-        ["find", ".", "-type", "f", "-exec", "sha256sum", "{}", "+"],
-        cwd=derived,
-        capture_output=True,
-        check=True,
-    ).stdout
-    (derived / "SHA256SUMS").write_bytes(sums)
-
-
-def output(*command: object) -> str:
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
-
-
 def commit_of(folder: Path) -> str | None:
     """Return the commit of the bundle in a folder, None if there is none."""
     for path in folder.glob("*.tar"):
         facts = output("tar", "-x", "-O", "-f", path, "--wildcards", "*/bundle.json")
         return str(json.loads(facts)["commit"])
     return None
-
-
-def migrate(source: Path) -> None:
-    number = len(list(source.glob("service/store/*.sql"))) + 1
-    (source / f"service/store/{number:03}_trial.sql").write_text(MIGRATION)
-
-
-def never_ready(source: Path) -> None:
-    migrate(source)
-    path = source / "service/api/routes/health.py"
-    text = path.read_text()
-    assert text.count("if not health.ready:") == 1
-    path.write_text(text.replace("if not health.ready:", "if health is not None:"))
-
-
-def measures_wrong(source: Path) -> None:
-    path = source / "pipeline/particle.py"
-    text = path.read_text()
-    place = "    density = parameters.density_g_cm3\n"
-    assert text.count(place) == 1
-    path.write_text(text.replace(place, f"{place}    volume_mm3 *= 1.005\n"))
 
 
 def prepare(folder: Path) -> Machine:

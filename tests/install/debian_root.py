@@ -1,0 +1,92 @@
+"""A Debian root of its own in a folder, run by systemd-nspawn: as in a chroot, or booted."""
+
+import json
+import shutil
+import sqlite3
+import subprocess
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+from support.eventually import eventually
+
+ASK = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1]).read().decode())"
+NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network")
+
+
+class Machine:
+    """A root folder and how commands are run in it."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.leader: int | None = None
+
+    def command(self, *words: str) -> list[str]:
+        if self.leader is not None:
+            return ["nsenter", "--target", str(self.leader), "--all", *words]
+        return [*NSPAWN, "--pipe", "--directory", str(self.root), *words]
+
+    def run(self, *words: str, expect: int = 0) -> str:
+        """Run a command, show what it prints, and require its exit status."""
+        print(f"$ {' '.join(words)}", flush=True)
+        done = subprocess.run(self.command(*words), capture_output=True, text=True)
+        said = done.stdout + done.stderr
+        print(said, flush=True)
+        assert done.returncode == expect, f"exit {done.returncode} instead of {expect}"
+        return said
+
+    @contextmanager
+    def booted(self) -> Iterator[None]:
+        """Let systemd run the machine."""
+        nspawn = subprocess.Popen(
+            [*NSPAWN, "--boot", "--directory", str(self.root)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            children = Path(f"/proc/{nspawn.pid}/task/{nspawn.pid}/children")
+            eventually(lambda: children.read_text().split())
+            leader = int(children.read_text().split()[0])
+            eventually(lambda: Path(f"/proc/{leader}/root/run/systemd/private").exists())
+            self.leader = leader
+            self.run("systemctl", "--no-pager", "list-units", "--failed")
+            yield
+        finally:
+            self.leader = None
+            nspawn.terminate()
+            nspawn.wait(60)
+
+    def database(self) -> tuple[int, int]:
+        """Return schema and number of results of the store, through a copy: a look must leave nothing beside it."""
+        copy = self.root.parent / "look"
+        shutil.rmtree(copy, ignore_errors=True)
+        copy.mkdir()
+        for path in (self.root / "var/lib/stonefall").glob("results.sqlite*"):
+            shutil.copy(path, copy)
+        with closing(sqlite3.connect(copy / "results.sqlite")) as connection:
+            (schema,) = connection.execute("PRAGMA user_version").fetchone()
+            (count,) = connection.execute("SELECT count(*) FROM results").fetchone()
+        return schema, count
+
+    def get(self, path: str) -> dict[str, Any]:
+        """Return a document of the daemon."""
+        answer = output(*self.command("python3", "-c", ASK, f"http://127.0.0.1:8080/api/v1{path}"))
+        return dict(json.loads(answer))
+
+    def unit(self, name: str, unit: str = "stonefall") -> str:
+        """Return a property of a unit."""
+        return output(*self.command("systemctl", "show", "--value", "--property", name, unit)).strip()
+
+    def current(self) -> str:
+        return (self.root / "opt/stonefall/current").readlink().name
+
+    def measures(self) -> None:
+        """Wait until results come."""
+        _, before = self.database()
+        eventually(lambda: self.database()[1] > before + 2)
+
+
+def output(*command: object) -> str:
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
