@@ -1,5 +1,6 @@
 """Curves of lots as drawings, of chosen stones, beside other lots and other versions."""
 
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -25,11 +26,11 @@ async def lot(client: httpx.AsyncClient, store: Store, session: int) -> str:
     return "L1"
 
 
-async def revised(store: Store, seq: int, record: dict[str, Any]) -> None:
-    """Measure the stone of this first result again."""
+async def revised(store: Store, seq: int, record: dict[str, Any], folder: Path) -> None:
+    """Measure the stone of this first result again, without files."""
     found = await store.particle(seq)
     assert found is not None
-    assert await store.write(revise, store.particles_dir, found["id"], record, {}, "test")
+    assert await revise(store, found, record, folder, "test")
 
 
 def drawn(answer: httpx.Response) -> ElementTree.Element:
@@ -118,9 +119,11 @@ async def test_what_a_curve_would_be_without_some_stones(
     assert_problem(await client.get(f"/lots/{lot}/gradation?{many}"), 422, "invalid-request")
 
 
-async def test_a_lot_as_each_version_measured_it(client: httpx.AsyncClient, lot: str, store: Store) -> None:
+async def test_a_lot_as_each_version_measured_it(
+    client: httpx.AsyncClient, lot: str, store: Store, tmp_path: Path
+) -> None:
     for seq in range(1, 41):
-        await revised(store, seq, stone(8.6 + seq / 10, algorithm_version=NEW))
+        await revised(store, seq, stone(8.6 + seq / 10, algorithm_version=NEW), tmp_path)
     versions = (await client.get(f"/lots/{lot}/algorithm-versions")).json()["items"]
     assert versions == [
         {"algorithm_version": NEW, "n_stones": 40},

@@ -292,7 +292,8 @@ def test_d6_a_burst_is_counted_stone_by_stone(live: LiveRig, spacing_s: float):
     assert n_accounted() == n_fallen >= 20
     measured = [result for result in results if result["outcome"] == "measured"]
     assert len(measured) >= 2
-    assert {result["reason"] for result in results} <= {None, "no_frames", "empty"}
+    # a camera that is not ready for the next stone, or whose packets came too late, leaves views out
+    assert {result["reason"] for result in results} <= {None, "no_frames", "insufficient_views", "empty"}
     assert live.acquisition()["in_dead_time"] > 0
 
 

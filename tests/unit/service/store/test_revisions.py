@@ -17,6 +17,7 @@ from support.stores import folder_of
 from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
 from service.lots.stored_stones import stones_between, stones_of_lot
+from service.remeasuring.hindrance import RemeasureError
 from service.remeasuring.revising import revise
 from service.results.refinement import RUSH
 from service.store import ParticleFilter, Store, open_store
@@ -46,16 +47,18 @@ async def id_of(store: Store, seq: int) -> str:
     return str(found["id"])
 
 
-async def revised(store: Store, seq: int, record: dict[str, Any], folder: Path) -> int | None:
-    """Revise the stone of this first result, with another mesh."""
-    files = {"mesh.ply": await asyncio.to_thread(write_mesh, folder)}
-    return await store.write(revise, store.particles_dir, await id_of(store, seq), record, files, "anna")
+async def revised(store: Store, seq: int, record: dict[str, Any], folder: Path) -> int:
+    """Revise the stone of this first result, with another mesh, and return the number of the item."""
+    await asyncio.to_thread(write_mesh, folder)
+    before = await store.particle(await id_of(store, seq))
+    assert before is not None
+    assert await revise(store, before, record, folder, "anna")
+    return store.last_seq
 
 
-def write_mesh(folder: Path) -> Path:
+def write_mesh(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "mesh.ply")
-    return folder / "mesh.ply"
 
 
 def migrations() -> list[str]:
@@ -255,7 +258,8 @@ async def test_revisions_take_no_frames_away(state_dir: Path, tmp_path: Path) ->
 
 async def test_what_was_removed_meanwhile_is_not_revised(filled: Store, tmp_path: Path) -> None:
     await filled.write(mark_files, RetentionLimits(files_days=30), WIDE, LATER)
-    assert await revised(filled, 1, stone(11.0), tmp_path / "again") is None
+    with pytest.raises(RemeasureError, match="were just removed"):
+        await revised(filled, 1, stone(11.0), tmp_path / "again")
     assert filled.last_seq == 4
     assert (await filled.results_after(0, 10)).last_seq == 4
 
