@@ -46,11 +46,8 @@ class Machine:
             stderr=subprocess.DEVNULL,
         )
         try:
-            children = Path(f"/proc/{nspawn.pid}/task/{nspawn.pid}/children")
-            eventually(lambda: children.read_text().split())
-            leader = int(children.read_text().split()[0])
-            eventually(lambda: Path(f"/proc/{leader}/root/run/systemd/private").exists())
-            self.leader = leader
+            eventually(lambda: _leader(nspawn.pid) is not None)
+            self.leader = _leader(nspawn.pid)
             self.run("systemctl", "--no-pager", "list-units", "--failed")
             yield
         finally:
@@ -86,6 +83,14 @@ class Machine:
         """Wait until results come."""
         _, before = self.database()
         eventually(lambda: self.database()[1] > before + 2)
+
+
+def _leader(nspawn: int) -> int | None:
+    """Return the process under systemd-nspawn that is systemd, once it takes orders; others come and go before."""
+    for child in Path(f"/proc/{nspawn}/task/{nspawn}/children").read_text().split():
+        if Path(f"/proc/{child}/root/run/systemd/private").exists():
+            return int(child)
+    return None
 
 
 def output(*command: object) -> str:
