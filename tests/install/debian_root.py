@@ -46,14 +46,22 @@ class Machine:
             stderr=subprocess.DEVNULL,
         )
         try:
-            eventually(lambda: _leader(nspawn.pid) is not None)
-            self.leader = _leader(nspawn.pid)
+            eventually(lambda: self._systemd(nspawn.pid) is not None)
+            self.leader = self._systemd(nspawn.pid)
             self.run("systemctl", "--no-pager", "list-units", "--failed")
             yield
         finally:
             self.leader = None
             nspawn.terminate()
             nspawn.wait(60)
+
+    def _systemd(self, nspawn: int) -> int | None:
+        """Return the process that systemd-nspawn has started, once it takes orders; others come and go before."""
+        for child in Path(f"/proc/{nspawn}/task/{nspawn}/children").read_text().split():
+            root = Path(f"/proc/{child}/root")
+            if (root / "run/systemd/private").exists() and root.samefile(self.root):
+                return int(child)
+        return None
 
     def database(self) -> tuple[int, int]:
         """Return schema and number of results of the store, through a copy: a look must leave nothing beside it."""
@@ -81,16 +89,8 @@ class Machine:
 
     def measures(self) -> None:
         """Wait until results come."""
-        _, before = self.database()
-        eventually(lambda: self.database()[1] > before + 2)
-
-
-def _leader(nspawn: int) -> int | None:
-    """Return the process under systemd-nspawn that is systemd, once it takes orders; others come and go before."""
-    for child in Path(f"/proc/{nspawn}/task/{nspawn}/children").read_text().split():
-        if Path(f"/proc/{child}/root/run/systemd/private").exists():
-            return int(child)
-    return None
+        before = self.get("/accounting")["measured"]
+        eventually(lambda: self.get("/accounting")["measured"] > before + 2)
 
 
 def output(*command: object) -> str:
