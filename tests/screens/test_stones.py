@@ -50,7 +50,11 @@ def page(watched: Watched) -> Iterator[Page]:
 
 @pytest.fixture(scope="module")
 def stone(replay: DaemonProcess, lot: str) -> str:
-    return str(replay.get(f"/particles?lot={lot}&outcome=measured&limit=1")["items"][0]["id"])
+    """A measured stone, pinned: the replay goes on for ever, and would take its frames while a page asks for them."""
+    stone = str(replay.get(f"/particles?lot={lot}&outcome=measured&limit=1")["items"][0]["id"])
+    pinned = replay.put(f"/particles/{stone}/pin", {"is_pinned": True, "reason": "shown"})
+    assert pinned["is_pinned"]
+    return stone
 
 
 def address(replay: DaemonProcess, path: str) -> str:
