@@ -123,6 +123,11 @@ def _compare(
     is_near = np.empty(most, faces.dtype)  # as wide as what is compared, to go side by side
     for cell in range(len(starts) - 1):
         begin, n = starts[cell], starts[cell + 1] - starts[cell]
+        n_compared = 0
+        for one in range(n):
+            n_compared += is_compared[members[begin + one]]
+        if n_compared == 0:
+            continue
         for one in range(n):
             i = members[begin + one]
             for k in range(3):

@@ -49,7 +49,7 @@ COARSE = Pass(
     stiffness=0.0525,
     staying=0.06,
     n_samples=5,
-    max_views=5,
+    max_views=4,
     pairs_share=0.5,
     spike_slope=inf,
 )
@@ -65,14 +65,16 @@ MIDDLE = Pass(
     stiffness=0.028,
     staying=0.0,
     n_samples=5,
-    max_views=5,
+    max_views=4,
     pairs_share=1.0,
     spike_slope=0.4,
 )
+COARSE_AGAIN = replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0)
+"""From there: which views see the bottom of a dent is known once it is found in part."""
 PASSES = (
     COARSE,
-    # again from there: which views see the bottom of a dent is known once it is found in part
-    replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0),
+    COARSE_AGAIN,
+    COARSE_AGAIN,
     MIDDLE,
     Pass(
         spacing_mm=0.36,

@@ -57,8 +57,15 @@ from pipeline.views.prepared import PreparedViews, prepare_views
 
 SPREAD = 0.6
 """Standard deviation of the interpolation between nodes, in their spacing."""
-OUTWARD_MM = 0.03
+OUTWARD_MM = 0.04
 """Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
+RELIEF_MM, RELIEF_ROUNDS = 0.017, 20
+"""Shifts outward (rms of a wide neighbourhood) where only half of that is, and the smoothing over neighbours.
+
+On an even face chance puts out single nodes; on a rough one what stands out is found as well as what lies deep.
+"""
+MIN_ALONG = 0.5
+"""Least cosine between the normal and the way to the hull's vertex with which a shift outward goes there in full."""
 LEAST_WEIGHT = 1e-3
 BETWEEN = 0.02
 """Weight of a node that only its neighbours say something of."""
@@ -243,11 +250,15 @@ def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, ro
     `room_mm` (V, 3) leads from each vertex to the hull's.
     """
     shifts_mm = _unsmoothed(field)
-    found = _spread(field, np.column_stack([shifts_mm, field.nodes.normals]), vertices_mm, normals)
-    inward_mm, outward = found[:, 0], found[:, 1:]
+    relief_mm2 = smoothed(field.nodes, np.minimum(shifts_mm, 0) ** 2, RELIEF_ROUNDS)
+    chance_mm = OUTWARD_MM / (1 + relief_mm2**2 / RELIEF_MM**4)
+    values = np.column_stack([shifts_mm, chance_mm, field.nodes.normals])
+    found = _spread(field, values, vertices_mm, normals)
+    inward_mm, chance_mm, outward = found[:, 0], found[:, 1], found[:, 2:]
     outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
     lengths_mm = np.linalg.norm(room_mm, axis=1)
-    share = np.clip((-inward_mm - OUTWARD_MM) / np.maximum(lengths_mm, 1e-12), 0, 1)
+    along_mm = np.maximum(np.einsum("vk,vk->v", room_mm, outward), MIN_ALONG * lengths_mm)
+    share = np.clip((-inward_mm - chance_mm) / np.maximum(along_mm, 1e-12), 0, 1)
     return np.asarray(share[:, None] * room_mm - np.maximum(inward_mm, 0.0)[:, None] * outward)
 
 

@@ -26,8 +26,8 @@ COARSE = 4
 """Pixels of the image along an edge of one of the depth map."""
 SPLAT = 2
 """Pixels of the depth map that a node covers to each side."""
-MIN_COSINE = 0.42
-"""Least cosine between normal and line of sight: 65 degrees."""
+MIN_COSINE = 0.3
+"""Least cosine between normal and line of sight: 73 degrees. The bottom of a dent is often seen by few others."""
 SLACK_MM = 0.25
 """Depth behind the depth map that still counts as seen, beside what the covered pixels tilt."""
 
