@@ -25,6 +25,7 @@ class Pass:
     n_samples: int  # along an edge of a patch
     max_views: int
     pairs_share: float  # of the pairs of views, those most alike, that count
+    even_score: float  # of patches without texture: alike, as far as one can tell
     spike_slope: (
         float  # distance of a node from the median of its neighbours, per spacing, that is believed at most
     )
@@ -51,6 +52,7 @@ COARSE = Pass(
     n_samples=5,
     max_views=4,
     pairs_share=0.5,
+    even_score=0.0,
     spike_slope=inf,
 )
 MIDDLE = Pass(
@@ -67,10 +69,14 @@ MIDDLE = Pass(
     n_samples=5,
     max_views=4,
     pairs_share=1.0,
+    even_score=0.5,
     spike_slope=0.4,
 )
-COARSE_AGAIN = replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0)
-"""From there: which views see the bottom of a dent is known once it is found in part."""
+COARSE_AGAIN = replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0, even_score=0.5)
+"""From there: which views see the bottom of a dent is known once it is found in part.
+
+Where two views meet on an even patch, they no longer take a chance likeness far below for more.
+"""
 PASSES = (
     COARSE,
     COARSE_AGAIN,
@@ -90,6 +96,7 @@ PASSES = (
         n_samples=5,
         max_views=3,
         pairs_share=1.0,
+        even_score=0.0,
         spike_slope=0.4,
     ),
 )

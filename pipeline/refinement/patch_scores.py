@@ -32,10 +32,12 @@ def patch_scores(
     n_samples: int,
     noise_grey: float,
     pairs_share: float,
+    even_score: float,
 ) -> Annotated[Singles, "(K, L)"]:
     """Return the score of each node at each depth along `inward`: mean ZNCC over pairs of views, 0 to 1.
 
     Only the `pairs_share` of pairs that are most alike count: deep in a dent some views see its rim instead.
+    Patches without any texture, which are alike as far as one can tell, score `even_score` at most.
     `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
     """
     gains, steps = patch_samples(n_samples)
@@ -56,6 +58,7 @@ def patch_scores(
         (half_mm * offsets).astype(np.float32),
         (weights / weights.sum()).astype(np.float32),
         np.float32(noise_grey**2),
+        np.float32(even_score * noise_grey**2),
         np.float32(pairs_share),
         scores,
     )
@@ -78,6 +81,7 @@ def _score(
     offsets_mm: Singles,
     gains: Singles,
     noise2: np.float32,
+    even2: np.float32,
     pairs_share: np.float32,
     scores: Singles,
 ) -> None:
@@ -157,7 +161,7 @@ def _score(
                 pair_weights[n_pairs] = weight
                 total_weight += weight
                 one, other = greys[k], greys[m]
-                sums[:] = 0
+                sums[:] = even2
                 for q in range(n_samples):
                     gain = gains[q]
                     for depth in range(n_depths):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Directions, Floats, PointsMM, Values
+from pipeline.arrays import Floats, PointsMM, Values
 from pipeline.estimate import BodyEstimate, estimate_body
 from pipeline.frames import CameraId, Frame
 from pipeline.geometry.icosphere import icosphere
@@ -29,13 +29,7 @@ from pipeline.refinement.node_field import (
     touch_weights,
     without_spikes,
 )
-from pipeline.refinement.nodes import (
-    Nodes,
-    interpolated,
-    smoothed,
-    spread_nodes,
-    vertex_normals,
-)
+from pipeline.refinement.nodes import Nodes, smoothed, spread_nodes, vertex_normals
 from pipeline.refinement.passes import (
     FULL_SIZE_MM,
     LEAST_SCALE,
@@ -50,23 +44,12 @@ from pipeline.refinement.passes import (
 )
 from pipeline.refinement.patch_scores import patch_samples, patch_scores
 from pipeline.refinement.propagation import propagate
+from pipeline.refinement.shift_field import Field, carried_over, vertex_shifts
 from pipeline.refinement.sightings import PhotoViews, depth_maps, photo_views, sightings
 from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.ball_silhouettes import RADIUS_MM, ball_silhouettes
 from pipeline.views.prepared import PreparedViews, prepare_views
 
-SPREAD = 0.6
-"""Standard deviation of the interpolation between nodes, in their spacing."""
-OUTWARD_MM = 0.04
-"""Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
-RELIEF_MM, RELIEF_ROUNDS = 0.017, 20
-"""Shifts outward (rms of a wide neighbourhood) where only half of that is, and the smoothing over neighbours.
-
-On an even face chance puts out single nodes; on a rough one what stands out is found as well as what lies deep.
-"""
-MIN_ALONG = 0.5
-"""Least cosine between the normal and the way to the hull's vertex with which a shift outward goes there in full."""
-LEAST_WEIGHT = 1e-3
 BETWEEN = 0.02
 """Weight of a node that only its neighbours say something of."""
 MIN_SUPPORTED = 0.1
@@ -106,19 +89,6 @@ def made_up_ball() -> tuple[ParticleMesh, Mapping[CameraId, Frame], PreparedView
     return ball, frames, prepare_views(ball_silhouettes(rig), rig)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Field:
-    """Shifts of nodes, inward."""
-
-    nodes: Nodes
-    shifts_mm: Values  # (K,)
-    weights: Values  # (K,) of the pixels and of the silhouettes
-    sure: Values  # (K,) of the pixels
-    peaked: Values  # (K,) of the pixels where patches deeper and shallower are less alike
-    supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
-    found_mm: float  # rms of what this pass added to the shifts of these nodes
-
-
 def refine_body(
     estimate: BodyEstimate,
     hull: ParticleMesh,
@@ -142,7 +112,7 @@ def refine_body(
         return Refinement(
             mesh=estimate.mesh, views=views, supported_share=0.0, fallback="no texture that the views share"
         )
-    shifts_mm = _vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
+    shifts_mm = vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
     moved_mm = without_crossings(vertices_mm + shifts_mm, faces)
     if moved_mm is None:
         return Refinement(
@@ -177,14 +147,14 @@ def _levels(vertices_mm: PointsMM, normals: Floats, touches_mm: PointsMM, scale:
     return levels[::-1]
 
 
-def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: float, size_mm: float) -> _Field:
+def _passed(level: _Level, before: Field | None, views: PhotoViews, scale: float, size_mm: float) -> Field:
     """Return the shifts after one pass."""
     each, nodes, gate, touches = level.each, level.nodes, level.gate, level.touches
     half_mm = scale * each.half_mm
     is_last = each is PASSES[-1]
     base_mm, base_peaked = np.zeros((2, len(nodes.points_mm)))
     if before is not None:
-        base_mm, base_peaked = _carried_over(before, nodes)
+        base_mm, base_peaked = carried_over(before, nodes)
     points_mm = nodes.points_mm - base_mm[:, None] * nodes.normals
     normals = nodes.normals if before is None else facing(points_mm, nodes)
     maps = depth_maps(views, points_mm)
@@ -202,6 +172,7 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         each.n_samples,
         NOISE_GREY,
         each.pairs_share,
+        each.even_score,
     )
     costs = gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
     costs += PIN * touches[:, None] * np.abs(base_mm[:, None] + depths_mm)
@@ -227,7 +198,7 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         anchors = touches**4  # at the very points
         shifts_mm = stretched(beyond_chance(shifts_mm, sure, nodes), sure, anchors, nodes)
         weights = sure + anchors + BETWEEN
-    return _Field(
+    return Field(
         nodes=nodes,
         shifts_mm=shifts_mm,
         weights=weights,
@@ -236,43 +207,3 @@ def _passed(level: _Level, before: _Field | None, views: PhotoViews, scale: floa
         supported_share=float((is_supported & ~nodes.at_edge).sum() / max((~nodes.at_edge).sum(), 1)),
         found_mm=rms_mm,
     )
-
-
-def _carried_over(field: _Field, nodes: Nodes) -> tuple[Values, Values]:
-    """Return the shifts of the pass before at other nodes (K,), and the weights of its peaks."""
-    values = _spread(field, np.column_stack([field.shifts_mm, field.peaked]), nodes.points_mm, nodes.normals)
-    return values[:, 0], values[:, 1]
-
-
-def _vertex_shifts(field: _Field, vertices_mm: PointsMM, normals: Directions, room_mm: PointsMM) -> PointsMM:
-    """Return the shifts (V, 3) of vertices: inward along the nodes' normals, or outward as far as to the hull's vertex.
-
-    `room_mm` (V, 3) leads from each vertex to the hull's.
-    """
-    shifts_mm = _unsmoothed(field)
-    relief_mm2 = smoothed(field.nodes, np.minimum(shifts_mm, 0) ** 2, RELIEF_ROUNDS)
-    chance_mm = OUTWARD_MM / (1 + relief_mm2**2 / RELIEF_MM**4)
-    values = np.column_stack([shifts_mm, chance_mm, field.nodes.normals])
-    found = _spread(field, values, vertices_mm, normals)
-    inward_mm, chance_mm, outward = found[:, 0], found[:, 1], found[:, 2:]
-    outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
-    lengths_mm = np.linalg.norm(room_mm, axis=1)
-    along_mm = np.maximum(np.einsum("vk,vk->v", room_mm, outward), MIN_ALONG * lengths_mm)
-    share = np.clip((-inward_mm - chance_mm) / np.maximum(along_mm, 1e-12), 0, 1)
-    return np.asarray(share[:, None] * room_mm - np.maximum(inward_mm, 0.0)[:, None] * outward)
-
-
-def _unsmoothed(field: _Field) -> Values:
-    """Return shifts (K,) of which, once they are spread over the surface, more is left of what was found.
-
-    What spreading takes from each node is added to it beforehand (twicing, Tukey 1977), as far as it has evidence:
-    where there is none, a hump is more likely an error than a shape.
-    """
-    spread_mm = _spread(field, field.shifts_mm[:, None], field.nodes.points_mm, field.nodes.normals)[:, 0]
-    return np.asarray(field.shifts_mm + np.minimum(field.sure, 1) * (field.shifts_mm - spread_mm))
-
-
-def _spread(field: _Field, values: Floats, points_mm: PointsMM, normals: Directions) -> Floats:
-    """Return values of the nodes (K, C) at points of the surface (N, 3)."""
-    weights = np.maximum(field.weights, LEAST_WEIGHT)
-    return interpolated(points_mm, normals, field.nodes, values, weights, SPREAD * field.nodes.spacing_mm)

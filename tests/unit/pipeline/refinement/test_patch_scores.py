@@ -29,11 +29,23 @@ def test_pairs_that_are_not_alike_count_less_where_fewer_do(pairs_share: float, 
     assert score(views(n_strange=0), pairs_share) > 0.95
 
 
-def score(seen: PhotoViews, pairs_share: float) -> float:
+def test_patches_without_texture_are_alike_as_far_as_one_can_tell():
+    seen = views(n_strange=0)
+    even = seen._replace(regions=np.full_like(seen.regions, 60))
+    assert score(even, even_score=0.5) == pytest.approx(0.5)
+    assert score(even) == pytest.approx(0.0, abs=1e-6)
+    half = seen.regions.copy()
+    half[:2] = 60
+    assert (
+        score(seen._replace(regions=half), 0.3, even_score=0.5) > 0.95
+    )  # three of five show the same texture
+
+
+def score(seen: PhotoViews, pairs_share: float = 1.0, even_score: float = 0.0) -> float:
     inward = -seen.R[:1, 2]  # towards the camera
     chosen, weights = np.arange(N_VIEWS, dtype=np.int32)[None], np.ones((1, N_VIEWS), np.float32)
     found = patch_scores(
         seen, 1.0, np.zeros((1, 3)), inward, tangent_axes(inward), (chosen, weights), np.zeros(8), 0.35, 6, 1.3,
-        pairs_share,
+        pairs_share, even_score,
     )  # fmt: skip
     return float(found[0, 0])
