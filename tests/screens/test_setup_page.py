@@ -6,6 +6,7 @@ import tarfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
@@ -236,8 +237,13 @@ def test_the_first_start_finds_two_exchanged_cameras_and_a_silent_one(
     live.wait_until_whole()
 
 
+def is_disarmed(acquisition: dict[str, Any]) -> bool:
+    return acquisition["state"] == "disarmed"
+
+
 def test_new_pictures_of_all_cameras(page: Page, live: LiveRig) -> None:
     live.daemon.put("/acquisition", {"state": "disarmed"})
+    live.daemon.wait_for("/acquisition", is_disarmed)
     page.add_init_script(
         "localStorage.setItem('rig-places', JSON.stringify({c01: {place: 'c01', serial: 'x'}}))"
     )
@@ -251,6 +257,7 @@ def test_new_pictures_of_all_cameras(page: Page, live: LiveRig) -> None:
         "() => [...document.querySelectorAll('.tile img')].filter((image) => image.naturalWidth > 0).length"
     )
     eventually(lambda: page.evaluate(shown) == 16)
+    live.daemon.wait_for("/acquisition", is_disarmed)  # meanwhile it cannot be armed
     live.daemon.put("/acquisition", {"state": "armed"})
     live.wait_until_whole()
 
