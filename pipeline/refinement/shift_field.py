@@ -9,7 +9,7 @@ from pipeline.refinement.nodes import Nodes, interpolated, smoothed
 
 SPREAD = 0.6
 """Standard deviation of the interpolation between nodes, in their spacing."""
-OUTWARD_MM = 0.06
+OUTWARD_MM = 0.08
 """Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
 RELIEF_MM, RELIEF_ROUNDS = 0.02, 40
 """Shifts outward (rms of a wide neighbourhood) where only half of that is, and the smoothing over neighbours.
