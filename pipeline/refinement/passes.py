@@ -75,7 +75,7 @@ MIDDLE = Pass(
 COARSE_AGAIN = replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0, even_score=0.5)
 """From there: which views see the bottom of a dent is known once it is found in part.
 
-Where two views meet on an even patch, they no longer take a chance likeness far below for more.
+Two views that meet on an even patch count as half alike, or a chance likeness far below would count for more.
 """
 PASSES = (
     COARSE,
