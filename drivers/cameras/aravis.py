@@ -297,6 +297,8 @@ class AravisCamera:
             with aravis_errors(self.id, "keep it"):  # only the application in control may write this register
                 self._camera.get_device().write_register(gvcp.CONTROL_PRIVILEGE, _CONTROL)
         except CameraUnavailableError as err:
+            if err.cause is LossCause.SILENT:
+                raise
             problem = f"control was lost: {err.problem}"
             raise CameraUnavailableError(self.id, problem, LossCause.CONTROL_LOST) from err
 

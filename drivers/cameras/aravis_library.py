@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 
 PACKAGES = "python3-gi gir1.2-aravis-0.8"
 
@@ -34,16 +34,22 @@ def load_aravis(device: str) -> Any:
 def aravis_errors(device: str, doing: str) -> Iterator[None]:
     """Raise errors of Aravis as `CameraUnavailableError`: "`device`: cannot `doing`: reason".
 
-    The same for numbers beyond 64 bits and texts that are not UTF-8, which Python and Aravis cannot exchange.
+    A camera that stops answering amid the calls is as silent as one that did not answer before them. Numbers beyond 64
+    bits and texts that are not UTF-8, which Python and Aravis cannot exchange, are errors of the same class.
     """
-    load_aravis(device)  # raises when there is no `gi` to import
+    aravis = load_aravis(device)  # raises when there is no `gi` to import
     from gi.repository import GLib
 
+    silent = (aravis.DeviceError.TIMEOUT, aravis.DeviceError.NOT_FOUND)
     try:
         yield
-    except (GLib.Error, OverflowError, ValueError) as err:
-        why = err.message if isinstance(err, GLib.Error) else err
-        raise CameraUnavailableError(device, f"cannot {doing}: {why}") from err
+    except GLib.Error as err:
+        if any(err.matches(aravis.device_error_quark(), code) for code in silent):
+            problem = f"does not answer: cannot {doing} ({err.message})"
+            raise CameraUnavailableError(device, problem, LossCause.SILENT) from err
+        raise CameraUnavailableError(device, f"cannot {doing}: {err.message}") from err
+    except (OverflowError, ValueError) as err:
+        raise CameraUnavailableError(device, f"cannot {doing}: {err}") from err
 
 
 @contextmanager

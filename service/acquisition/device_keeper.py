@@ -114,20 +114,21 @@ class DeviceKeeper:
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *arguments)
 
     def mark_lost(self, reason: str, cause: LossCause = LossCause.OTHER) -> None:
-        """Mark the device as lost; the loss is logged, later failed attempts only if their reason differs."""
+        """Mark the device as lost; the loss is logged, later failed attempts only if they fail for another one."""
+        loss = DeviceLoss(reason, cause)
         self._n_losses += 1
         now_s = time.monotonic()
         if self.state is DeviceState.ARMED:
             is_relapse = self.recoveries > 0 and now_s - self._armed_at_s < STABLE_S
             self._n_relapses = self._n_relapses + 1 if is_relapse else 0
-        is_known = self._n_relapses > 0 and reason == self.last_error
+        is_known = self._n_relapses > 0 and loss.is_like(self.loss)
         if self.state is not DeviceState.LOST:
             level = logging.DEBUG if is_known else logging.WARNING
             log.log(level, "device lost: %s device=%s", reason, self.name)
             self._lost_at_s = now_s
-        elif reason != self.last_error:
+        elif not loss.is_like(self.loss):
             log.info("device still lost: %s device=%s", reason, self.name)
-        self.state, self.loss = DeviceState.LOST, DeviceLoss(reason, cause)
+        self.state, self.loss = DeviceState.LOST, loss
         self._wake.set()
 
     def examine_now(self) -> None:

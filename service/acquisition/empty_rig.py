@@ -36,9 +36,10 @@ async def expose_empty_rig(
 ) -> None:
     """Call `fire` as often as the parameters say, whenever `is_quiet`: no stone for that many seconds, none falling.
 
-    Returns when there is nothing left to do. A gate that fails is asked again every `RETRY_S`, and logged once.
+    Returns when there is nothing left to do. A gate that fails is asked again every `RETRY_S`, and logged once until it
+    has obeyed.
     """
-    n_done, due_s, problem = 0, time.monotonic(), ""
+    n_done, due_s, has_failed = 0, time.monotonic(), False
     while n_done < parameters.at_start or parameters.every_s:
         await asyncio.sleep(POLL_S)
         if time.monotonic() < due_s or not is_quiet(0 if n_done < parameters.at_start else QUIET_S):
@@ -46,10 +47,10 @@ async def expose_empty_rig(
         try:
             await fire()
         except GateUnavailableError as err:
-            if str(err) != problem:
+            if not has_failed:
                 log.warning("the empty rig cannot be exposed: %s", err)
-            problem = str(err)
+            has_failed = True
             due_s = time.monotonic() + RETRY_S
             continue
-        n_done += 1
+        n_done, has_failed = n_done + 1, False
         due_s = time.monotonic() + (0 if n_done < parameters.at_start else parameters.every_s)

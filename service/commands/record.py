@@ -22,7 +22,7 @@ from service.configuration.settings import Settings, load_settings, problems
 from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
-from service.status import AcquisitionState, AcquisitionTarget, DeviceState
+from service.status import AcquisitionState, AcquisitionTarget
 from service.store.lock import is_locked
 
 POLL_S = 0.1
@@ -124,7 +124,7 @@ async def _follow(
         settled = asyncio.create_task(acquisition.settled.wait())
         await asyncio.wait([settled, acquiring], return_when=asyncio.FIRST_COMPLETED)
         settled.cancel()
-        trouble = _trouble_in_full(acquisition)
+        trouble = acquisition.trouble
         while not acquiring.done():
             has_ended = recording.ended_by is not None or recording.closed.is_set()
             if has_ended or trouble is not None or acquisition.state is AcquisitionState.DISARMED:
@@ -134,18 +134,6 @@ async def _follow(
             held = f"held: {acquisition.trouble}" if acquisition.trouble else "recording"
             progress.update(bar, description=held, completed=recording.stones, found=found)
     return trouble
-
-
-def _trouble_in_full(acquisition: Acquisition) -> str | None:
-    """Return why the rig is held, with the error of one of the lost cameras; None when it is not held."""
-    trouble = acquisition.trouble
-    if trouble is None or acquisition.gate.state is DeviceState.LOST:
-        return trouble
-    lost = [camera for camera in acquisition.cameras.statuses() if camera.state is DeviceState.LOST]
-    causes = [
-        f"; {camera.id}: {camera.last_error}" for camera in lost[:1] if str(camera.last_error) not in trouble
-    ]
-    return trouble + "".join(causes)
 
 
 def _hint_at_daemon(state_dir: Path) -> str:

@@ -32,19 +32,17 @@ def assess(facts: Facts) -> Health:
     NE 107: a failed check other than a camera's is *failure*; cameras count as the quality of the results
     they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
-    checks = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
-    checks |= {name: check(facts) for name, check in CHECKS.items()}
-    has_common_cause = checks["cameras"].status is CheckStatus.FAIL
+    of_cameras = {f"camera:{camera.id}": _camera(camera) for camera in facts.cameras}
+    of_all = {name: check(facts) for name, check in CHECKS.items()}
+    told = of_all if facts.common_cause is not None else of_cameras | of_all
     reasons = tuple(
-        f"{name}: {check.detail}"
-        for name, check in checks.items()
-        if check.status is not CheckStatus.PASS and not (has_common_cause and name.startswith("camera:"))
+        f"{name}: {check.detail}" for name, check in told.items() if check.status is not CheckStatus.PASS
     )
     state = facts.acquisition.state
     if state is not AcquisitionState.ARMED:
         reasons = (f"acquisition: {state}", *reasons)
     has_failed = state is AcquisitionState.HELD or any(
-        check.status is CheckStatus.FAIL and not name.startswith("camera:") for name, check in checks.items()
+        check.status is CheckStatus.FAIL for check in of_all.values()
     )
     usable = _usable_cameras(facts)
     return Health(
@@ -56,7 +54,7 @@ def assess(facts: Facts) -> Health:
             and facts.has_background
         ),
         reasons=reasons,
-        checks=checks,
+        checks=of_cameras | of_all,
         gate_ne107=gate_ne107(facts.acquisition),
         rig_ne107=rig_ne107(facts.suspicions, facts.optical_findings, facts.calibration),
     )

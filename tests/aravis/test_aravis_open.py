@@ -8,6 +8,7 @@ import pytest
 from support.gige import NET, SIZE_PX, design, place, powered, serial, settings_for
 from support.sinks import Collector
 
+from drivers import gvcp
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.feature_access import FeatureAccess
 from drivers.cameras.finding import are_simulated
@@ -19,7 +20,7 @@ from drivers.cameras.genicam import (
     strobe_features,
     trigger_features,
 )
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 from drivers.gige_simulator.camera import SimulatedCamera
 from pipeline.frames import CameraId
 
@@ -161,6 +162,29 @@ def test_whatever_aravis_says_is_said_of_the_camera(
     camera.close()
     assert "c02: cannot be opened: " in refusal(settings_for(design()))
     assert simulated.controller is None
+
+
+def test_one_that_falls_silent_amid_the_questions_is_as_silent_as_before_them(
+    simulated: SimulatedCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = AravisCamera(settings_for(design()))
+    camera.open()
+    probe = gvcp.probe
+
+    def probe_and_unplug(address: str, timeout_s: float) -> gvcp.DiscoveredCamera | None:
+        seen = probe(address, timeout_s)
+        simulated.unplug()
+        return seen
+
+    with monkeypatch.context() as patched:
+        patched.setattr(gvcp, "probe", probe_and_unplug)
+        with pytest.raises(
+            CameraUnavailableError, match=r"c02: does not answer: cannot read register"
+        ) as lost:
+            camera.examine()
+    assert lost.value.cause is LossCause.SILENT
+    simulated.replug()  # a camera that is gone takes 8 s to close
+    camera.close()
 
 
 # --- what it is set to ---

@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 from support.sinks import Collector
 
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, LossCause
 from drivers.interfaces import CameraVitals, EventSink
 from service.acquisition import device_keeper
 from service.acquisition.device_keeper import DeviceKeeper
@@ -25,13 +25,14 @@ class Device:
         self.at_s: list[float] = []
         self.threads: set[str] = set()
         self.problem: str | None = None
+        self.cause = LossCause.OTHER
 
     def _asked(self, what: str, *, may_fail: bool = False) -> None:
         self.calls.append(what)
         self.at_s.append(time.monotonic())
         self.threads.add(threading.current_thread().name)
         if may_fail and self.problem:
-            raise CameraUnavailableError("c01", self.problem)
+            raise CameraUnavailableError("c01", self.problem, self.cause)
 
     def open(self) -> None:
         self._asked("open", may_fail=True)
@@ -109,6 +110,23 @@ async def test_a_device_that_does_not_answer_is_asked_less_and_less_often_and_lo
     assert messages[0] == "device lost: does not answer device=c01"
     assert messages[1].startswith("device back device=c01 after_s=")
     assert len(messages) == 2
+
+
+async def test_one_cause_in_other_words_is_not_logged_again(caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.INFO)
+    device = Device()
+    device.problem, device.cause = "does not answer", LossCause.SILENT
+    async with kept(device) as keeper:
+        device.problem = "does not answer: cannot read register 0xa00"
+        n_opened = device.calls.count("open")
+        await until(lambda: device.calls.count("open") > n_opened)
+        device.cause = LossCause.IN_USE
+        await until(lambda: keeper.loss is not None and keeper.loss.cause is LossCause.IN_USE)
+    lost = [record.message for record in caplog.records if "lost" in record.message]
+    assert lost == [
+        "device lost: does not answer device=c01",
+        "device still lost: does not answer: cannot read register 0xa00 device=c01",
+    ]
 
 
 async def test_a_failed_examination_is_told_and_the_device_opened_anew():

@@ -34,13 +34,14 @@ async def test_a_gate_that_cannot_now_is_asked_again_and_logged_once(caplog: pyt
     async def fire() -> None:
         nonlocal attempts
         attempts += 1
-        if attempts <= 3:
-            raise GateUnavailableError("light gate x", "did not answer")
+        if attempts <= 3 or attempts == 5:
+            raise GateUnavailableError("light gate x", f"did not answer the {attempts}. time")
 
     await expose_empty_rig(EmptyRigParameters(at_start=2, every_s=0), fire, lambda for_s: True)
-    assert attempts == 5
+    assert attempts == 6
     assert [record.message for record in caplog.records] == [
-        "the empty rig cannot be exposed: light gate x: did not answer"
+        f"the empty rig cannot be exposed: light gate x: did not answer the {number}. time"
+        for number in (1, 5)
     ]
 
 

@@ -3,19 +3,16 @@
 import json
 import os
 import signal
-import subprocess
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.daemon_process import STONEFALL
 from support.eventually import eventually
 from support.recordings import CAMERAS, make_bundle, write_recording
+from support.warm_stonefall import start_stonefall
 
 from drivers.errors import CameraUnavailableError
 from drivers.factory import Devices, ReplayBackend, build_devices
@@ -24,7 +21,6 @@ from drivers.replay.camera import ReplayCamera
 from pipeline.frames import BundleKind, FrameBundle
 from service.commands import record
 from service.errors import ServiceError
-from service.status import DeviceState
 from service.store.lock import lock_store
 
 BUNDLES = [
@@ -104,28 +100,6 @@ def test_cameras_that_are_not_to_be_had(
     assert not list(tmp_path.glob("*out*"))
 
 
-def test_one_cause_is_told_once():
-    def status(camera: str, state: str, last_error: str | None) -> SimpleNamespace:
-        return SimpleNamespace(id=camera, state=DeviceState(state), last_error=last_error)
-
-    def rig(trouble: str | None, gate: str = "armed") -> SimpleNamespace:
-        cameras = [
-            status("c01", "armed", "of the past"),
-            status("c02", "lost", "dead"),
-            status("c03", "lost", "x"),
-        ]
-        return SimpleNamespace(
-            trouble=trouble,
-            gate=SimpleNamespace(state=DeviceState(gate)),
-            cameras=SimpleNamespace(statuses=lambda: cameras),
-        )
-
-    assert record._trouble_in_full(rig(None)) is None
-    assert record._trouble_in_full(rig("all are gone")) == "all are gone; c02: dead"
-    assert record._trouble_in_full(rig("c02, c03: dead; 1 left")) == "c02, c03: dead; 1 left"
-    assert record._trouble_in_full(rig("light gate /dev/x: is gone", "lost")) == "light gate /dev/x: is gone"
-
-
 def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     closing, release, closed = threading.Event(), threading.Event(), threading.Event()
 
@@ -163,17 +137,9 @@ def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_cleanly(tmp_path: Path, number: signal.Signals):
     config = configuration(tmp_path, "loop = true")
-    process = subprocess.Popen(
-        [STONEFALL, "record", tmp_path / "out", "--config", config, "--json"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 20
-    while len(list(tmp_path.glob(".out.*.unfinished/bundles/*.tiff"))) < 2:
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    process = start_stonefall("record", tmp_path / "out", "--config", config, "--json")
+    eventually(lambda: len(list(tmp_path.glob(".out.*.unfinished/bundles/*.tiff"))) >= 2)
     process.send_signal(number)
-    output, _ = process.communicate(timeout=20)
-    assert process.returncode == 0
+    output, told = process.communicate()
+    assert process.returncode == 0, told
     assert json.loads(output)["bundles"] == len(list(bundles_in(tmp_path / "out"))) >= 2
