@@ -3,44 +3,52 @@
 import asyncio
 import functools
 import inspect
+import multiprocessing
 import os
 import threading
 import time
 from collections.abc import Generator, Iterator
 
 import pytest
-from support.quick_and_full import use_profile
+from support.extents import extent_of, is_beyond, use_profile
+from support.renewed import HAS_FAILED
 
 from service.compiled_code import isolate_numba_cache
 
 # as systemd/stonefall.service has it; before NumPy is imported: its threads only spin on matrices as small as ours
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 isolate_numba_cache()  # before numba is; with the daemons that the tests start
+# what the daemon's worker processes are forked from, and what its reading process imports
+multiprocessing.set_forkserver_preload(
+    [
+        "service.processing.worker_imports",
+        "service.processing.measure_job",
+        "service.api.pages",
+        "service.api.renditions",
+    ]
+)
 
 pytest_plugins = ["support.stores"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--full", action="store_true", help="also tests marked `full`, and all examples of properties"
-    )
+    parser.addoption("--full", action="store_true", help="also tests marked `full`")
+    parser.addoption("--night", action="store_true", help="also tests marked `full` and `night`")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    use_profile(config.getoption("full"))
+    use_profile(extent_of(config))
 
 
 def pytest_report_header(config: pytest.Config) -> str:
-    return "extent: " + ("full" if config.getoption("full") else "quick, see --full")
+    return f"extent: {extent_of(config)} of quick, full, night"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what is marked `full`, unless the option asks for it."""
-    if config.getoption("full"):
-        return
-    left_out = [item for item in items if item.get_closest_marker("full")]
+    """Leave out what is marked for a wider extent than the options ask for."""
+    left_out = [item for item in items if is_beyond(item, extent_of(config))]
     config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if not item.get_closest_marker("full")]
+    items[:] = [item for item in items if item not in set(left_out)]
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +56,7 @@ def no_leaked_threads(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that leaves a thread of its own behind."""
     before = set(threading.enumerate())
     yield
-    if request.node.get_closest_marker("restarts_cameras"):
+    if request.node.get_closest_marker("restarts_cameras") or request.node.stash.get(HAS_FAILED, False):
         return
     deadline = time.monotonic() + 2
     while leaked := [
@@ -59,6 +67,15 @@ def no_leaked_threads(request: pytest.FixtureRequest) -> Iterator[None]:
         if time.monotonic() > deadline:
             pytest.fail(f"threads left behind: {[thread.name for thread in leaked]}")
         time.sleep(0.01)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Note that a test has failed, for those who hand on what it has used."""
+    report = yield
+    if report.failed:
+        item.stash[HAS_FAILED] = True
+    return report
 
 
 @pytest.hookimpl(wrapper=True)

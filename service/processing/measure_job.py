@@ -146,14 +146,20 @@ class Worker:
 _worker: Worker | None = None
 
 
+def begin(context: WorkerContext) -> Worker:
+    """Give this process the state that jobs need, and return it."""
+    global _worker
+    segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
+    _worker = Worker(context=context, segmenter=segmenter)
+    return _worker
+
+
 def prepare(context: WorkerContext) -> list[WarmUp]:
     """Prepare this process for jobs; return the steps that compile what a stone needs, the longest first."""
-    global _worker
     lower_priority()
     keep_freed_memory()
     gc.set_threshold(GC_THRESHOLD)
-    segmenter = build_segmenter(context.segmentation, context.parameters.segmentation)
-    _worker = Worker(context=context, segmenter=segmenter)
+    segmenter = begin(context).segmenter
     steps: list[Callable[[], object]] = [
         partial(warm_up, segmenter),
         measuring.warm_up,

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from accuracy.gradation import PAIRS
 from support.lot_comparison import comparison, missed
-from support.quick_and_full import first_quick
 from support.rendered_lots import ALL_CAMERAS, Row, body, measured_rows
 
 from pipeline.gradation.evaluation import evaluate
@@ -38,7 +37,8 @@ def drawn() -> list[Row]:
     ]
 
 
-@pytest.mark.parametrize("cameras", first_quick([ALL_CAMERAS, *map(" ".join, PAIRS[:2])]))
+@pytest.mark.full
+@pytest.mark.parametrize("cameras", [ALL_CAMERAS, *map(" ".join, PAIRS[:2])])
 def test_passing_of_rendered_stones_is_that_of_the_true_ones(rendered: list[Row], cameras: str) -> None:
     found = comparison(rendered, cameras)
     assert not found.rejected
@@ -55,6 +55,7 @@ def measured_sieves_mm(name: str) -> list[float]:
     return [mm for mm in read_standards().sieve_sets[name].apertures_mm if 4 <= mm <= 40]
 
 
+@pytest.mark.full
 def test_rendered_stones_are_as_large_and_as_flaky_as_the_true_ones(rendered: list[Row]) -> None:
     for row in rendered:
         found = row.found[ALL_CAMERAS]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support import rendered
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
 from pipeline.evaluation.silhouette_errors import TrueEdge, silhouette_errors, true_edge, true_status

@@ -24,7 +24,7 @@ from service.benchmarks.accuracy import run_accuracy_bench
 
 PLAN = plan_of(seed=41, count=1, lens=LensPreset.F8, rigs=("true",))
 
-pytestmark = [pytest.mark.full, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.night, pytest.mark.timeout(1800)]
 
 
 @pytest.fixture(scope="module")

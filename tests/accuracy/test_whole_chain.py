@@ -24,7 +24,7 @@ PLAN = BenchPlan(
 CONVEX = (*STANDARDS, *STONE_FORMS)
 KINDS = {name: (name,) for name in STANDARDS} | {"stones": tuple(STONE_FORMS)}
 
-pytestmark = [pytest.mark.full, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.night, pytest.mark.timeout(1800)]
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,8 @@ import httpx
 import pytest
 from fastapi import FastAPI
 from fastapi.responses import Response
+from starlette.middleware import Middleware
+from starlette.types import ASGIApp, Receive, Scope, Send
 from support.rest import FakeControl, add, app_of, measured
 from support.served import PATIENCE_S, Served, served_by
 
@@ -28,14 +30,21 @@ N_LARGE = 20_000_000
 """Far more than the kernel takes for a client that does not read."""
 
 
+class Large:
+    """Answers `LARGE`, within all that the application does with answers."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        answer = Response(bytes(N_LARGE)) if scope.get("path") == "/large" else self._app
+        await answer(scope, receive, send)
+
+
 @pytest.fixture
 def app(store: Store, control: FakeControl) -> FastAPI:
     app = app_of(store, control, ApiSettings())
-
-    @app.get("/large")
-    async def large() -> Response:
-        return Response(bytes(N_LARGE))
-
+    app.user_middleware.append(Middleware(Large))  # the innermost; routes are shared with other tests
     return app
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.extents import Extent, first_quick
 from support.rest import FakeControl, add, app_of, measured, particle_files, rejected
 from support.served import served_by
 
@@ -27,8 +28,8 @@ CHECKS = (
     "response_headers_conformance",
     "response_schema_conformance",
 )
-EXAMPLES = 6
-"""Made-up requests of each operation, beside the examples of the document."""
+EXAMPLES = {"examples,fuzzing": 2, "examples,coverage,fuzzing": 6}
+"""Made-up requests of each operation, beside the examples of the document, by the phases of a run."""
 NAMES = """
 [parameters]
 "path.particle_id" = "1"
@@ -99,9 +100,7 @@ async def fill(store: Store, session: int, folder: Path) -> None:
 
 @pytest.mark.usefixtures("webhooks", "again")
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(
-    "phases", ["examples,fuzzing", pytest.param("examples,coverage,fuzzing", marks=pytest.mark.full)]
-)
+@pytest.mark.parametrize("phases", first_quick(EXAMPLES, Extent.NIGHT))
 async def test_schemathesis_finds_nothing(
     phases: str,
     store: Store,
@@ -135,7 +134,7 @@ async def test_schemathesis_finds_nothing(
                 address,
             ),
             *("--checks", ",".join(CHECKS), "--phases", phases),
-            *("--max-examples", str(EXAMPLES), "--generation-deterministic", "--no-color"),
+            *("--max-examples", str(EXAMPLES[phases]), "--generation-deterministic", "--no-color"),
             cwd=tmp_path,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,

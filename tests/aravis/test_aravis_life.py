@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.eventually import PATIENCE_S, eventually
+from support.extents import first_quick
 from support.gige import NET, design, picture, powered, serial, settings_for
-from support.quick_and_full import first_quick
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera

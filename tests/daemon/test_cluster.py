@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,9 +11,10 @@ from typing import Any
 
 import pytest
 from support.cluster import LocalCluster
-from support.daemon_process import STONEFALL, descendants_of, process_name
+from support.daemon_process import descendants_of, process_name
 from support.eventually import eventually
 from support.small_recording import write_small_recording
+from support.warm_stonefall import WarmStonefall, start_stonefall
 
 from service.processing.worker_pool import WORKER_NAME
 
@@ -30,12 +30,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def measure(folder: Path, recording: str, out: Path, *options: str) -> subprocess.Popen[str]:
-    command = [STONEFALL, "measure", recording, "--out", out, "--save-silhouettes", "--json", *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder)
+def measure(folder: Path, recording: str, out: Path, *options: str) -> WarmStonefall:
+    arguments = ("measure", recording, "--out", out, "--save-silhouettes", "--json", *options)
+    return start_stonefall(*arguments, folder=folder)
 
 
-def finished(command: subprocess.Popen[str]) -> dict[str, Any]:
+def finished(command: WarmStonefall) -> dict[str, Any]:
     printed, told = command.communicate()
     assert command.returncode == 0, told
     return dict(json.loads(printed))
@@ -57,7 +57,7 @@ def files(out: Path) -> dict[str, bytes]:
 @contextmanager
 def measuring(
     folder: Path, tmp_path: Path, *, n_workers: int, recording: str = "recording"
-) -> Iterator[tuple[LocalCluster, subprocess.Popen[str]]]:
+) -> Iterator[tuple[LocalCluster, WarmStonefall]]:
     """Provide a cluster and the command that measures on it, as soon as its first worker measures a bundle."""
     with LocalCluster(tmp_path / "cluster", n_workers=n_workers) as cluster:
         command = measure(folder, recording, tmp_path / "there", "--executor", cluster.executor)
@@ -78,6 +78,7 @@ def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
     assert len(files(out)) == N_STONES * 17
 
 
+@pytest.mark.full
 def test_of_frames_that_are_sent_a_bundle_that_kills_its_processes_is_lost_alone(
     folder: Path, tmp_path: Path
 ) -> None:
@@ -105,6 +106,7 @@ def test_of_frames_that_are_sent_a_bundle_that_kills_its_processes_is_lost_alone
     assert records == others
 
 
+@pytest.mark.full
 def test_a_scheduler_that_goes_away_ends_the_command_with_one_error(folder: Path, tmp_path: Path) -> None:
     with measuring(folder, tmp_path, n_workers=1) as (cluster, command):
         cluster.kill_scheduler()
@@ -114,6 +116,7 @@ def test_a_scheduler_that_goes_away_ends_the_command_with_one_error(folder: Path
     assert not (tmp_path / "there" / "results.jsonl").exists()
 
 
+@pytest.mark.full
 def test_without_a_scheduler_it_is_one_line(folder: Path, tmp_path: Path) -> None:
     command = measure(folder, "recording", tmp_path / "there", "--executor", "dask://127.0.0.1:9")
     _, told = command.communicate()

@@ -13,6 +13,7 @@ from pipeline.frames import CameraId
 from service.health.rig_watch import MIN_STONES
 
 
+@pytest.mark.full
 def test_a_bumped_camera_is_left_out_and_named_and_so_is_a_dark_one(tmp_path: Path) -> None:
     recording, rig = tmp_path / "recording", tmp_path / "before.json"
     write_small_recording(recording, n_stones=MIN_STONES, dimmed={CameraId("c09"): 0.6})

@@ -4,6 +4,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 from support.daemon_process import DaemonProcess
 from support.small_recording import write_small_recording
 from support.wall_clock import set_ahead
@@ -12,6 +13,7 @@ WALL_CLOCK = Path(__file__).parents[1] / "support" / "wall_clock.py"
 HOUR_S = 3600.0
 
 
+@pytest.mark.full
 def test_a_clock_that_is_set_costs_no_stone_and_its_times_are_marked_until_then(tmp_path: Path) -> None:
     recording, ahead = tmp_path / "recording", tmp_path / "ahead"
     write_small_recording(recording, n_stones=6)

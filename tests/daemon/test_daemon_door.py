@@ -21,6 +21,7 @@ def strangers() -> Iterator[ExitStack]:
         yield held
 
 
+@pytest.mark.full
 def test_half_requests_by_the_thousand_take_neither_descriptors_nor_stones(
     tmp_path: Path, strangers: ExitStack
 ) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.daemon_process import DaemonProcess
+from support.extents import first_quick
 from support.small_recording import write_small_recording
 from support.stores import folder_of
 from trimesh.visual import ColorVisuals
@@ -49,7 +50,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize(("slots", "exact_meshes"), [(3, "false"), (1, "true")])
+@pytest.mark.parametrize(("slots", "exact_meshes"), first_quick([(3, "false"), (1, "true")]))
 def test_daemon_equals_offline(
     tmp_path: Path, recording: Path, offline: Path, slots: int, exact_meshes: str
 ) -> None:

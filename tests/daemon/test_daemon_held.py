@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from support.daemon_process import DaemonProcess
+from support.extents import first_quick
 from support.small_recording import write_small_recording
 
 from service.store import reads
@@ -58,7 +59,7 @@ def is_armed(answer: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize(
     ("refusing", "remedy"),
-    [(locked, "end the program that has the database"), (unwritable, "make store.dir writable")],
+    first_quick([(locked, "end the program that has the database"), (unwritable, "make store.dir writable")]),
 )
 def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
     recording: Path,
@@ -113,6 +114,7 @@ def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
         assert "Traceback" not in daemon.log
 
 
+@pytest.mark.full
 def test_a_held_daemon_can_be_stopped(recording: Path, tmp_path: Path) -> None:
     rig = "loop = true\nspeed = 2.0"
     with DaemonProcess(tmp_path, recording, rig=rig, slots=1, max_bundles=3) as daemon:
@@ -129,6 +131,7 @@ def test_a_held_daemon_can_be_stopped(recording: Path, tmp_path: Path) -> None:
         assert reads.accounting(connection, None).is_balanced
 
 
+@pytest.mark.full
 def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
     recording: Path, tmp_path: Path
 ) -> None:

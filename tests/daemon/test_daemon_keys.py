@@ -1,24 +1,21 @@
 """Keys and metrics of the real daemon: `stonefall keys` beside it, and what Prometheus reads."""
 
 import json
-import os
-import subprocess
 import urllib.error
 import urllib.request
 from http import HTTPStatus
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
-from support.daemon_process import PATIENCE_S, STONEFALL, DaemonProcess
+from support.daemon_process import DaemonProcess
 from support.small_recording import write_small_recording
+from support.warm_stonefall import run_stonefall
 
 N_STONES = 3
 
 
 def keys(daemon: DaemonProcess, *arguments: str) -> str:
-    command = [STONEFALL, "keys", *arguments, "--config", daemon.config_path]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
-    return done.stdout.strip()
+    return run_stonefall("keys", *arguments, "--config", daemon.config_path, check=True).stdout.strip()
 
 
 def fetch(daemon: DaemonProcess, path: str, token: str | None = None) -> tuple[int, str]:
@@ -61,12 +58,7 @@ def test_a_key_works_and_dies_while_the_daemon_runs_and_metrics_agree(tmp_path: 
         ]
         assert token not in daemon.log
         assert daemon.stop() == 0
-    done = subprocess.run(
-        [STONEFALL, "audit", "verify", "--config", daemon.config_path],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = run_stonefall("audit", "verify", "--config", daemon.config_path, check=True)
     assert done.stdout.startswith("3 entries, whole")
     assert "Traceback" not in daemon.log
 
@@ -76,14 +68,11 @@ def test_the_network_is_not_served_without_a_key(tmp_path: Path) -> None:
     daemon = DaemonProcess(tmp_path, tmp_path / "recording")
     config = daemon.config_path
     config.write_text(config.read_text().replace("[api]\n", '[api]\nhost = "192.0.2.1"\n'))
-    told = subprocess.run(
-        [STONEFALL, "serve", "--config", config], capture_output=True, text=True, env=os.environ, check=False
-    )
+    told = run_stonefall("serve", "--config", config)
     assert told.returncode == 1
     (line,) = told.stderr.splitlines()
     for words in ("api.host", "192.0.2.1", "[api]", "`stonefall keys create NAME --config FILE`"):
         assert words in line
-    check = [STONEFALL, "check-config", config]
-    assert subprocess.run(check, capture_output=True, check=False).returncode == 1
+    assert run_stonefall("check-config", config).returncode == 1
     keys(daemon, "create", "mes")
-    assert subprocess.run(check, capture_output=True, check=False).returncode == 0
+    assert run_stonefall("check-config", config).returncode == 0

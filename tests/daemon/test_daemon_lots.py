@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from support.daemon_process import DaemonProcess
 from support.eventually import eventually
 from support.small_recording import write_small_recording
@@ -29,6 +30,7 @@ def lots_json(daemon: DaemonProcess, *words: str) -> dict[str, Any]:
     return dict(json.loads(lots(daemon, *words, "--json")))
 
 
+@pytest.mark.full
 def test_a_lot_is_opened_filled_shown_and_closed_over_a_kill(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=N_STONES)
     with DaemonProcess(tmp_path, tmp_path / "recording") as daemon:

@@ -2,14 +2,14 @@
 
 import json
 import signal
-import subprocess
 from pathlib import Path
 
 import pytest
-from support.daemon_process import STONEFALL, DaemonProcess
+from support.daemon_process import DaemonProcess
 from support.diagnostics import files_of
 from support.eventually import eventually
 from support.small_recording import write_small_recording
+from support.warm_stonefall import run_stonefall
 from support.webhook_receiver import SECRET
 
 
@@ -67,16 +67,8 @@ def test_good_bad_and_partly_appliable_configurations(daemon: DaemonProcess) -> 
         assert SECRET not in str(changes)
 
         out = daemon.folder / "out.tar.gz"
-        command = [
-            STONEFALL,
-            "diagnostics",
-            out,
-            "--config",
-            daemon.config_path,
-            "--url",
-            daemon.url("")[:-7],
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        url = daemon.url("").removesuffix("/api/v1")
+        done = run_stonefall("diagnostics", out, "--config", daemon.config_path, "--url", url)
         assert "of the daemon at" in done.stdout, done
         state = json.loads(files_of(out.read_bytes())["configuration-state.json"])
         assert state["restart_needed_for"] == ["workers.slots"]

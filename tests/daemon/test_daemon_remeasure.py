@@ -2,18 +2,19 @@
 
 import json
 import sqlite3
-import subprocess
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from support.cluster import LocalCluster
-from support.daemon_process import STONEFALL, DaemonProcess, free_port
+from support.daemon_process import DaemonProcess, free_port
 from support.eventually import eventually
 from support.reference_client import start_client
 from support.remeasuring import OLD, make_old
 from support.small_recording import write_small_recording
+from support.warm_stonefall import WarmStonefall, run_stonefall, start_stonefall
 
 from service.results.fields import MEASURED_FIELDS
 from service.results.version import ALGORITHM_VERSION
@@ -28,12 +29,11 @@ NUMBERS = (
 EVER = {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}
 
 
-def remeasure(daemon: DaemonProcess, *options: str) -> subprocess.Popen[str]:
-    command = [STONEFALL, "remeasure", "--config", daemon.config_path, "--json", *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def remeasure(daemon: DaemonProcess, *options: str) -> WarmStonefall:
+    return start_stonefall("remeasure", "--config", daemon.config_path, "--json", *options)
 
 
-def summary(command: subprocess.Popen[str]) -> dict[str, Any]:
+def summary(command: WarmStonefall) -> dict[str, Any]:
     """Return what the command prints once it has ended."""
     printed, told = command.communicate()
     assert command.returncode == 0, told
@@ -130,10 +130,7 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
             assert daemon.get("/lots/L1")["revision"] == N_STONES
             sides = (OLD, ALGORITHM_VERSION, "--lot", "L1", "--url", f"http://127.0.0.1:{port}")
             limits = ("--max-volume-percent", "0", "--max-axes-mm", "0", "--max-passing-percent", "0")
-            compared = subprocess.run(
-                [STONEFALL, "compare", *sides, *limits, "--same-words"], capture_output=True, text=True
-            )
-            assert compared.returncode == 0, compared.stderr
+            compared = run_stonefall("compare", *sides, *limits, "--same-words", check=True)
             assert "equal, bit for bit" in compared.stdout
             assert f"1 stones are in the old results alone: {without}" in compared.stdout
             entries = [
@@ -151,6 +148,7 @@ def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_pat
     assert "Traceback" not in daemon.log
 
 
+@pytest.mark.full
 def test_a_cluster_measures_stones_again_over_kills_of_the_command_and_of_a_worker(tmp_path: Path) -> None:
     recording, port = tmp_path / "recording", free_port()
     with old_archive(tmp_path, recording, port):

@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import pytest
 from support.daemon_process import DaemonProcess
 from support.small_recording import write_small_recording
 
 N_STONES = 3
 
 
+@pytest.mark.full
 def test_files_go_for_space_and_numbers_and_what_is_pinned_stay(tmp_path: Path) -> None:
     recording = tmp_path / "recording"
     write_small_recording(recording, n_stones=N_STONES)

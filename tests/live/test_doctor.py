@@ -1,22 +1,19 @@
 """`stonefall doctor` on a simulated rig: broken, whole with a test pulse, and while the daemon has it."""
 
 import json
-import subprocess
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from support import broken_host
 from support.broken_host import Tree
-from support.daemon_process import STONEFALL
 from support.live_rig import live_rig, live_section, simulated_rig
 from support.small_recording import write_small_recording
+from support.warm_stonefall import run_stonefall
 
 
 def doctor(config: Path, *more: str | Path) -> tuple[int, dict[str, Any]]:
     """Return the exit code, and the findings by subject."""
-    command: Sequence[str | Path] = [STONEFALL, "doctor", "--config", config, "--json", *more]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_stonefall("doctor", "--config", config, "--json", *more)
     assert done.stdout, done.stderr
     return done.returncode, {
         finding["subject"]: finding for part in json.loads(done.stdout).values() for finding in part

@@ -8,6 +8,7 @@ from pathlib import Path
 from support.daemon_process import STONEFALL
 from support.live_rig import simulated_rig
 from support.small_recording import write_small_recording
+from support.warm_stonefall import run_stonefall
 
 from drivers.files.rig_file import read_rig, write_rig
 from service.configuration.rig_settings import AravisRigSettings
@@ -51,5 +52,5 @@ def test_what_is_asked_for_becomes_the_configuration(tmp_path: Path) -> None:
     assert {camera.id: camera.serial for camera in settings.rig.cameras} == expected
     assert settings.rig.interfaces == ("127.0.0.1",)
     assert settings.measuring.density_g_cm3 == 2.7
-    checked = subprocess.run([STONEFALL, "check-config", config], capture_output=True, check=False)
+    checked = run_stonefall("check-config", config)
     assert checked.returncode == 0, checked

@@ -36,6 +36,7 @@ def data(live: LiveRig, kind: str) -> list[dict[str, Any]]:
     return [item["data"] for item in items if item["type"] == kind]
 
 
+@pytest.mark.full  # its delays are those of the plant
 def test_a_lost_camera_is_an_alarm_until_it_is_back(live: LiveRig):
     live.camera("c02").unplug()
     eventually(lambda: alarms(live) == {"camera:c02": "unacknowledged"}, "the alarm is raised")

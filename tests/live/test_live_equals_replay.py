@@ -16,8 +16,8 @@ import httpx
 import numpy as np
 import pytest
 from support.daemon_process import DaemonProcess
+from support.extents import first_quick
 from support.live_rig import LiveRig, eventually, live_rig, live_section, simulated_rig
-from support.quick_and_full import first_quick
 from support.small_recording import write_odd_recording, write_small_recording
 from support.stores import folder_of
 

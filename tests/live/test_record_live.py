@@ -1,13 +1,12 @@
 """`stonefall record` on the real Aravis driver: what it records is, pixel by pixel, what the cameras were given."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import pytest
-from support.daemon_process import STONEFALL
 from support.live_rig import eventually, live_section, simulated_rig
 from support.small_recording import write_small_recording
+from support.warm_stonefall import start_stonefall
 
 from drivers.files.recording import open_recording, playback_order, read_bundle
 from pipeline.frames import BundleKind
@@ -29,15 +28,12 @@ def test_a_live_rig_is_recorded(tmp_path: Path) -> None:
         config.write_text(
             f'{section}[spool]\ndir = "spool"\n[store]\ndir = "state"\n[recordings]\nreserve_gb = 0.1\n'
         )
-        process = subprocess.Popen(
-            [STONEFALL, "record", tmp_path / "out", "--config", config, "--count", str(N_STONES), "--json"],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+        arguments = ("record", tmp_path / "out", "--config", config, "--count", str(N_STONES), "--json")
+        process = start_stonefall(*arguments)
         pattern = ".out.*.unfinished/bundles/*.tiff"
         eventually(lambda: len(list(tmp_path.glob(pattern))) >= 2, "the empty rig is recorded")
         rig.belt.start()
-        output, _ = process.communicate(timeout=60)
+        output, _ = process.communicate()
     assert process.returncode == 0
     summary = json.loads(output)
     assert (summary["stones"], summary["without_frames"], summary["ended_by"]) == (N_STONES, 0, "count")

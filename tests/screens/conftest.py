@@ -1,4 +1,4 @@
-"""A browser for each module of tests, and a daemon that replays a small recording for ever."""
+"""One browser, and for each module of tests a daemon that replays a small recording for ever."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +16,7 @@ DIMMED_TO = 0.7
 N_STONES = 20
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     with sync_playwright() as playwright:
         browser = launch(playwright)
@@ -32,7 +32,7 @@ def watched(browser: Browser) -> Iterator[Watched]:
         watched.assert_clean()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Stones before a rig in which one camera has lost light."""
     path = tmp_path_factory.mktemp("recording") / "recording"

@@ -4,6 +4,7 @@ import re
 import statistics
 from collections.abc import Iterator
 from datetime import datetime
+from itertools import product
 
 import pytest
 from playwright.sync_api import Browser, expect
@@ -33,6 +34,17 @@ LIMITS = {
     "upper_mm": 16,
     "specification": "GC85-20",
 }
+
+QUICK_LOOKS = [("wall", "en", "light"), ("desktop", "de", "dark"), ("tablet", "de", "light")]
+"""Each size, language and theme."""
+LOOKS = [
+    *QUICK_LOOKS,
+    *(
+        pytest.param(*look, marks=pytest.mark.full)
+        for look in product(SIZES, ("en", "de"), ("light", "dark"))
+        if look not in QUICK_LOOKS
+    ),
+]
 
 
 @pytest.fixture
@@ -165,11 +177,9 @@ def test_what_was_changed_at_the_crusher_is_noted(operator: Watched, replay: Dae
     assert (entry["kind"], entry["text"], entry["value"]) == ("liner", "new concave", None)
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("language", ["en", "de"])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("size", "language", "theme"), LOOKS)
 def test_it_is_accessible_at_every_size(
-    browser: Browser, replay: DaemonProcess, lot: str, theme: str, language: str, size: str
+    browser: Browser, replay: DaemonProcess, lot: str, size: str, language: str, theme: str
 ) -> None:
     with watched_page(browser, viewport=SIZES[size], color_scheme=theme) as watched:
         page = watched.page

@@ -6,6 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import expect
 from support.browser import Watched, screenshot
 from support.daemon_process import PATIENCE_S, STONEFALL, free_port
@@ -16,6 +17,7 @@ from service.rehearsal.rehearsed_daemon import is_free
 PATIENCE_MS = 120_000
 
 
+@pytest.mark.full  # a rehearsal takes half a minute and more
 def test_a_rehearsed_day_is_seen_on_the_page(watched: Watched, tmp_path: Path) -> None:
     page, port = watched.page, free_port()
     page.set_default_timeout(PATIENCE_MS)

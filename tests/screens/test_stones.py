@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -17,11 +18,13 @@ from support.browser import (
     watched_page,
 )
 from support.daemon_process import DaemonProcess
+from support.extents import first_quick
 
 from service import screens
 
 PATIENCE_MS = 60_000
-N_STONES = 24
+N_OTHERS, N_STONES = 50, 24
+"""Together more than the gallery shows at once."""
 SLOW_RENDERER = re.compile("GPU stall due to ReadPixels")
 """What the browser says of its own way to draw without a graphics card."""
 NEEDS_THREE = pytest.mark.skipif(
@@ -31,11 +34,15 @@ NEEDS_THREE = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def lot(replay: DaemonProcess) -> str:
-    """A closed lot with some stones."""
+    """A closed lot with the newest stones, after others; no more fall."""
+    replay.wait_for("/accounting", lambda counts: counts["measured"] >= N_OTHERS)
     product = {"title": "11/16", "density_kg_m3": 2850, "lower_mm": 11.2, "upper_mm": 16}
     replay.put("/products/split", product)
     replay.post("/lots", {"lot": "L-7", "product": "split"})
     replay.wait_for("/lots/L-7", lambda lot: lot["n_stones"] >= N_STONES)
+    replay.put("/acquisition", {"state": "disarmed"})
+    replay.wait_for("/acquisition", lambda now: now["state"] == "disarmed")
+    replay.wait_for("/accounting", lambda now: now["in_progress"] == 0)
     replay.post("/lots/L-7/close", {})
     return "L-7"
 
@@ -50,11 +57,8 @@ def page(watched: Watched) -> Iterator[Page]:
 
 @pytest.fixture(scope="module")
 def stone(replay: DaemonProcess, lot: str) -> str:
-    """A measured stone, pinned: the replay goes on for ever, and would take its frames while a page asks for them."""
-    stone = str(replay.get(f"/particles?lot={lot}&outcome=measured&limit=1")["items"][0]["id"])
-    pinned = replay.put(f"/particles/{stone}/pin", {"is_pinned": True, "reason": "shown"})
-    assert pinned["is_pinned"]
-    return stone
+    """A measured stone of the lot."""
+    return str(replay.get(f"/particles?lot={lot}&outcome=measured&limit=1")["items"][0]["id"])
 
 
 def address(replay: DaemonProcess, path: str) -> str:
@@ -212,7 +216,6 @@ def test_a_click_on_the_curve_shows_its_stones_and_one_less_moves_the_interval(
 def test_a_filter_is_in_the_address_and_the_list_has_no_end(
     page: Page, replay: DaemonProcess, lot: str
 ) -> None:
-    replay.wait_for("/accounting", lambda counts: counts["measured"] > 80)
     page.goto(address(replay, "/gallery"))
     until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
     page.locator("#list-card").scroll_into_view_if_needed()
@@ -252,8 +255,7 @@ def test_a_lot_is_compared_with_itself(page: Page, replay: DaemonProcess, lot: s
     assert differences and all(re.match(r"–|0\.0+ ", text) for text in differences)
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("size", "theme"), first_quick(product(SIZES, ("dark", "light"))))
 def test_axe_core_finds_nothing(
     browser: Browser, replay: DaemonProcess, lot: str, stone: str, size: str, theme: str
 ) -> None:

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 from soak.client_kills import killed_again_and_again
+from support.extents import Extent, first_quick
 
-N_KILLS = 20
 
-
-@pytest.mark.full  # several minutes
+@pytest.mark.full
+@pytest.mark.parametrize("n_kills", first_quick([4, 20], Extent.NIGHT))
 @pytest.mark.timeout(900)
-def test_the_client_has_each_result_once_whoever_is_killed(tmp_path: Path) -> None:
-    tally = killed_again_and_again(tmp_path, N_KILLS)
+def test_the_client_has_each_result_once_whoever_is_killed(n_kills: int, tmp_path: Path) -> None:
+    tally = killed_again_and_again(tmp_path, n_kills)
     assert min(tally.kills.values()) >= 1
     assert sum(result["outcome"] == "measured" for result in tally.results) >= 1

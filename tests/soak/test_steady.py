@@ -37,7 +37,7 @@ def test_the_slope_is_that_of_an_hour() -> None:
     assert 3600 * trend(slope_an_hour=200).slope_per_s == pytest.approx(200)
 
 
-@pytest.mark.full
+@pytest.mark.night
 def test_a_steady_run_has_one_outcome_for_each_stone_and_is_judged(tmp_path: Path) -> None:
     recording = tmp_path / "recording"
     write_small_recording(recording, n_stones=6, n_backgrounds=1)

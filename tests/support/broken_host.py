@@ -5,7 +5,6 @@ says; it exits with 1 unless each fault is named with its remedy.
 """
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -92,9 +91,9 @@ FAULTS: Mapping[str, Callable[[Tree], None]] = {
 
 def main() -> int:
     """Show `doctor` on a broken host with a simulated rig; return the exit code."""
-    from support.daemon_process import STONEFALL
     from support.simulator_process import SimulatorProcess
     from support.small_recording import write_small_recording
+    from support.warm_stonefall import run_stonefall
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -109,9 +108,10 @@ def main() -> int:
             tree = Tree(folder / "host", port="lo", gate=str(folder / "gate"))
             for plant in FAULTS.values():
                 plant(tree)
-            command = [STONEFALL, "doctor", "--config", config, "--root", tree.root]
-            subprocess.run(command, check=False)
-            said = json.loads(subprocess.run([*command, "--json"], capture_output=True, check=False).stdout)
+            sys.stdout.write(run_stonefall("doctor", "--config", config, "--root", tree.root).stdout)
+            said = json.loads(
+                run_stonefall("doctor", "--config", config, "--root", tree.root, "--json").stdout
+            )
     planted = {subject.format(port="lo") for subject in FAULTS} | {"cameras"}
     named = {
         each["subject"]

@@ -18,6 +18,7 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from support.eventually import PATIENCE_S
+from support.warm_stonefall import WarmStonefall
 
 from service.processing.worker_pool import WORKER_NAME
 
@@ -70,9 +71,12 @@ class DaemonProcess:
         slots: int = 2,
         port: int = 0,
         max_bundles: int = 100,
-        command: Sequence[str | Path] = (STONEFALL,),
+        command: Sequence[str | Path] = (),
     ) -> None:
-        """`rig`: what follows `recording` in the section of that name, or all of it with its name."""
+        """`rig`: what follows `recording` in the section of that name, or all of it with its name.
+
+        `command`: the program and what is before it; without it the daemon is forked where it has been imported.
+        """
         self._command = command
         if not rig.startswith("[rig]"):
             rig = f'[rig]\nrecording = "{recording}"\n{rig}'
@@ -103,9 +107,14 @@ class DaemonProcess:
         self._listening = threading.Thread(target=self._listen, name="notify socket")
         self._listening.start()
         environment = os.environ | {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "600000"}
-        with self.log_path.open("ab") as log:
-            self.process = subprocess.Popen(
-                [*self._command, "serve", "--config", self.config_path], stderr=log, env=environment
+        arguments = ("serve", "--config", self.config_path)
+        self.process: subprocess.Popen[bytes] | WarmStonefall
+        if self._command:
+            with self.log_path.open("ab") as log:
+                self.process = subprocess.Popen([*self._command, *arguments], stderr=log, env=environment)
+        else:
+            self.process = WarmStonefall(
+                arguments, out=self.folder / "daemon.out", log=self.log_path, environment=environment
             )
         return self
 

@@ -2,8 +2,10 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +14,7 @@ import numpy as np
 import trimesh
 from fastapi import FastAPI
 from prometheus_client import Histogram
+from starlette.datastructures import State
 
 from drivers.errors import CameraUnavailableError, LossCause
 from drivers.files.recording import write_bundle
@@ -20,7 +23,7 @@ from drivers.interfaces import CameraVitals
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 from pipeline.views.quality import ViewsParameters
 from service.alarms.alarms import Alarms
-from service.api.app import create_app
+from service.api import app
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
 from service.api.reader_process import Reading
@@ -159,6 +162,19 @@ class ReadingThread:
         return await asyncio.to_thread(function, *arguments)
 
 
+_built = cache(app.build_routes)
+
+
+def _routes() -> FastAPI:
+    """Return an application with the routes that all of this process share; they are not to be added to."""
+    own = copy(_built())
+    own.state, own.user_middleware, own.middleware_stack = State(), [], None
+    return own
+
+
+app.build_routes = _routes
+
+
 def app_of(
     store: Store,
     control: FakeControl,
@@ -167,7 +183,9 @@ def app_of(
 ) -> FastAPI:
     """Return the application, with a thread in the place of the reading process unless one is given."""
     settings = settings or ApiSettings()
-    return create_app(store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store.dir))
+    return app.create_app(
+        store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store.dir)
+    )
 
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:

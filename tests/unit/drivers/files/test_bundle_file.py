@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
-from support.quick_and_full import examples
+from support.extents import examples
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle, tagged_image
 
 from drivers.errors import RecordingError

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from imagecodecs import zstd_encode
-from support.quick_and_full import examples
+from support.extents import examples
 
 from drivers.errors import RecordingError
 from drivers.files.compact_mesh import STEP_MM, read_compact_mesh, write_compact_mesh

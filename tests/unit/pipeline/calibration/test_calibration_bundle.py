@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.ball_drops import drop, drops_across, without_views
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.calibration.bundle_adjustment import N_CAMERA, Solution, linearized
 from pipeline.calibration.calibration import by_bundle_adjustment

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.ball_drops import drop, drops_across, without_views
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.calibration.ball_sizes import apparent_diameter_mm, with_diameters
 from pipeline.calibration.coverage import CoverageGoals, ball_center_mm, coverage

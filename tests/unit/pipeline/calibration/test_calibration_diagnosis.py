@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import pytest
 from support.ball_drops import drops_across, with_views_of, without_views
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.calibration.diagnosis import diagnose_before
 from pipeline.calibration.drops import BallDrop

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.ball_drops import drops_across
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.calibration import BallDrop, CalibrationReport, calibrate
 from pipeline.calibration.acceptance_limits import AcceptanceLimits

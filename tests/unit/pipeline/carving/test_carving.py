@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from support.quick_and_full import examples
+from support.extents import examples
 from support.silhouettes import sphere_silhouettes
 
 from pipeline.carving import CarvingParameters, VisualHull, all_leaves, carve

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.quick_and_full import examples
+from support.extents import examples
 from support.silhouettes import distances_of, sphere_silhouettes
 
 from pipeline.carving import LEAF, CarvingParameters, VisualHull, carve, octree, samples, warm_up

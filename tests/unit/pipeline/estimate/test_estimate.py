@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from support.extents import first_quick
 from support.forms import form, hull_of, silhouettes_of
-from support.quick_and_full import first_quick
 from support.silhouettes import hidden
 
 from pipeline.estimate import BodyEstimate, estimate_body

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.estimate.inner import TOLERANCE, TOUCH_MM, _approach
 from pipeline.estimate.smoothness import REACH_DEG, local_share

@@ -8,8 +8,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
+from support.extents import first_quick
 from support.forms import silhouettes_of
-from support.quick_and_full import first_quick
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.evaluation.exact_hull import exact_hull_mesh, polar_outline, star_center_mm

@@ -5,7 +5,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
 from pipeline.segmentation.light import flash_gain

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.special import ndtr
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.evaluation.silhouette_errors import VISIBLE_GREY, silhouette_errors, true_edge, true_status
 from pipeline.evaluation.silhouette_picture import (

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.evaluation.scene import rig_error
 from pipeline.evaluation.surface_distances import Surface, even_samples, surface_distances

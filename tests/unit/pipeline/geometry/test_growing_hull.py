@@ -6,7 +6,7 @@ import scipy.spatial
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.geometry.growing_hull import (
     Facets,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.geometry import quickhull
 from pipeline.geometry.quickhull import TOLERANCE, hull_facets

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.quick_and_full import examples
+from support.extents import examples
 from support.stones import box, round_stone
 
 from pipeline.gradation.d4791 import D4791, Form, FormFraction

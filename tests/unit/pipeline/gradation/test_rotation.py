@@ -7,7 +7,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.arrays import Matrix33
 from pipeline.gradation.d4791 import Form

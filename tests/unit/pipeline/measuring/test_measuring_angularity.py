@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.measuring import gradient_angularity
 from pipeline.measuring.angularity import MAX_ANGULARITY, N_POINTS, OVERSAMPLING, SMOOTHING_STEPS, STEP

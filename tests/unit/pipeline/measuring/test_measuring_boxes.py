@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.measuring import boxes
 from pipeline.measuring.convex import convex_body

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from skimage.measure import marching_cubes
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.errors import MeshError
 from pipeline.measuring import ShapeMeasurement, measure_shape

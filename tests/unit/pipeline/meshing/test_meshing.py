@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.arrays import Singles
 from pipeline.carving import LEAF, VisualHull, all_leaves

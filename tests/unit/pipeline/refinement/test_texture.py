@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
-from support.quick_and_full import examples
+from support.extents import examples
 from support.render_cache import kept_rendered
 from support.rendered import SEED, background, rig, simulated
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.background import (

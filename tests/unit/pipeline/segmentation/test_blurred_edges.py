@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.arrays import Floats, GreyImage, PointsUV
 from pipeline.segmentation.delineation import Delineation, delineate

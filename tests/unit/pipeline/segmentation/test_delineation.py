@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
+from support.extents import examples
 from support.flat_delineation import flat_delineation
-from support.quick_and_full import examples
 
 from pipeline.arrays import Floats, GreyImage, Mask, PointsUV
 from pipeline.segmentation import edge_refinement, edge_width, local_threshold, outline_fill, subpixel_edge

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from support import rendered
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.frames import CameraId
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle

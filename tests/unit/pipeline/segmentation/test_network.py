@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.extents import examples
 from support.networks import GPU, OnGpu, darkness_network, difference_network, start_on_gpu
-from support.quick_and_full import examples
 
 from pipeline.arrays import Singles
 from pipeline.errors import ModelError

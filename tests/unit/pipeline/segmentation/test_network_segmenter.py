@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.extents import examples
 from support.networks import GPU, darkness_network, difference_network, start_on_gpu
-from support.quick_and_full import examples
 
 from pipeline.evaluation.hard_cases import HardCase, HardView, hard_view
 from pipeline.frames import CameraId, Frame

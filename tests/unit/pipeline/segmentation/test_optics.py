@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support import rendered
-from support.quick_and_full import examples
+from support.extents import examples
 from support.silhouettes import sphere_silhouette
 
 from pipeline.frames import CameraId, Frame

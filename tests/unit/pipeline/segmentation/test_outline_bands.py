@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.arrays import Mask
 from pipeline.segmentation.outline_bands import BandImages, band_shares

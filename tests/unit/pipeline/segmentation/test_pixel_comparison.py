@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.segmentation.background import COARSE, coarsen
 from pipeline.segmentation.light import EVEN, LIGHT_BLOCK, MAX_WALL_DEVIATION

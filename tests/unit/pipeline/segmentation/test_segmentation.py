@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.special import ndtr
 from support import rendered
-from support.quick_and_full import examples
+from support.extents import examples
 from support.silhouettes import distances_of, sphere_silhouette
 
 from pipeline.frames import CameraId, Frame

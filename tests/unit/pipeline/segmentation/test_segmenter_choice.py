@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support import rendered
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame, FrameBundle

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from support.aperture_rays import coverage_by_rays
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 from support.synthetic_rigs import rig_of
 
 from pipeline.arrays import FloatImage, Floats

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support import rendered
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.evaluation.trials import random_body
 from pipeline.measuring import measure_shape

@@ -46,6 +46,7 @@ def test_a_face_without_area_is_dark() -> None:
     assert light[:-1].min() > 0.7
 
 
+@pytest.mark.full
 def test_faces_that_hide_the_dome_send_their_own_light(dented: Body) -> None:
     scene = shading.embree_scene(dented.mesh)
     dark = shading.even_irradiance(dented.mesh, scene)
@@ -82,6 +83,7 @@ def test_crystals_turn_and_move_with_the_body() -> None:
     np.testing.assert_allclose(*relative, atol=1e-6)
 
 
+@pytest.mark.full
 def test_a_wet_surface_mirrors_its_own_faces_where_they_hide_the_dome(dented: Body) -> None:
     scene, camera = shading.embree_scene(dented.mesh), rig_of("c05").cameras[0]
     no_lamps, black = np.empty((0, 3)), np.zeros(len(dented.mesh.faces))

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 
 from pipeline.errors import MeshError
 from pipeline.frames import BundleKind

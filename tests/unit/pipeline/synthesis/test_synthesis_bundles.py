@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.quick_and_full import first_quick
+from support.extents import first_quick
 from support.synthetic_rigs import QUIET, rig_of, upright
 
 from pipeline.fall import vertical_extent_mm

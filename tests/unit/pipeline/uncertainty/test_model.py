@@ -6,7 +6,7 @@ from math import hypot, pi
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.uncertainty import Cause, Evidence, ViewEvidence, uncertainty
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.extents import examples
 from support.forms import form, silhouettes_of
-from support.quick_and_full import examples
 
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation.silhouette import SilhouetteSet

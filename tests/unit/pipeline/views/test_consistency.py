@@ -6,8 +6,8 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from support.extents import examples
 from support.forms import silhouettes_of
-from support.quick_and_full import examples
 from support.silhouettes import sphere_silhouette, sphere_silhouettes
 
 from pipeline.frames import CameraId

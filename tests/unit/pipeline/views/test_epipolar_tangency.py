@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from support.extents import examples
 from support.outlines import bumped, seen_by, stone_outlines, stone_points
-from support.quick_and_full import examples
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.views.interpolation import interpolate
 

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from support.quick_and_full import examples
+from support.extents import examples
 
 from pipeline.segmentation.silhouette import is_beside_gap
 from pipeline.views.outline_hull import hull_corners, is_edge_seen, stack_outlines

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from hypothesis import given
 from hypothesis import strategies as st
 from support.bundling import CAMERAS, DELAY_NS, MS, PARAMETERS, accounted, frame, tags, trigger
-from support.quick_and_full import examples
+from support.extents import examples
 
 from drivers.interfaces import DeviceEvent, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle

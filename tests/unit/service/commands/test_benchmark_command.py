@@ -32,6 +32,7 @@ def wedge(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.full
 def test_a_mesh_file_through_all_methods(wedge: Path, tmp_path: Path) -> None:
     pictures = tmp_path / "pictures"
     result = run(

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from support.measuring_here import measuring_here
 from support.rendered import recording_of
 from support.small_recording import thumbnail_rig, write_small_recording
 from typer.testing import CliRunner
@@ -41,6 +42,13 @@ def run(*arguments: object) -> str:
     result = CliRunner().invoke(APP, ["measure", *map(str, arguments)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.stdout
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measure without workers where the test is not about them."""
+    if request.node.originalname != "test_files_are_as_promised_and_independent_of_the_workers":
+        monkeypatch.setattr(measure, "measuring_pool", measuring_here)
 
 
 def records(out: Path) -> list[dict[str, Any]]:

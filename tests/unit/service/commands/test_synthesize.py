@@ -99,6 +99,7 @@ def test_a_lens_changes_the_images_and_not_what_is_in_them(tmp_path: Path, rig_p
     )
 
 
+@pytest.mark.full
 def test_bodies_take_their_surfaces_in_turn_and_balls_keep_theirs(tmp_path: Path, rig_path: Path) -> None:
     def render(name: str, **looks: Any) -> tuple[list[FrameBundle], list[dict[str, Any]]]:
         out = tmp_path / name

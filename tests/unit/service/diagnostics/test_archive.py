@@ -3,18 +3,18 @@
 import base64
 import json
 import stat
-import subprocess
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.configurations import KEY, KEY_SHA256, REPLAY
-from support.daemon_process import STONEFALL
 from support.diagnostics import files_of
 from support.recordings import make_bundle, write_recording
 from support.webhook_receiver import SECRET
+from typer.testing import CliRunner
 
+from service.cli import build_app
 from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import load_settings
 from service.diagnostics import archive, parts
@@ -155,12 +155,12 @@ def test_size_and_time_are_bounded_and_what_is_left_out_is_named(
 
 def test_the_command_writes_it_while_the_daemon_is_down(config: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.tar.gz"
-    command = [STONEFALL, "diagnostics", out, "--config", config, "--url", "http://127.0.0.1:1"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done
+    command = ["diagnostics", str(out), "--config", str(config), "--url", "http://127.0.0.1:1"]
+    done = CliRunner().invoke(build_app(["diagnostics"]), command)
+    assert done.exit_code == 0, done
     assert "no daemon was asked" in done.stdout
     assert stat.S_IMODE(out.stat().st_mode) == 0o600
     assert SECRET not in "".join(files_of(out.read_bytes()).values())
-    again = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert again.returncode == 1
-    assert "is there already" in again.stderr
+    again = CliRunner().invoke(build_app(["diagnostics"]), command)
+    assert again.exit_code == 1
+    assert "is there already" in str(again.exception)

@@ -1,16 +1,16 @@
 """Faults planted in a tree of files: each is found, by its name and with its remedy, and nothing else is."""
 
 import json
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.broken_host import CAMERAS_ADDRESS, CAMERAS_PORT, FAULTS, GATE, Tree
 from support.configurations import REPLAY
-from support.daemon_process import STONEFALL
 from support.recordings import make_bundle, write_recording
+from typer.testing import CliRunner
 
+from service.cli import build_app
 from service.host.check import check_host
 from service.host.finding import Finding, Verdict
 from service.host.host import Host, Ring, host_at
@@ -122,14 +122,14 @@ def test_a_replay_needs_no_network_and_the_exit_code_tells(tree: Tree, tmp_path:
     write_recording(tmp_path / "recording", [make_bundle(1)])
     config = tmp_path / "stonefall.toml"
     config.write_text(REPLAY.replace('"spool"', '"/run/stonefall"') + "retention.min_free_gb = 0.0\n")
-    command = [STONEFALL, "check-host", "--config", config, "--root", tree.root, "--json"]
-    good = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert good.returncode == 0, good
+    command = ["check-host", "--config", str(config), "--root", str(tree.root)]
+    app, run = build_app(["check-host"]), CliRunner().invoke
+    good = run(app, [*command, "--json"])
+    assert good.exit_code == 0, good
     assert not any("net.core" in finding["subject"] for finding in json.loads(good.stdout))
     FAULTS["memory"](tree)
-    bad = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert bad.returncode == 1
+    bad = run(app, [*command, "--json"])
+    assert bad.exit_code == 1
     wrong = [finding for finding in json.loads(bad.stdout) if finding["verdict"] == "fault"]
     assert [(finding["subject"], finding["found"]) for finding in wrong] == [("memory", "1.0 GB")]
-    shown = subprocess.run(command[:-1], capture_output=True, text=True, check=False).stdout
-    assert "-> fewer workers.slots" in shown
+    assert "-> fewer workers.slots" in run(app, command).stdout

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.eventually import eventually
+from support.extents import first_quick
 from support.worker_jobs import (
     TRACEBACK,
     Stumble,
@@ -54,7 +55,7 @@ def deadline_s(way: str) -> float:
     return 1.0 if WAYS[way] == "deadline" else 60.0
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", first_quick(WAYS))
 async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
     async with pool_of(1, deadline_s(way)) as pool:
         (before,) = pool.pids
@@ -67,7 +68,7 @@ async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path
         await asyncio.to_thread(eventually, lambda: not process_exists(first))
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", first_quick(WAYS))
 async def test_the_second_failure_loses_this_job_alone(way: str, tmp_path: Path):
     async with pool_of(1, deadline_s(way)) as pool:
         with pytest.raises(JobLostError) as lost:

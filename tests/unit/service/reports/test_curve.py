@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.extents import examples
 from support.lot_figures import NOT_MEASURED, curve, decision, measured, step
-from support.quick_and_full import examples
 
 from pipeline.gradation.specification import Verdict
 from service.language import Language

@@ -1,0 +1,148 @@
+"""What the gate runs, in which order, and how one step is run and timed."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+BIN = Path(sys.executable).parent
+KEPT = Path(".cache/gate")
+"""What each step of the latest run printed, and the reports of its tests."""
+
+
+class Extent(StrEnum):
+    """How much is tried; each holds all that the ones before it hold."""
+
+    QUICK = "quick"
+    """Each contract, seam, property and path once: for people."""
+    FULL = "full"
+    """Each row of the fault table and each path: for CI."""
+    NIGHT = "night"
+    """Statistics, load and long cycles."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Return the options of pytest that select it."""
+        return () if self is Extent.QUICK else (f"--{self}",)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A command, and whether it leaves most of the processors to the steps beside it."""
+
+    name: str
+    command: tuple[str, ...]
+    is_nice: bool = False
+
+    @property
+    def printed(self) -> Path:
+        """File with what the command prints."""
+        return KEPT / f"{self.name}.txt"
+
+    @property
+    def reports(self) -> Path:
+        """File with a line for each report of a test, if the step runs tests."""
+        return KEPT / f"{self.name}.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """A step that has ended, with its exit code and what it took."""
+
+    step: Step
+    code: int
+    wall_s: float
+    processor_s: float
+
+
+SOURCE = (
+    Step("format", (f"{BIN}/ruff", "format", "--check", "--quiet", ".")),
+    Step("lint", (f"{BIN}/ruff", "check", "--quiet", ".")),
+    Step("types", (f"{BIN}/mypy",)),
+    Step("imports", (f"{BIN}/lint-imports", "--no-cache")),
+)
+COMPILE = Step("compile", (f"{BIN}/stonefall", "compile", "--config", "deploy/stonefall.toml"))
+"""All loops once, for all processes that follow."""
+
+
+RIGS = ("tests/live", "tests/screens", "tests/soak")
+"""Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
+FIRST = ("tests/daemon", "tests/accuracy", "tests/aravis")
+"""Of the other tests those with the longest files."""
+N_PROCESSES = 3
+"""One more than processors: daemons and devices mostly wait."""
+
+
+def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[list[Step]]]:
+    """Return the stages of a run, one after the other; the lanes of a stage run side by side, each step by step.
+
+    `selected`: the files of tests to run instead of all.
+    """
+    files = sorted(map(str, Path("tests").rglob("test_*.py"))) if selected is None else selected
+    rigs = [file for file in files if file.startswith(RIGS)]
+    others = [file for file in files if not file.startswith(RIGS)]
+    others.sort(key=lambda file: not file.startswith(FIRST))
+    # a file stays in one process, so its fixtures are made once; files begin in this order
+    spread = ("--numprocesses", str(N_PROCESSES), "--dist", "loadfile", "--no-loadscope-reorder")
+    lanes = [
+        [_tests("rigs", extent, rigs)] if rigs else [],
+        [_tests("tests", extent, [*spread, *others], is_nice=True)] if others else [],
+    ]
+    return [[list(SOURCE), [COMPILE]], lanes]
+
+
+def _tests(name: str, extent: Extent, arguments: Sequence[str], *, is_nice: bool = False) -> Step:
+    command = (f"{BIN}/pytest", *extent.options, f"--report-log={KEPT / name}.jsonl", *arguments)
+    return Step(name, command, is_nice)
+
+
+class Runner:
+    """Runs stages of steps, and ends all that runs when it is asked to."""
+
+    def __init__(self) -> None:
+        self.running: dict[str, float] = {}
+        """Name of each step that runs -> when it began, by the monotonic clock."""
+        self.ran: list[Ran] = []
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._is_ending = threading.Event()
+
+    def run(self, stages: Sequence[Sequence[Sequence[Step]]]) -> None:
+        """Run all steps, also those after one that fails."""
+        for lanes in stages:
+            threads = [threading.Thread(target=self._run_lane, args=(lane,)) for lane in lanes]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+
+    def end(self) -> None:
+        """Terminate what runs and start nothing more."""
+        self._is_ending.set()
+        for process in tuple(self._processes):
+            process.send_signal(signal.SIGTERM)
+
+    def _run_lane(self, steps: Sequence[Step]) -> None:
+        for step in steps:
+            if not self._is_ending.is_set():
+                self.ran.append(self._run_step(step))
+
+    def _run_step(self, step: Step) -> Ran:
+        command = ("nice", "-n", "5", *step.command) if step.is_nice else step.command
+        start_s = self.running[step.name] = time.monotonic()
+        with step.printed.open("wb") as printed:
+            process = subprocess.Popen(  # noqa: S603 - our own
+                command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT
+            )
+        self._processes.add(process)
+        _, status, usage = os.wait4(process.pid, 0)  # with all processes that it has waited for
+        process.returncode = os.waitstatus_to_exitcode(status)
+        self._processes.discard(process)
+        del self.running[step.name]
+        used_s = usage.ru_utime + usage.ru_stime
+        return Ran(step, process.returncode, time.monotonic() - start_s, used_s)

@@ -1,0 +1,33 @@
+"""`stonefall measure` without processes of its own: what a command does with results, not where they are made."""
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+from service.processing.job_pool import Job, JobPool, Result
+from service.processing.measure_job import WorkerContext, begin
+
+
+@dataclass(frozen=True)
+class PoolOfThisProcess:
+    """A started `JobPool` that runs each job at once, in this process."""
+
+    size: int
+    n_waiting: int = 0
+    threads_per_job: int = 1
+
+    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
+        return function(job)
+
+    async def run_when_idle(self, function: Callable[[Job], Result], make_job: Callable[[], Job]) -> Result:
+        return function(make_job())
+
+
+@asynccontextmanager
+async def measuring_here(
+    executor: str | None, workers: int, context: WorkerContext
+) -> AsyncIterator[JobPool]:
+    """Provide this process in the place of `service.commands.measuring_pool.measuring_pool`."""
+    assert executor is None
+    begin(context)
+    yield PoolOfThisProcess(workers)

@@ -1,0 +1,172 @@
+"""The program `stonefall`, forked from a process that has imported it: a start costs 1 to 2 s of a processor less.
+
+It runs in a process of its own, with its own descriptors, environment, signals and exit code; only its imports are
+done. The server that forks it has one thread, as a process must that forks.
+"""
+
+import atexit
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+
+class WarmStonefall:
+    """`stonefall` with some arguments; what tests use of `subprocess.Popen`."""
+
+    def __init__(
+        self,
+        arguments: Sequence[str | Path],
+        *,
+        out: Path,
+        log: Path,
+        environment: Mapping[str, str] | None = None,
+        folder: Path | None = None,
+    ) -> None:
+        """What it prints is appended to `out`, what it writes to stderr to `log`."""
+        self.args = ["stonefall", *map(str, arguments)]
+        self.returncode: int | None = None
+        self._out, self._log = out, log
+        self.pid: int = _server().ask(
+            {
+                "run": self.args,
+                "out": str(out.absolute()),
+                "log": str(log.absolute()),
+                "environment": dict(os.environ if environment is None else environment),
+                "folder": str(folder or Path.cwd()),
+            }
+        )
+        self._pidfd = os.pidfd_open(self.pid)  # until it is waited for it is a zombie at most
+
+    def poll(self) -> int | None:
+        """Return the exit code, None while it runs."""
+        return self._wait(0)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the exit code once it has ended; raise `subprocess.TimeoutExpired` if it has not in time."""
+        if (code := self._wait(timeout)) is None:
+            raise subprocess.TimeoutExpired(self.args, timeout or 0)
+        return code
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """Return what it has printed and written to stderr, once it has ended."""
+        self.wait(timeout)
+        return self._out.read_text(), self._log.read_text()
+
+    def send_signal(self, number: int) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+    def _wait(self, timeout: float | None) -> int | None:
+        if self.returncode is None and select.select([self._pidfd], [], [], timeout)[0]:
+            self.returncode = _server().ask({"wait": self.pid})
+            os.close(self._pidfd)
+        return self.returncode
+
+
+def start_stonefall(*arguments: str | Path, folder: Path | None = None) -> WarmStonefall:
+    """Start a command whose output is asked for later, by `communicate`."""
+    kept = Path(tempfile.mkdtemp(prefix="warm-", dir=_folder()))
+    return WarmStonefall(arguments, out=kept / "out", log=kept / "log", folder=folder)
+
+
+def run_stonefall(
+    *arguments: str | Path, folder: Path | None = None, check: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end and return what came of it; with `check` it must exit with 0."""
+    process = start_stonefall(*arguments, folder=folder)
+    printed, told = process.communicate()
+    done = subprocess.CompletedProcess(process.args, process.wait(), printed, told)
+    if check:
+        assert done.returncode == 0, done
+    return done
+
+
+@cache
+def _folder() -> str:
+    """Return a folder for what commands print, removed when this process ends."""
+    folder = tempfile.TemporaryDirectory(prefix="stonefall-tests-", ignore_cleanup_errors=True)
+    atexit.register(folder.cleanup)
+    return folder.name
+
+
+class _Server:
+    """The server as its clients see it, one in each process of tests."""
+
+    def __init__(self) -> None:
+        one_thread = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+        self._process = subprocess.Popen(
+            [sys.executable, __file__],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | one_thread,
+        )
+        self._asking = threading.Lock()
+        atexit.register(self._process.communicate)  # its input ends, and with it the server
+
+    def ask(self, request: Mapping[str, Any]) -> int:
+        asked, answered = self._process.stdin, self._process.stdout
+        assert asked is not None
+        assert answered is not None
+        with self._asking:
+            asked.write(json.dumps(request) + "\n")
+            asked.flush()
+            return int(answered.readline())
+
+
+_server = cache(_Server)
+
+
+def _serve() -> bool:
+    """Fork a process for each request to run something; return True in it, False when no more is asked for."""
+    for line in sys.stdin:
+        request = json.loads(line)
+        if "wait" in request:
+            _, status = os.waitpid(request["wait"], 0)
+            answer = os.waitstatus_to_exitcode(status)
+        elif (answer := os.fork()) == 0:
+            _exchange(request)
+            return True
+        sys.stdout.write(f"{answer}\n")
+        sys.stdout.flush()
+    return False
+
+
+def _exchange(request: Mapping[str, Any]) -> None:
+    """Exchange what this process has inherited for what the request says."""
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+    for own, path in ((0, os.devnull), (1, request["out"]), (2, request["log"])):
+        theirs = os.open(path, flags if own else os.O_RDONLY)
+        os.dup2(theirs, own)
+        os.close(theirs)
+    sys.argv = request["run"]
+
+
+if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[2])
+    from service.compiled_code import isolate_numba_cache
+
+    isolate_numba_cache()
+    import service.cli
+    import service.daemon.run
+    import service.store  # so that nothing is left to import after the fork
+
+    for command in service.cli.COMMANDS.values():
+        __import__(command)
+    if _serve():
+        sys.exit(service.cli.main())
