@@ -5,7 +5,9 @@ It needs only the standard library. `client.py` is the start for a client of you
 
 import argparse
 import json
+import os
 import re
+import signal
 import sys
 import time
 from pathlib import Path
@@ -150,7 +152,6 @@ def summary(counts: dict[str, Any]) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except KeyboardInterrupt:
-        sys.exit(130)
+    # at once: an exception may be raised where Python ignores it, and everything printed is flushed
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    sys.exit(main())

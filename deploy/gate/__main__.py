@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gate.durations import Durations, gflops, keep, kept, read_reports, summed, tables, too_long
+from gate.durations import Durations, busy_s, gflops, keep, kept, read_reports, summed, tables, too_long
 from gate.selection import reached
 from gate.steps import BIN, KEPT, SOURCE, Extent, Ran, Runner, stages
 
@@ -60,7 +60,7 @@ def _run(extent: Extent, since: str | None) -> int:
     selected = None if since is None else reached(since)
     if selected is not None:
         print(f"{len(selected)} files of tests can be reached by what changed since {since}", flush=True)
-    start_s, speeds, runner = time.monotonic(), [gflops()], _runner()
+    start_s, start_busy_s, speeds, runner = time.monotonic(), busy_s(), [gflops()], _runner()
     before = kept()
     typical_s = before.wall_s if before and before.extent == extent else TYPICAL_S[extent]
     telling = threading.Thread(
@@ -76,7 +76,7 @@ def _run(extent: Extent, since: str | None) -> int:
         utc=datetime.now(UTC).isoformat(timespec="seconds"),
         extent=extent,
         wall_s=round(time.monotonic() - start_s, 1),
-        processor_s=round(sum(each.processor_s for each in runner.ran), 1),
+        processor_s=round(busy_s() - start_busy_s, 1),
         gflops=round(min(speeds), 1),
         steps=summed(runner.ran),
         tests=tests,

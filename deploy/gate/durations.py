@@ -1,6 +1,7 @@
 """What a run took: kept as `.cache/durations.json`, printed as tables, and held against the limit of a quick test."""
 
 import json
+import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -25,7 +26,7 @@ PROBE_N = 512
 
 
 @dataclass(slots=True)
-class TestTimes:
+class Times:
     """Durations of one test; its set-up includes that of fixtures which later tests share."""
 
     setup_s: float = 0.0
@@ -46,11 +47,12 @@ class Durations:
     extent: Extent
     wall_s: float
     processor_s: float
+    """Of the whole machine meanwhile: processes that others have forked are in no step's account."""
     gflops: float
     """Slowest of one processor before, amid and after the run, in GFLOP/s."""
     steps: dict[str, tuple[float, float]]
     """Name of each step -> wall and processor seconds."""
-    tests: dict[str, TestTimes] = field(default_factory=dict)
+    tests: dict[str, Times] = field(default_factory=dict)
 
 
 def gflops() -> float:
@@ -64,14 +66,20 @@ def gflops() -> float:
     return 2 * PROBE_N**3 * n_products / elapsed_s / 1e9
 
 
-def read_reports(paths: Iterable[Path]) -> dict[str, TestTimes]:
+def busy_s() -> float:
+    """Return for how long the processors of this machine have worked since its start (proc_stat(5))."""
+    _, user, nice, system, _, _, irq, softirq, *_ = Path("/proc/stat").read_text().partition("\n")[0].split()
+    return sum(map(int, (user, nice, system, irq, softirq))) / os.sysconf("SC_CLK_TCK")
+
+
+def read_reports(paths: Iterable[Path]) -> dict[str, Times]:
     """Return the times of all tests in files of pytest-reportlog, of those as well that a run has not ended."""
-    tests: dict[str, TestTimes] = {}
+    tests: dict[str, Times] = {}
     for path in paths:
         for line in path.read_text().splitlines() if path.exists() else ():
             report = json.loads(line)
             if report["$report_type"] == "TestReport":
-                times = tests.setdefault(report["nodeid"], TestTimes())
+                times = tests.setdefault(report["nodeid"], Times())
                 setattr(times, f"{report['when']}_s", round(report["duration"], 3))
                 if report["outcome"] != "passed":
                     times.outcome = report["outcome"]
@@ -89,7 +97,7 @@ def kept() -> Durations | None:
     """Return what the latest whole run took, None if there was none that can be read."""
     try:
         document: dict[str, Any] = json.loads(FILE.read_text())
-        tests = {name: TestTimes(**times) for name, times in document.pop("tests").items()}
+        tests = {name: Times(**times) for name, times in document.pop("tests").items()}
         return Durations(**document, tests=tests)
     except (OSError, ValueError, TypeError, KeyError):
         return None

@@ -23,7 +23,7 @@ REACHES_ALL = ("pyproject.toml", "deploy/requirements-check.lock", "tests/confte
 
 def reached(since: str) -> list[str]:
     """Return the files of tests that the changes since a commit can reach, uncommitted and new files included."""
-    return tests_reached(changed_files(since), sources())
+    return reached_by(changed_files(since), sources())
 
 
 def changed_files(since: str) -> list[str]:
@@ -43,7 +43,7 @@ def sources() -> dict[str, str]:
     return {path.as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 
-def tests_reached(changed: Iterable[str], sources: Mapping[str, str]) -> list[str]:
+def reached_by(changed: Iterable[str], sources: Mapping[str, str]) -> list[str]:
     """Return the files of tests among `sources`, by path, that a change of the files `changed` can reach."""
     tests = sorted(path for path in sources if Path(path).name.startswith("test_"))
     changed = set(changed)

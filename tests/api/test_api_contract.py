@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.extents import Extent, first_quick
 from support.rest import FakeControl, add, app_of, measured, particle_files, rejected
 from support.served import served_by
 
@@ -100,7 +99,14 @@ async def fill(store: Store, session: int, folder: Path) -> None:
 
 @pytest.mark.usefixtures("webhooks", "again")
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("phases", first_quick(EXAMPLES, Extent.NIGHT))
+@pytest.mark.parametrize(
+    "phases",
+    [
+        "examples",
+        pytest.param("examples,fuzzing", marks=pytest.mark.full),
+        pytest.param("examples,coverage,fuzzing", marks=pytest.mark.night),
+    ],
+)
 async def test_schemathesis_finds_nothing(
     phases: str,
     store: Store,

@@ -65,6 +65,7 @@ def measuring(
         yield cluster, command
 
 
+@pytest.mark.full
 def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 from support.daemon_process import DaemonProcess, descendants_of, is_running
 from support.eventually import eventually
-from support.extents import first_quick
 from support.left_in_spool import open_triggers, whole_bundles
 from support.small_recording import write_small_recording
 
@@ -103,7 +102,8 @@ def test_a_bundle_that_kills_its_workers_is_kept_and_named(recording: Path, tmp_
         assert daemon.stop() == 0
 
 
-@pytest.mark.parametrize("is_deleted", first_quick([False, True]), ids=["fork server", "spool"])
+@pytest.mark.full
+@pytest.mark.parametrize("is_deleted", [True, False], ids=["spool", "fork server"])
 def test_what_is_taken_from_a_running_daemon_comes_back(
     is_deleted: bool, recording: Path, tmp_path: Path
 ) -> None:
@@ -143,6 +143,7 @@ def is_full_and_lost(queue: dict[str, Any]) -> bool:
     return queue["status"] == "fail" and "stones lost" in queue["detail"]
 
 
+@pytest.mark.full
 def test_overload_loses_the_newest_whole_is_named_and_ends_by_itself(recording: Path, tmp_path: Path) -> None:
     with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1, max_bundles=2) as daemon:
         daemon.hear("READY=1")

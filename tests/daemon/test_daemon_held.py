@@ -156,6 +156,7 @@ def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
     assert len(list(tmp_path.glob("state/aside/*/particles/*/mesh.sfmesh"))) == 6
 
 
+@pytest.mark.full
 def test_damage_that_shows_while_it_runs_is_an_alarm_and_no_end(recording: Path, tmp_path: Path) -> None:
     database = tmp_path / "state/results.sqlite"
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:

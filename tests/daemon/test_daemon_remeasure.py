@@ -83,6 +83,7 @@ def remove_frames(folder: Path, daemon: DaemonProcess) -> str:
     return name
 
 
+@pytest.mark.full
 def test_stones_are_measured_again_once_with_the_same_numbers_over_kills(tmp_path: Path) -> None:
     recording, port = tmp_path / "recording", free_port()
     with old_archive(tmp_path, recording, port) as daemon:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -24,12 +25,17 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
         yield daemon
 
 
-def start_watch(daemon: DaemonProcess, process: int, *options: str) -> subprocess.Popen[str]:
+@contextmanager
+def watching(daemon: DaemonProcess, process: int, *options: str) -> Iterator[subprocess.Popen[str]]:
     base = daemon.url("").removesuffix("/api/v1")
     # a process started in the background, as a gate may be, ignores Ctrl-C, and so do those that it starts
     command = ["env", "--default-signal=INT", sys.executable, DEPLOY / "watch.py", base]
     command += ["--while-process", str(process), *options]
-    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    with subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as watch:
+        try:
+            yield watch
+        finally:
+            watch.kill()
 
 
 def read_rows(watch: subprocess.Popen[str]) -> None:
@@ -40,8 +46,8 @@ def read_rows(watch: subprocess.Popen[str]) -> None:
 
 
 def test_every_stone_is_printed_and_accounted_for(daemon: DaemonProcess):
-    watch = start_watch(daemon, daemon.process.pid, "--once")
-    out, errors = watch.communicate(timeout=PATIENCE_S)
+    with watching(daemon, daemon.process.pid, "--once") as watch:
+        out, errors = watch.communicate(timeout=PATIENCE_S)
     assert (watch.returncode, errors) == (0, "")
     rows = re.findall(r"^ +(\d+)  (\S+) .* (measured) +(\w+) +\d+\.\d ", out, re.MULTILINE)
     assert [int(seq) for seq, *_ in rows] == list(range(1, N_STONES + 1))
@@ -52,24 +58,24 @@ def test_every_stone_is_printed_and_accounted_for(daemon: DaemonProcess):
 def test_stones_of_a_stranger_are_not_printed(daemon: DaemonProcess):
     with subprocess.Popen([sys.executable, "-c", ""]) as own:
         own.wait()
-    watch = start_watch(daemon, own.pid)
-    assert watch.communicate(timeout=PATIENCE_S) == ("", "the daemon ended\n")
+    with watching(daemon, own.pid) as watch:
+        assert watch.communicate(timeout=PATIENCE_S) == ("", "the daemon ended\n")
     assert watch.returncode == 1
 
 
 def test_ctrl_c_ends_it_quietly(daemon: DaemonProcess):
-    watch = start_watch(daemon, daemon.process.pid)
-    read_rows(watch)
-    watch.send_signal(signal.SIGINT)
-    assert watch.communicate(timeout=PATIENCE_S) == ("", "")
+    with watching(daemon, daemon.process.pid) as watch:
+        read_rows(watch)
+        watch.send_signal(signal.SIGINT)
+        assert watch.communicate(timeout=PATIENCE_S) == ("", "")
     assert watch.returncode == 130
 
 
 def test_it_ends_with_the_daemon(daemon: DaemonProcess):
-    watch = start_watch(daemon, daemon.process.pid)
-    read_rows(watch)
-    daemon.stop()
-    assert watch.communicate(timeout=PATIENCE_S) == ("", "the daemon ended\n")
+    with watching(daemon, daemon.process.pid) as watch:
+        read_rows(watch)
+        daemon.stop()
+        assert watch.communicate(timeout=PATIENCE_S) == ("", "the daemon ended\n")
     assert watch.returncode == 1
 
 

@@ -23,7 +23,7 @@ from support.extents import first_quick
 from service import screens
 
 PATIENCE_MS = 60_000
-N_OTHERS, N_STONES = 50, 24
+N_OTHERS, N_STONES = 42, 24
 """Together more than the gallery shows at once."""
 SLOW_RENDERER = re.compile("GPU stall due to ReadPixels")
 """What the browser says of its own way to draw without a graphics card."""

@@ -90,6 +90,7 @@ def test_a_wet_stone_mirrors_the_light() -> None:
     assert np.quantile(wet, 0.995) > 1.5 * np.quantile(dry, 0.995)
 
 
+@pytest.mark.full
 def test_there_are_several_bodies_and_fragments() -> None:
 
     for case in (HardCase.SEVERAL, HardCase.FRAGMENTS):

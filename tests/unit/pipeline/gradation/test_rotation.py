@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,6 +64,7 @@ def figures(of: Gradation) -> dict[str, Estimate]:
     }
 
 
+@pytest.mark.full
 @examples(0.5)
 @given(st.integers(0, 2**32 - 1))
 def test_percentages_ignore_the_poses_of_stones(seed: int) -> None:

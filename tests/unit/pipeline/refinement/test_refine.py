@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
+from support.extents import first_quick
 from support.render_cache import kept_rendered
 from support.rendered import SEED, background, rig, simulated
 
@@ -100,7 +101,7 @@ def test_the_estimates_edges_do_not_stand_out_of_a_rough_body():
     assert after.mean_mm < 0.5 * before.mean_mm
 
 
-@pytest.mark.parametrize("name", ["plain sphere", "plain cube"])
+@pytest.mark.parametrize("name", first_quick(["plain sphere", "plain cube"]))
 def test_what_shows_no_texture_stays_as_estimated(name: str):
     plain = case(name)
     before, after = (plain.distances(each.mesh) for each in (plain.estimate, plain.refinement))
@@ -119,7 +120,7 @@ def test_sharp_edges_stay_sharp():
     assert after.mean_mm < before.mean_mm + 0.005
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", first_quick(BODIES))
 def test_the_refined_body_is_closed_within_the_hull_and_does_not_cross_itself(name: str):
     any_body = case(name)
     mesh, hull = any_body.refinement.mesh, any_body.result.hull

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from support.extents import first_quick
 from support.synthetic_rigs import QUIET, rig_of, upright
 
 from pipeline.frames import CameraId
@@ -26,6 +27,7 @@ def image_of(body: Body) -> np.ndarray:
     return photograph([upright(body)], rig, np.random.default_rng(1))[C05].astype(float)
 
 
+@pytest.mark.full
 def test_even_light_is_that_of_random_rays_without_their_noise(dented: Body) -> None:
     scene = shading.embree_scene(dented.mesh)
     even = shading.even_irradiance(dented.mesh, scene)
@@ -59,7 +61,7 @@ def test_faces_that_hide_the_dome_send_their_own_light(dented: Body) -> None:
     assert (lit - dark).max() > 0.2 * 60.0 / shading.WALL_GREY, "in the depth of a dent"
 
 
-@pytest.mark.parametrize("surface", SurfaceKind)
+@pytest.mark.parametrize("surface", first_quick(SurfaceKind))
 def test_only_textures_have_fine_detail(surface: SurfaceKind) -> None:
     image = image_of(replace(sphere(), surface=surface, contrast=0.2))
     inside = image[216:296, 280:360]
@@ -70,6 +72,7 @@ def test_only_textures_have_fine_detail(surface: SurfaceKind) -> None:
         assert detail.std() > 2.0
 
 
+@pytest.mark.full
 def test_crystals_turn_and_move_with_the_body() -> None:
     granite = replace(sphere(), surface=SurfaceKind.GRANITE, contrast=0.25)
     R, offset_mm = Rotation.random(rng=np.random.default_rng(2)).as_matrix(), np.array([1.0, 2.0, -3.0])

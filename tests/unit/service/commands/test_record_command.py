@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.eventually import eventually
+from support.extents import first_quick
 from support.recordings import CAMERAS, make_bundle, write_recording
 from support.warm_stonefall import start_stonefall
 
@@ -134,7 +135,7 @@ def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.
         insisting.join()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", first_quick([signal.SIGTERM, signal.SIGINT]))
 def test_a_signal_ends_it_cleanly(tmp_path: Path, number: signal.Signals):
     config = configuration(tmp_path, "loop = true")
     process = start_stonefall("record", tmp_path / "out", "--config", config, "--json")
