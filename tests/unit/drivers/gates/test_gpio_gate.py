@@ -25,6 +25,8 @@ class FakeLines:
         self.driven: list[tuple[int | str, bool]] = []
         self.is_closed = False
         self.echoes = False
+        self.drive_s = 0.0
+        """For how long the machine is busy with other things before the line is set."""
         self._read: queue.Queue[list[LineEdge] | OSError] = queue.Queue()
 
     def edge(self, is_closed: bool, at_ns: int) -> None:
@@ -49,6 +51,7 @@ class FakeLines:
 
     def drive(self, line: int | str, *, is_active: bool) -> None:
         self.driven.append((line, is_active))
+        time.sleep(self.drive_s)
         if self.echoes:
             self.edge(is_active, time.monotonic_ns())
 
@@ -147,11 +150,11 @@ def test_what_the_kernel_swallowed_took_time(lines: FakeLines) -> None:
         gate.close()
 
 
-@pytest.mark.parametrize("echoes", [True, False])
+@pytest.mark.parametrize(("echoes", "drive_s"), [(True, 0.0), (True, 0.01), (False, 0.0)])
 def test_a_test_pulse_is_one_exposure_whether_the_input_sees_it_or_not(
-    lines: FakeLines, gate: GpioGate, sink: Collector, echoes: bool
+    lines: FakeLines, gate: GpioGate, sink: Collector, echoes: bool, drive_s: float
 ) -> None:
-    lines.echoes = echoes
+    lines.echoes, lines.drive_s = echoes, drive_s
     before_ns = time.monotonic_ns()
     gate.test_pulse()
     assert lines.driven == [(5, True), (5, False)]
