@@ -19,7 +19,7 @@ LIMIT_S = 10.0
 """Longest call, or set-up, of a quick test."""
 LONGER: dict[str, str] = {}
 """Quick tests that may take longer, with the reason."""
-REFERENCE_GFLOPS = 20.0
+REFERENCE_GFLOPS = 100.0
 """Speed of one processor of the machine that `LIMIT_S` is meant for; a machine that is slower now has more time."""
 PROBE_S = 0.5
 PROBE_N = 512

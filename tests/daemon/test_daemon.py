@@ -150,6 +150,7 @@ def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path:
     assert accounting.triggers == accounting.measured
 
 
+@pytest.mark.full
 def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Path):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")
@@ -183,6 +184,7 @@ def test_a_killed_worker_costs_one_retry_and_no_stone(
         assert daemon.stop() == 0
 
 
+@pytest.mark.full
 def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
         daemon.hear("READY=1")

@@ -40,6 +40,7 @@ def told(events: dict[str, Any]) -> list[tuple[str, str, str]]:
     ]
 
 
+@pytest.mark.full
 def test_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
     nominal_id = read_rig(balls / "rig.json").calibration_id
     with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:

@@ -80,6 +80,7 @@ def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
     assert list((tmp_path / "spool").iterdir()) == []
 
 
+@pytest.mark.full
 def test_a_bundle_that_kills_its_workers_is_kept_and_named(recording: Path, tmp_path: Path) -> None:
     with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:
         daemon.hear("READY=1")

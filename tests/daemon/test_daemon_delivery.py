@@ -70,6 +70,7 @@ def mes() -> Iterator[Mes]:
     mes.close()
 
 
+@pytest.mark.full
 def test_lots_are_told_and_written_over_kills(tmp_path: Path, mes: Mes) -> None:
     write_small_recording(tmp_path / "recording", n_stones=N_STONES)
     drop = tmp_path / "drop"

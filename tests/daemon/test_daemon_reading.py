@@ -7,6 +7,7 @@ from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
+import pytest
 from support.daemon_process import DaemonProcess, descendants_of, process_name
 from support.eventually import PATIENCE_S
 from support.small_recording import write_small_recording
@@ -30,6 +31,7 @@ def preview(daemon: DaemonProcess, seq: int) -> bytes:
             assert time.monotonic() < deadline_s
 
 
+@pytest.mark.full
 def test_the_reading_process_is_killed_and_every_answer_comes(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=N_STONES)
     with DaemonProcess(tmp_path, tmp_path / "recording") as daemon:

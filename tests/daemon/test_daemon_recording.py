@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 from support.daemon_process import DaemonProcess
-from support.extents import first_quick
 from support.small_recording import write_small_recording
 from typer.testing import CliRunner
 
@@ -56,7 +55,8 @@ def test_a_recording_measures_as_the_daemon_did(tmp_path: Path) -> None:
         }
 
 
-@pytest.mark.parametrize("asked_to_stop", first_quick([False, True]))
+@pytest.mark.full
+@pytest.mark.parametrize("asked_to_stop", [True, False])
 def test_a_recording_when_the_daemon_ends(tmp_path: Path, asked_to_stop: bool) -> None:
     """Stopped in order it is kept as far as it came, killed it leaves nothing half done."""
     write_small_recording(tmp_path / "source", n_stones=2)

@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import pytest
 from support.daemon_process import DaemonProcess
 from support.small_recording import write_small_recording
 
 
+@pytest.mark.full
 def test_a_damaged_model_is_named_and_done_without(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=1)
     (tmp_path / "net.onnx").write_bytes(b"damaged")

@@ -3,6 +3,7 @@
 import subprocess
 from pathlib import Path
 
+import pytest
 from support.daemon_process import STONEFALL, DaemonProcess
 from support.networks import difference_network
 from support.small_recording import write_small_recording
@@ -24,6 +25,7 @@ def sent_by(pid: int) -> dict[str, int]:
     return found
 
 
+@pytest.mark.full
 def test_nothing_leaves_while_a_network_runs_and_a_stone_is_measured(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=2)
     (tmp_path / "net.onnx").write_bytes(difference_network("n"))

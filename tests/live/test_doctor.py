@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from support import broken_host
 from support.broken_host import Tree
 from support.live_rig import live_rig, live_section, simulated_rig
@@ -25,6 +26,7 @@ def test_each_planted_fault_is_named_with_its_remedy() -> None:
     assert broken_host.main() == 0
 
 
+@pytest.mark.full
 def test_a_whole_rig_exposes_at_the_test_pulse(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "source", n_stones=1)
     config = tmp_path / "stonefall.toml"
@@ -49,6 +51,7 @@ def test_a_whole_rig_exposes_at_the_test_pulse(tmp_path: Path) -> None:
         assert found["port of 198.51.100.9"]["remedy"]
 
 
+@pytest.mark.full
 def test_a_running_daemon_is_asked_and_keeps_its_devices(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "source", n_stones=1)
     with live_rig(tmp_path, tmp_path / "source", number=5) as live:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from support.calibration_cli import run
 from support.live_rig import live_rig
 from support.small_recording import write_ball_recording
@@ -11,6 +12,7 @@ from drivers.files.rig_file import read_rig
 N_BALLS = 8
 
 
+@pytest.mark.full
 def test_on_live_cameras_what_falls_is_a_ball_until_the_calibration_ends(tmp_path: Path):
     balls = tmp_path / "recording"
     write_ball_recording(balls, n_balls=N_BALLS)

@@ -16,7 +16,6 @@ import httpx
 import numpy as np
 import pytest
 from support.daemon_process import DaemonProcess
-from support.extents import first_quick
 from support.live_rig import LiveRig, eventually, live_rig, live_section, simulated_rig
 from support.small_recording import write_odd_recording, write_small_recording
 from support.stores import folder_of
@@ -162,7 +161,8 @@ def test_every_trigger_has_an_outcome_and_the_drivers_count_what_the_cameras_cou
     assert run.daemon.get("/acquisition")["triggers"] == len(REASONS) + 2
 
 
-@pytest.mark.parametrize("trigger", first_quick(["software", "action"]))
+@pytest.mark.full
+@pytest.mark.parametrize("trigger", ["software", "action"])
 def test_without_a_wire_the_host_triggers_and_the_cameras_do_the_timing(
     tmp_path: Path, spheres: Path, trigger: str
 ) -> None:

@@ -72,6 +72,7 @@ def whole_views(results: list[dict[str, Any]]) -> list[int]:
     return [len(result["views"]) for result in results if result["outcome"] == "measured"]
 
 
+@pytest.mark.full
 def test_sigterm_measures_what_fell_and_lets_the_cameras_go(tmp_path: Path, recording: Path) -> None:
     with live_rig(tmp_path, recording, by_address=True, number=5) as live:
         n_dropped = live.stones

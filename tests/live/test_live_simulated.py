@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 from support.daemon_process import PATIENCE_S, DaemonProcess
-from support.extents import first_quick
 from support.live_rig import LiveRig, live_section, simulated_rig
 from support.rest import add, measured
 from support.small_recording import write_small_recording
@@ -19,7 +18,8 @@ async def write_live_result(state_dir: Path) -> None:
         await add(store, session, 1, measured(), {})
 
 
-@pytest.mark.parametrize("by_address", first_quick([True, False]))
+@pytest.mark.full
+@pytest.mark.parametrize("by_address", [True, False])
 async def test_results_of_simulated_cameras_are_marked_and_never_beside_those_of_stones_that_fell(
     by_address: bool, tmp_path: Path
 ) -> None:

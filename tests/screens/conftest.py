@@ -43,9 +43,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def replay(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Iterator[DaemonProcess]:
     """A real daemon that plays the recording again and again."""
-    with DaemonProcess(
-        tmp_path_factory.mktemp("daemon"), recording, rig="loop = true\nspeed = 2.0", slots=1
-    ) as daemon:
+    rig = "loop = true\nspeed = 0.5"
+    with DaemonProcess(tmp_path_factory.mktemp("daemon"), recording, rig=rig, slots=1) as daemon:
         daemon.hear("READY=1")
         yield daemon
         assert daemon.process.poll() is None, daemon.log

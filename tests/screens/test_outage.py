@@ -4,6 +4,7 @@ import re
 import signal
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Route, expect
 from support.browser import Watched, origin_of, until
 from support.daemon_process import DaemonProcess, free_port
@@ -16,6 +17,7 @@ REFUSED = re.compile(
 LOOP = "loop = true\nspeed = 2.0"
 
 
+@pytest.mark.full
 def test_an_outage_is_told_and_an_upgrade_loads_the_page_anew(
     watched: Watched, recording: Path, tmp_path: Path
 ) -> None:

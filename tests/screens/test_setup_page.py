@@ -100,6 +100,7 @@ def test_a_calibration_from_the_first_ball_to_its_use(page: Page, live: LiveRig)
     expect(page.locator(".below")).to_contain_text("in use")
 
 
+@pytest.mark.full
 def test_a_calibration_that_is_refused_says_why_and_is_cancelled(page: Page, live: LiveRig) -> None:
     enter(page, live, "calibration")
     page.get_by_label("Diameter of the ball, mm").first.fill("12")
@@ -189,6 +190,7 @@ def blinking(page: Page, live: LiveRig) -> str:
     return camera
 
 
+@pytest.mark.full
 def test_the_first_start_finds_two_exchanged_cameras_and_a_silent_one(
     watched: Watched, page: Page, live: LiveRig
 ) -> None:

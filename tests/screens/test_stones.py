@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
+from screens.conftest import N_STONES
 from support.browser import (
     SIZES,
     Watched,
@@ -23,8 +24,6 @@ from support.extents import first_quick
 from service import screens
 
 PATIENCE_MS = 60_000
-N_OTHERS, N_STONES = 42, 24
-"""Together more than the gallery shows at once."""
 SLOW_RENDERER = re.compile("GPU stall due to ReadPixels")
 """What the browser says of its own way to draw without a graphics card."""
 NEEDS_THREE = pytest.mark.skipif(
@@ -33,16 +32,23 @@ NEEDS_THREE = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
+def replay(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Iterator[DaemonProcess]:
+    """A daemon that has played a recording to its end: no more stones fall."""
+    with DaemonProcess(tmp_path_factory.mktemp("daemon"), recording) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting", lambda counts: counts["measured"] == N_STONES)
+        yield daemon
+        assert daemon.process.poll() is None, daemon.log
+
+
+@pytest.fixture(scope="module")
 def lot(replay: DaemonProcess) -> str:
-    """A closed lot with the newest stones, after others; no more fall."""
-    replay.wait_for("/accounting", lambda counts: counts["measured"] >= N_OTHERS)
+    """A closed lot with all stones."""
     product = {"title": "11/16", "density_kg_m3": 2850, "lower_mm": 11.2, "upper_mm": 16}
     replay.put("/products/split", product)
     replay.post("/lots", {"lot": "L-7", "product": "split"})
-    replay.wait_for("/lots/L-7", lambda lot: lot["n_stones"] >= N_STONES)
-    replay.put("/acquisition", {"state": "disarmed"})
-    replay.wait_for("/acquisition", lambda now: now["state"] == "disarmed")
-    replay.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+    times = {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}
+    assert replay.post("/lots/L-7/assign", times)["n_assigned"] == N_STONES
     replay.post("/lots/L-7/close", {})
     return "L-7"
 
@@ -213,9 +219,18 @@ def test_a_click_on_the_curve_shows_its_stones_and_one_less_moves_the_interval(
     assert "without" not in page.url
 
 
+@pytest.mark.full
 def test_a_filter_is_in_the_address_and_the_list_has_no_end(
-    page: Page, replay: DaemonProcess, lot: str
+    page: Page, recording: Path, tmp_path: Path
 ) -> None:
+    with DaemonProcess(tmp_path, recording, rig='pace = "fast"\nloop = true') as replay:
+        replay.hear("READY=1")
+        replay.wait_for("/accounting", lambda counts: counts["measured"] > 66)  # more than are shown at once
+        replay.put("/acquisition", {"state": "disarmed"})
+        _scroll_and_filter(page, replay)
+
+
+def _scroll_and_filter(page: Page, replay: DaemonProcess) -> None:
     page.goto(address(replay, "/gallery"))
     until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
     page.locator("#list-card").scroll_into_view_if_needed()

@@ -120,6 +120,7 @@ def test_errors_of_sizes_are_told_as_bias_and_rms() -> None:
     assert cells["min Feret"] == ["-0.100, 0.100"]
 
 
+@pytest.mark.full
 def test_times_of_each_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(performance_bench, "SIZES_MM", performance_bench.SIZES_MM[:1])
     result = RUNNER.invoke(build_app(["benchmark"]), ["benchmark", "--poses", "1", "--json"])

@@ -100,6 +100,7 @@ async def test_a_worker_killed_while_idle_is_replaced():
         assert other != pid
 
 
+@pytest.mark.full
 async def test_a_killed_fork_server_costs_retries_and_no_process_stays_behind():
     async with pool_of(2) as pool:
         before = list(pool.pids)
