@@ -47,8 +47,7 @@ def _run_these(extent: Extent, tests: Sequence[str]) -> None:
     KEPT.mkdir(parents=True, exist_ok=True)
     runner = _runner()
     runner.run([[list(SOURCE)]])
-    if any(each.code for each in runner.ran):
-        _show_failed(runner.ran)
+    if any(each.has_failed for each in runner.ran):
         sys.exit(1)
     os.execv(f"{BIN}/pytest", ["pytest", *extent.options, *tests])  # noqa: S606 - our own
 
@@ -81,7 +80,6 @@ def _run(extent: Extent, since: str | None) -> int:
         steps=summed(runner.ran),
         tests=tests,
     )
-    _show_failed(runner.ran)
     is_whole = selected is None
     wrong = too_long(durations) if extent is Extent.QUICK and is_whole else []
     if is_whole:
@@ -96,7 +94,7 @@ def _conclude(durations: Durations, ran: Sequence[Ran], *, has_slow: bool) -> in
         if each.step.reports.exists():
             print(_last_line(each.step.printed))
     n_failed = sum(each.outcome == "failed" for each in durations.tests.values())
-    failed = [each.step.name for each in ran if each.code]
+    failed = [each.step.name for each in ran if each.has_failed]
     minutes, processor_minutes = durations.wall_s / 60, durations.processor_s / 60
     print(
         f"{'not good' if failed or has_slow else 'good'}: {len(durations.tests)} tests, {n_failed} failed;"
@@ -107,11 +105,8 @@ def _conclude(durations: Durations, ran: Sequence[Ran], *, has_slow: bool) -> in
     return int(bool(failed) or has_slow)
 
 
-def _show_failed(ran: Sequence[Ran]) -> None:
-    for each in ran:
-        if each.code:
-            print(f"--- {each.step.name} failed")
-            print(each.step.printed.read_text(errors="replace"), flush=True)
+def _show(ran: Ran) -> None:
+    print(f"--- {ran.step.name} failed\n{ran.step.printed.read_text(errors='replace')}", flush=True)
 
 
 def _last_line(printed: Path) -> str:
@@ -120,7 +115,7 @@ def _last_line(printed: Path) -> str:
 
 def _runner() -> Runner:
     """Return a runner that ends what it runs on SIGTERM; Ctrl-C reaches all processes by itself."""
-    runner = Runner()
+    runner = Runner(_show)
 
     def end(number: int, _: object) -> None:
         runner.end()
@@ -136,10 +131,12 @@ def _tell(runner: Runner, start_s: float, typical_s: float | None) -> None:
     while True:
         time.sleep(TOLD_EVERY_S)
         elapsed_s = time.monotonic() - start_s
-        n_tests = len(read_reports(KEPT.glob("*.jsonl")))
+        tests = read_reports(KEPT.glob("*.jsonl"))
+        n_failed = sum(each.outcome == "failed" for each in tests.values())
         left = "" if typical_s is None else f", about {max(0.0, typical_s - elapsed_s) / 60:.0f} min left"
         running = ", ".join(runner.running)
-        print(f"[{elapsed_s // 60:2.0f}:{elapsed_s % 60:02.0f}] {running}; {n_tests} tests{left}", flush=True)
+        done = f"{len(tests)} tests, {n_failed} failed"
+        print(f"[{elapsed_s // 60:2.0f}:{elapsed_s % 60:02.0f}] {running}; {done}{left}", flush=True)
 
 
 if __name__ == "__main__":

@@ -76,7 +76,8 @@ def read_reports(paths: Iterable[Path]) -> dict[str, Times]:
     """Return the times of all tests in files of pytest-reportlog, of those as well that a run has not ended."""
     tests: dict[str, Times] = {}
     for path in paths:
-        for line in path.read_text().splitlines() if path.exists() else ():
+        whole, _, _ = path.read_text().rpartition("\n") if path.exists() else ("", "", "")
+        for line in whole.splitlines():
             report = json.loads(line)
             if report["$report_type"] == "TestReport":
                 times = tests.setdefault(report["nodeid"], Times())

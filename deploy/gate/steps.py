@@ -6,12 +6,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
 BIN = Path(sys.executable).parent
+NO_TESTS = 5
+"""Exit code of pytest when all selected tests are of a wider extent."""
 KEPT = Path(".cache/gate")
 """What each step of the latest run printed, and the reports of its tests."""
 
@@ -60,6 +62,10 @@ class Ran:
     wall_s: float
     processor_s: float
 
+    @property
+    def has_failed(self) -> bool:
+        return self.code not in (0, NO_TESTS)
+
 
 SOURCE = (
     Step("format", (f"{BIN}/ruff", "format", "--check", "--quiet", ".")),
@@ -103,9 +109,10 @@ def _tests(name: str, extent: Extent, arguments: Sequence[str], *, is_nice: bool
 
 
 class Runner:
-    """Runs stages of steps, and ends all that runs when it is asked to."""
+    """Runs stages of steps, and ends all that runs when it is asked to; `on_failed` is called for a step that fails."""
 
-    def __init__(self) -> None:
+    def __init__(self, on_failed: Callable[[Ran], None] = lambda ran: None) -> None:
+        self._on_failed = on_failed
         self.running: dict[str, float] = {}
         """Name of each step that runs -> when it began, by the monotonic clock."""
         self.ran: list[Ran] = []
@@ -130,7 +137,9 @@ class Runner:
     def _run_lane(self, steps: Sequence[Step]) -> None:
         for step in steps:
             if not self._is_ending.is_set():
-                self.ran.append(self._run_step(step))
+                self.ran.append(ran := self._run_step(step))
+                if ran.has_failed:
+                    self._on_failed(ran)
 
     def _run_step(self, step: Step) -> Ran:
         command = ("nice", "-n", "5", *step.command) if step.is_nice else step.command

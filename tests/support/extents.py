@@ -58,7 +58,10 @@ def examples(share: float) -> hypothesis.settings:
 def first_quick(values: Iterable[Any], others: Extent = Extent.FULL) -> list[Any]:
     """Return values for `parametrize` of which all but the first are tried in a wider extent only."""
     first, *rest = values
-    return [first, *(pytest.param(*_arguments(each), marks=getattr(pytest.mark, others)) for each in rest)]
+    return [
+        first,
+        *(pytest.param(*_arguments(each), marks=getattr(pytest.mark, others.value)) for each in rest),
+    ]
 
 
 def _arguments(value: Any) -> tuple[Any, ...]:

@@ -97,7 +97,7 @@ def test_set_up_and_call_are_told_apart_and_a_failure_stays(tmp_path: Path) -> N
         report("t.py::a", "teardown", 0.5),
         report("t.py::b", "setup", 0.0, "skipped"),
     ]
-    (tmp_path / "tests.jsonl").write_text("\n".join(lines))
+    (tmp_path / "tests.jsonl").write_text("\n".join([*lines, '{"unfinished']))
     found = read_reports([tmp_path / "tests.jsonl", tmp_path / "missing.jsonl"])
     assert found["t.py::a"] == Times(2.0, 1.0, 0.5, "failed")
     assert found["t.py::b"].outcome == "skipped"
