@@ -196,6 +196,9 @@ async def test_too_few_cameras_hold_the_acquisition_until_they_are_back(
         await bench.step(1)  # counted all the same
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
         assert acquisition.trouble is None
+        await bench.until(
+            lambda: acquisition.cameras.armed == len(CAMERAS)
+        )  # two of them are enough for the state
         await bench.step(1)
         assert acquisition.request(AcquisitionTarget.DISARMED) is AcquisitionState.DISARMING
         await bench.until(lambda: acquisition.state is AcquisitionState.DISARMED)
