@@ -19,7 +19,7 @@ class Extent(StrEnum):
     NIGHT = "night"
 
 
-EXAMPLES = {Extent.QUICK: 10, Extent.FULL: 25, Extent.NIGHT: 100}
+EXAMPLES = {Extent.QUICK: 6, Extent.FULL: 25, Extent.NIGHT: 100}
 """Examples of a property that says nothing else."""
 FEWEST_EXAMPLES = 2
 

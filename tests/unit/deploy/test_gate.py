@@ -117,10 +117,19 @@ def run_of(gflops: float = durations.REFERENCE_GFLOPS, **calls_s: float) -> Dura
 
 def test_a_quick_test_has_ten_seconds_and_more_on_a_slower_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(durations, "LONGER", {})
+    monkeypatch.setattr(durations, "N_PROCESSES", 0)
     (wrong,) = too_long(run_of(quick=9.0, slow=11.0))
     assert wrong.startswith("tests/unit/test_x.py::slow took 11.0 s, longer than 10 s")
     assert too_long(run_of(durations.REFERENCE_GFLOPS / 2, slow=11.0)) == []
     assert len(too_long(run_of(durations.REFERENCE_GFLOPS * 2, slow=11.0))) == 1
+
+
+def test_a_test_that_shares_a_processor_has_as_much_more_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(durations, "LONGER", {})
+    monkeypatch.setattr(durations.os, "cpu_count", lambda: 2)
+    assert durations.N_PROCESSES == 3
+    assert too_long(run_of(slow=19.0)) == []
+    assert len(too_long(run_of(slow=21.0))) == 1
 
 
 def test_an_exception_is_named_and_must_exist(monkeypatch: pytest.MonkeyPatch) -> None:

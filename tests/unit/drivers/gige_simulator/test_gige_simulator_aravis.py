@@ -163,13 +163,11 @@ def test_lost_packets_are_asked_for_until_the_frame_is_whole(
                 assert popped[:2] == ("success", n)
                 np.testing.assert_array_equal(popped[2], show(n))
             eventually(
-                lambda: (
-                    simulated.counters.packets == stream.statistics()["n_received_packets"]
-                    and simulated.counters.frames == 10
-                )
+                lambda: simulated.counters.frames == 10 and stream.statistics()["n_completed_buffers"] == 10
             )
             counters, statistics = simulated.counters, stream.statistics()
-    assert statistics["n_completed_buffers"] == 10
+    # on a busy machine the kernel may drop packets as well, which are asked for like those the camera has dropped
+    assert statistics["n_received_packets"] <= counters.packets
     assert counters.dropped > 0
     assert 0 < counters.resent <= statistics["n_resend_requests"]
     assert counters.torn == statistics["n_failures"] == 0
