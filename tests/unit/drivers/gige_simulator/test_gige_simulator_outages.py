@@ -36,8 +36,8 @@ def _answered(camera: Session, request_ids: set[int]) -> set[int]:
 
 def test_a_slow_camera_asks_for_patience(camera: Session) -> None:
     camera.camera.faults.ack_delay_ms = 400
-    camera.control.tell(READREG, struct.pack(">I", CCP), flags=1, request_id=9)
     since_s = time.monotonic()
+    camera.control.tell(READREG, struct.pack(">I", CCP), flags=1, request_id=9)
     pending = camera.control.socket.recv(100)
     assert pending == struct.pack(">HHHHHH", 0, 0x89, 4, 9, 0, 800)
     assert camera.control.socket.recv(100) == struct.pack(">HHHHI", 0, 0x81, 4, 9, 2)
