@@ -81,8 +81,8 @@ RIGS = ("tests/live", "tests/screens", "tests/soak")
 """Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
 FIRST = ("tests/daemon", "tests/accuracy", "tests/aravis")
 """Of the other tests those with the longest files."""
-N_PROCESSES = 3
-"""One more than processors: daemons and devices mostly wait."""
+N_PROCESSES = 2
+"""With that of the rigs one more than processors: daemons and devices mostly wait."""
 
 
 def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[list[Step]]]:

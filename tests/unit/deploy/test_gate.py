@@ -127,9 +127,9 @@ def test_a_quick_test_has_ten_seconds_and_more_on_a_slower_machine(monkeypatch: 
 def test_a_test_that_shares_a_processor_has_as_much_more_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(durations, "LONGER", {})
     monkeypatch.setattr(durations.os, "cpu_count", lambda: 2)
-    assert durations.N_PROCESSES == 3
-    assert too_long(run_of(slow=19.0)) == []
-    assert len(too_long(run_of(slow=21.0))) == 1
+    assert durations.N_PROCESSES == 2
+    assert too_long(run_of(slow=14.0)) == []
+    assert len(too_long(run_of(slow=16.0))) == 1
 
 
 def test_an_exception_is_named_and_must_exist(monkeypatch: pytest.MonkeyPatch) -> None:
