@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -60,7 +61,9 @@ class LocalCluster:
 
     def jobs(self, number: int) -> list[Path]:
         """Return the folders of the bundles that the worker's processes measure at this moment."""
-        return list(self._room(number).glob("**/stonefall/bundle-*/out"))
+        while True:
+            with suppress(FileNotFoundError):  # a file went while its folder was looked through: once more
+                return list(self._room(number).glob("**/stonefall/bundle-*/out"))
 
     def kill_worker(self, number: int) -> None:
         """Kill it as a machine dies: what it had started ends by itself."""
