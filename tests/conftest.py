@@ -46,9 +46,9 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is marked for a wider extent than the options ask for."""
-    left_out = [item for item in items if is_beyond(item, extent_of(config))]
-    config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if item not in set(left_out)]
+    extent = extent_of(config)
+    config.hook.pytest_deselected(items=[item for item in items if is_beyond(item, extent)])
+    items[:] = [item for item in items if not is_beyond(item, extent)]
 
 
 @pytest.fixture(autouse=True)

@@ -46,10 +46,10 @@ def _run_these(extent: Extent, tests: Sequence[str]) -> None:
     """Check the source, then become pytest with these arguments."""
     KEPT.mkdir(parents=True, exist_ok=True)
     runner = _runner()
-    runner.run([[list(SOURCE)]])
+    runner.run([SOURCE])
     if any(each.has_failed for each in runner.ran):
         sys.exit(1)
-    os.execv(f"{BIN}/pytest", ["pytest", *extent.options, *tests])  # noqa: S606 - our own
+    os.execv(f"{BIN}/pytest", ["pytest", *extent.options, *tests])  # noqa: S606 - pytest of this environment, no shell
 
 
 def _run(extent: Extent, since: str | None) -> int:
@@ -66,8 +66,8 @@ def _run(extent: Extent, since: str | None) -> int:
         target=_tell, args=(runner, start_s, typical_s if since is None else None), daemon=True
     )
     telling.start()
-    for stage in stages(extent, selected):
-        runner.run([stage])
+    for lanes in stages(extent, selected):
+        runner.run(lanes)
         speeds.append(gflops())
     runner.end()
     tests = read_reports(KEPT.glob("*.jsonl"))
@@ -114,15 +114,15 @@ def _last_line(printed: Path) -> str:
 
 
 def _runner() -> Runner:
-    """Return a runner that ends what it runs on SIGTERM; Ctrl-C reaches all processes by itself."""
+    """Build the runner, which SIGTERM and Ctrl-C end with all that it runs."""
     runner = Runner(_show)
 
     def end(number: int, _: object) -> None:
         runner.end()
         sys.exit(128 + number)
 
-    signal.signal(signal.SIGTERM, end)
-    signal.signal(signal.SIGINT, end)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end)
     return runner
 
 

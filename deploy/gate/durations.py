@@ -57,7 +57,7 @@ class Durations:
     extent: Extent
     wall_s: float
     processor_s: float
-    """Of the whole machine meanwhile: processes that others have forked are in no step's account."""
+    """Processor seconds of the whole machine meanwhile; a step's own lack processes that it has not waited for."""
     gflops: float
     """Slowest of one processor before, amid and after the run, in GFLOP/s."""
     steps: dict[str, tuple[float, float]]
@@ -66,7 +66,7 @@ class Durations:
 
 
 def gflops() -> float:
-    """Return how fast one processor multiplies matrices now, beside whatever else runs."""
+    """Measure the speed of one processor in a product of matrices, in GFLOP/s, under the present load."""
     a = np.ones((PROBE_N, PROBE_N), np.float32)
     with threadpool_limits(1):
         n_products, start_s = 0, time.monotonic()
@@ -105,7 +105,7 @@ def keep(durations: Durations) -> None:
 
 
 def kept() -> Durations | None:
-    """Return what the latest whole run took, None if there was none that can be read."""
+    """Read `FILE`; None if there is none that can be read."""
     try:
         document: dict[str, Any] = json.loads(FILE.read_text())
         tests = {name: Times(**times) for name, times in document.pop("tests").items()}
@@ -143,10 +143,9 @@ def tables(durations: Durations) -> Iterator[str]:
 
 
 def too_long(durations: Durations) -> list[str]:
-    """Return what is wrong with the times of a quick run: tests above the limit, and exceptions that nothing needs."""
-    share = min(
-        1.0, (os.cpu_count() or 1) / (N_PROCESSES + 1)
-    )  # of a processor that each session's process has
+    """Return a complaint for each quick test above the limit, and for each exception without a test."""
+    # share of a processor that each process of the sessions has
+    share = min(1.0, (os.cpu_count() or 1) / (N_PROCESSES + 1))
     limit_s = LIMIT_S / share * max(1.0, REFERENCE_GFLOPS / durations.gflops)
     wrong = [
         f"{name} took {max(each.setup_s, each.call_s):.1f} s, longer than {limit_s:.0f} s: make it shorter, mark it"

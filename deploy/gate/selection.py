@@ -33,7 +33,7 @@ def changed_files(since: str) -> list[str]:
 
 
 def sources() -> dict[str, str]:
-    """Return the text of all Python files by path, those without suffix in deploy/ included."""
+    """Read all Python files; path -> text."""
     paths = (
         path
         for package in PACKAGES
@@ -79,7 +79,7 @@ def _needed(path: str, names: frozenset[str], paths: Iterable[str], fixtures: fr
 
 @cache
 def _names(text: str) -> frozenset[str]:
-    """Return what a file imports, with each part of it, all its short texts, and the names of all arguments."""
+    """Collect imported modules and their members, short string constants, and names of arguments in parentheses."""
     names = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -102,7 +102,7 @@ def _fixtures(plugin: str) -> frozenset[str]:
 
 
 def _is_of(changed: str, path: str) -> bool:
-    """Return whether a file that is not Python belongs to the package of a module: a template, a page, SQL."""
+    """True if a file that is not Python (template, page, SQL) lies in the package of a module."""
     if changed.endswith(".py") or changed.startswith("tests/"):
         return False
     folder, of_module = Path(changed).parent, Path(path).parent
@@ -110,10 +110,10 @@ def _is_of(changed: str, path: str) -> bool:
 
 
 def _is_named(changed: str, names: frozenset[str]) -> bool:
-    """Return whether the end of a path is among the texts of a file."""
+    """True if a file names the end of a path in a string constant."""
     parts = Path(changed).parts
     return any("/".join(parts[i:]) in names for i in range(len(parts)))
 
 
 def _git(*arguments: str) -> str:
-    return subprocess.run(["git", *arguments], check=True, capture_output=True, text=True).stdout  # noqa: S603, S607
+    return subprocess.run(["git", *arguments], check=True, capture_output=True, text=True).stdout  # noqa: S603, S607 - git of the user

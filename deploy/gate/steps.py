@@ -80,7 +80,7 @@ COMPILE = Step("compile", (f"{BIN}/stonefall", "compile", "--config", "deploy/st
 RIGS = ("tests/live", "tests/screens", "tests/soak")
 """Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
 FIRST = ("tests/daemon", "tests/accuracy", "tests/aravis")
-"""Of the other tests those with the longest files."""
+"""Folders with the longest files of the other tests; they begin first."""
 N_PROCESSES = 2
 """With that of the rigs one more than processors: daemons and devices mostly wait."""
 
@@ -109,24 +109,23 @@ def _tests(name: str, extent: Extent, arguments: Sequence[str], *, is_nice: bool
 
 
 class Runner:
-    """Runs stages of steps, and ends all that runs when it is asked to; `on_failed` is called for a step that fails."""
+    """Runs lanes of steps and can end them; `on_failed` is called for each step that fails."""
 
     def __init__(self, on_failed: Callable[[Ran], None] = lambda ran: None) -> None:
         self._on_failed = on_failed
-        self.running: dict[str, float] = {}
-        """Name of each step that runs -> when it began, by the monotonic clock."""
+        self.running: list[str] = []
+        """Names of the steps that run."""
         self.ran: list[Ran] = []
         self._processes: set[subprocess.Popen[bytes]] = set()
         self._is_ending = threading.Event()
 
-    def run(self, stages: Sequence[Sequence[Sequence[Step]]]) -> None:
-        """Run all steps, also those after one that fails."""
-        for lanes in stages:
-            threads = [threading.Thread(target=self._run_lane, args=(lane,)) for lane in lanes]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
+    def run(self, lanes: Sequence[Sequence[Step]]) -> None:
+        """Run the lanes side by side, each step by step, also the steps after one that fails."""
+        threads = [threading.Thread(target=self._run_lane, args=(lane,)) for lane in lanes]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
 
     def end(self) -> None:
         """Terminate what runs and start nothing more."""
@@ -143,15 +142,16 @@ class Runner:
 
     def _run_step(self, step: Step) -> Ran:
         command = ("nice", "-n", "5", *step.command) if step.is_nice else step.command
-        start_s = self.running[step.name] = time.monotonic()
+        start_s = time.monotonic()
+        self.running.append(step.name)
         with step.printed.open("wb") as printed:
-            process = subprocess.Popen(  # noqa: S603 - our own
+            process = subprocess.Popen(  # noqa: S603 - one of the steps above, no shell
                 command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT
             )
         self._processes.add(process)
         _, status, usage = os.wait4(process.pid, 0)  # with all processes that it has waited for
         process.returncode = os.waitstatus_to_exitcode(status)
         self._processes.discard(process)
-        del self.running[step.name]
+        self.running.remove(step.name)
         used_s = usage.ru_utime + usage.ru_stime
         return Ran(step, process.returncode, time.monotonic() - start_s, used_s)

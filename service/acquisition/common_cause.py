@@ -14,14 +14,14 @@ class DeviceLoss:
     cause: LossCause
 
     def is_like(self, other: "DeviceLoss | None") -> bool:
-        """Return whether both are of one kind; those of no particular kind are told apart by their reasons."""
+        """True if both losses have one cause; losses of cause `OTHER` must have one reason as well."""
         return other is not None and (
             self == other if self.cause is LossCause.OTHER else self.cause is other.cause
         )
 
 
 def common_cause(losses: Sequence[DeviceLoss]) -> str:
-    """Return why all cameras are lost: the network if none of them answers, and the first camera's reason."""
+    """Name the cause that all lost cameras share, the network if none answers, and the first camera's reason."""
     first = losses[0].reason
     if all(loss.cause is LossCause.PROCESS_ENDED for loss in losses):
         return first

@@ -4,20 +4,11 @@ A property is tried with more examples the wider the extent.
 """
 
 from collections.abc import Iterable
-from enum import StrEnum
 from typing import Any
 
 import hypothesis
 import pytest
-
-
-class Extent(StrEnum):
-    """Each extent holds all that the ones before it hold."""
-
-    QUICK = "quick"
-    FULL = "full"
-    NIGHT = "night"
-
+from gate.steps import Extent
 
 EXAMPLES = {Extent.QUICK: 6, Extent.FULL: 25, Extent.NIGHT: 100}
 """Examples of a property that says nothing else."""
@@ -31,7 +22,7 @@ def extent_of(config: pytest.Config) -> Extent:
 
 
 def is_beyond(item: pytest.Item, extent: Extent) -> bool:
-    """Return whether a test is marked for a wider extent."""
+    """True for a test that is marked for a wider extent."""
     extents = list(Extent)
     return any(item.get_closest_marker(each) for each in extents[extents.index(extent) + 1 :])
 

@@ -31,7 +31,7 @@ class WarmStonefall:
         environment: Mapping[str, str] | None = None,
         folder: Path | None = None,
     ) -> None:
-        """What it prints is appended to `out`, what it writes to stderr to `log`."""
+        """Start it; its stdout is appended to the file `out`, its stderr to `log`."""
         self.args = ["stonefall", *map(str, arguments)]
         self.returncode: int | None = None
         self._out, self._log = out, log
@@ -57,7 +57,7 @@ class WarmStonefall:
         return code
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """Return what it has printed and written to stderr, once it has ended."""
+        """Wait for the end; return stdout and stderr."""
         self.wait(timeout)
         return self._out.read_text(), self._log.read_text()
 

@@ -52,12 +52,12 @@ def test_lanes_run_side_by_side_and_go_on_after_a_failure(kept: Path) -> None:
     )
     go = f"import pathlib, sys\npathlib.Path('{kept}/go').touch()\nsys.exit(3)"
     runner = Runner()
-    runner.run([[[python("waits", wait)], [python("goes", go), python("after", "sum(range(10**6))")]]])
+    runner.run([[python("waits", wait)], [python("goes", go), python("after", "sum(range(10**6))")]])
     ran = {each.step.name: each for each in runner.ran}
     assert {name: each.code for name, each in ran.items()} == {"waits": 0, "goes": 3, "after": 0}
     assert ran["waits"].step.printed.read_text() == "went\n"
     assert ran["waits"].wall_s > 0 < ran["after"].processor_s
-    assert runner.running == {}
+    assert runner.running == []
 
 
 def test_what_runs_is_ended_and_nothing_begins_after_it(kept: Path) -> None:
@@ -71,7 +71,7 @@ def test_what_runs_is_ended_and_nothing_begins_after_it(kept: Path) -> None:
         runner.end()
 
     steps.threading.Thread(target=end).start()
-    runner.run([[[python("waits", waits), python("never", "")]]])
+    runner.run([[python("waits", waits), python("never", "")]])
     assert [(each.step.name, each.code) for each in runner.ran] == [("waits", -15)]
 
 
