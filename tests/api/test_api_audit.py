@@ -12,9 +12,10 @@ from typing import Any
 import httpx
 import pytest
 from support.calibration_desk import a_drop, solve
+from support.outcomes import add, measured
 from support.recordings import make_bundle
 from support.remeasuring import AgainPool, add_old
-from support.rest import FakeControl, add, app_of, client_of, measured
+from support.rest import FakeControl, app_of, client_of
 
 from service.alarms.alarms import Alarms
 from service.api.app import build_routes

@@ -11,7 +11,8 @@ import httpx
 import numpy as np
 import pytest
 import trimesh
-from support.rest import BOX_MM, FakeControl, add, app_of, client_of, measured, particle_files
+from support.outcomes import add, measured
+from support.rest import BOX_MM, FakeControl, app_of, client_of, particle_files
 
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import CameraId

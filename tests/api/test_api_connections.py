@@ -12,7 +12,8 @@ from fastapi import FastAPI
 from fastapi.responses import Response
 from starlette.middleware import Middleware
 from starlette.types import ASGIApp, Receive, Scope, Send
-from support.rest import FakeControl, add, app_of, measured
+from support.outcomes import add, measured
+from support.rest import FakeControl, app_of
 from support.served import PATIENCE_S, Served, served_by
 
 from service.api import connections

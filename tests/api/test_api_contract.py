@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.rest import FakeControl, add, app_of, measured, particle_files, rejected
+from support.outcomes import add, measured, rejected
+from support.rest import FakeControl, app_of, particle_files
 from support.served import served_by
 
 from service.alarms.alarms import Alarms

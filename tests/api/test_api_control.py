@@ -4,7 +4,8 @@ import cv2
 import httpx
 import numpy as np
 import pytest
-from support.rest import SICK_HEALTH, FakeControl, add, measured, rejected, trigger
+from support.outcomes import add, measured, rejected, trigger
+from support.rest import SICK_HEALTH, FakeControl
 
 from service.api.routes.health import HealthDocument
 from service.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state

@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 import httpx
 import pytest
 from support.lots import opened, put_product, stone
-from support.rest import FakeControl, ReadingThread, add, app_of, assert_problem, client_of
+from support.outcomes import add
+from support.rest import FakeControl, ReadingThread, app_of, assert_problem, client_of
 
 from service.remeasuring.revising import revise
 from service.store import Store

@@ -5,7 +5,8 @@ from typing import Any
 
 import httpx
 import pytest
-from support.rest import add, assert_problem, measured
+from support.outcomes import add, measured
+from support.rest import assert_problem
 
 from service.store import Store
 

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 import httpx
 import pytest
-from support.rest import FakeControl, ReadingThread, add, app_of, client_of, measured, particle_files
+from support.outcomes import add, measured
+from support.rest import FakeControl, ReadingThread, app_of, client_of, particle_files
 
 from service.api import gzipped
 from service.api.reader_process import BusyError

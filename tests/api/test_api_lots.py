@@ -7,16 +7,8 @@ import httpx
 import numpy as np
 import pytest
 from support.lots import PRODUCT, opened, put_product, stone
-from support.rest import (
-    FakeControl,
-    add,
-    app_of,
-    assert_problem,
-    client_of,
-    particle_files,
-    rejected,
-    trigger,
-)
+from support.outcomes import add, rejected, trigger
+from support.rest import FakeControl, app_of, assert_problem, client_of, particle_files
 
 from pipeline.frames import BundleKind
 from service.api.settings import ApiKey, ApiSettings, Scope

@@ -7,7 +7,8 @@ from pathlib import Path
 import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from support.rest import FakeControl, add, app_of, client_of, measured, rejected, trigger
+from support.outcomes import add, measured, rejected, trigger
+from support.rest import FakeControl, app_of, client_of
 
 from service.api.metrics import DELAYS_S, Snapshot, metrics_text
 from service.api.settings import ApiSettings

@@ -9,7 +9,8 @@ from typing import Any
 
 import httpx
 import pytest
-from support.rest import FakeControl, add, app_of, client_of, measured, particle_files, rejected, trigger
+from support.outcomes import add, measured, rejected, trigger
+from support.rest import FakeControl, app_of, client_of, particle_files
 from support.sent_events import Stream, opened
 from support.served import Served, served_by
 

@@ -10,7 +10,8 @@ import httpx
 import numpy as np
 import pytest
 import trimesh
-from support.rest import BOX_MM, GREY, add, measured, particle_files, rejected
+from support.outcomes import add, measured, rejected
+from support.rest import BOX_MM, GREY, particle_files
 from support.stores import folder_of
 
 from service.api.routes.particles import ParticlesPage

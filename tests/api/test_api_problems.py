@@ -10,7 +10,8 @@ from pathlib import Path
 
 import httpx
 import pytest
-from support.rest import FakeControl, add, app_of, assert_problem, client_of, measured
+from support.outcomes import add, measured
+from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from service.api.problems import TITLES
 from service.api.settings import ApiKey, ApiSettings, Scope

@@ -9,17 +9,8 @@ from typing import Any, TypeVar
 import httpx
 import pytest
 from support.daemon_process import process_name
-from support.rest import (
-    FakeControl,
-    ReadingThread,
-    add,
-    app_of,
-    assert_problem,
-    client_of,
-    measured,
-    particle_files,
-    rejected,
-)
+from support.outcomes import add, measured, rejected
+from support.rest import FakeControl, ReadingThread, app_of, assert_problem, client_of, particle_files
 from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.api import pace, reader_process

@@ -8,7 +8,8 @@ from typing import Any
 
 import httpx
 import pytest
-from support.rest import add, assert_problem, measured, rejected
+from support.outcomes import add, measured, rejected
+from support.rest import assert_problem
 
 from service.api.routes.results import ResultsPage
 from service.results.fields import ALWAYS, MEASURED_FIELDS, Result

@@ -12,17 +12,9 @@ import httpx
 import numpy as np
 import pytest
 import trimesh
+from support.outcomes import add, measured, rejected
 from support.recordings import make_bundle
-from support.rest import (
-    FakeControl,
-    add,
-    app_of,
-    assert_problem,
-    client_of,
-    measured,
-    particle_files,
-    rejected,
-)
+from support.rest import FakeControl, app_of, assert_problem, client_of, particle_files
 from support.stores import folder_of
 
 from drivers.files.compact_mesh import write_compact_mesh

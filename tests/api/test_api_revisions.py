@@ -8,8 +8,9 @@ import httpx
 import pytest
 import trimesh
 from support.calibration_desk import CONFIGURED
+from support.outcomes import add, measured
 from support.remeasuring import AgainPool, add_old
-from support.rest import BOX_MM, add, assert_problem, measured
+from support.rest import BOX_MM, assert_problem
 from support.stores import folder_of
 
 from service.results.version import ALGORITHM_VERSION

@@ -8,7 +8,8 @@ import httpx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.rest import FakeControl, add, app_of, assert_problem, client_of, measured
+from support.outcomes import add, measured
+from support.rest import FakeControl, app_of, assert_problem, client_of
 from support.sent_events import opened
 from support.served import served_by
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 from fastapi import FastAPI
-from support.rest import FakeControl, add, app_of, measured
+from support.outcomes import add, measured
+from support.rest import FakeControl, app_of
 from support.sent_events import opened
 from support.served import Served, served_by
 

@@ -37,7 +37,7 @@ from sustained import DRAIN_S, LOOK_S, RIG, Watched
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import DaemonProcess, descendants_of, process_name
-from support.rest import add
+from support.outcomes import add
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.stores import folder_of
 from support.usage import cpu_s, pss_mb

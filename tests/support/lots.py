@@ -3,7 +3,7 @@
 from typing import Any
 
 import httpx
-from support.rest import measured
+from support.outcomes import measured
 
 PRODUCT = {
     "title": "8/16 basalt",

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import trimesh
-from support.rest import add, measured, particle_files
+from support.outcomes import add, measured
+from support.rest import particle_files
 
 from pipeline.particle import PipelineParameters
 from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, NetworkUse, WorkerContext

@@ -1,10 +1,9 @@
-"""A fake daemon, made-up results, and a client of the REST interface."""
+"""A fake daemon, the files of a result, and a client of the REST interface."""
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta, timezone
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,12 +14,13 @@ import trimesh
 from fastapi import FastAPI
 from prometheus_client import Histogram
 from starlette.datastructures import State
+from support.outcomes import trigger
 
 from drivers.errors import CameraUnavailableError, LossCause
 from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from drivers.interfaces import CameraVitals
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
+from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from pipeline.views.quality import ViewsParameters
 from service.alarms.alarms import Alarms
 from service.api import app
@@ -186,46 +186,6 @@ def app_of(
     return app.create_app(
         store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store.dir)
     )
-
-
-def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
-    """Return the trigger of stone number `sequence`, a minute after the one before."""
-    utc = (
-        datetime(2026, 3, 1, tzinfo=timezone(timedelta(hours=1))) + timedelta(minutes=sequence)
-    ).isoformat()
-    return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind)
-
-
-def measured(**fields: Any) -> dict[str, Any]:
-    """Return the fields of a measured record that store and REST interface read."""
-    return {
-        "outcome": "measured",
-        "reason": None,
-        "quality": "good",
-        "views": ["c01", "c02"],
-        "dropped_views": {"c03": "residual"},
-        "sieve_size_mm": 20.0,
-        "min_box_mm": [30.0, 20.0, 10.0],
-        "calibration_id": "0123",
-        "is_simulated": True,
-        **fields,
-    }
-
-
-def rejected(reason: str) -> dict[str, Any]:
-    return {"outcome": "rejected", "reason": reason, "quality": None, "views": [], "dropped_views": {}}
-
-
-async def add(
-    store: Store,
-    session: int,
-    sequence: int,
-    record: Mapping[str, Any],
-    files: Mapping[str, Path] | None = None,
-) -> int:
-    """Store a trigger and its outcome; return the `seq`."""
-    await store.record_triggers(session, {f"{sequence:08d}": trigger(sequence)})
-    return await store.finish(session, f"{sequence:08d}", record, files)
 
 
 def particle_files(folder: Path) -> dict[str, Path]:

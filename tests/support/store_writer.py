@@ -5,7 +5,7 @@ import sys
 from itertools import count
 from pathlib import Path
 
-from support.rest import add, measured, trigger
+from support.outcomes import add, measured, trigger
 
 from service.store import open_store
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.rest import measured
+from support.outcomes import measured
 from typer.testing import CliRunner, Result
 
 from service.cli import build_app

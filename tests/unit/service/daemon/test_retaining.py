@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from support.eventually import eventually
+from support.outcomes import add, measured
 from support.recordings import SOURCE, make_bundle
-from support.rest import add, measured, particle_files
+from support.rest import particle_files
 from support.stores import folder_of
 
 from service.daemon.retaining import LowThread, Retaining

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.eventually import soon
-from support.rest import add, measured, trigger
+from support.outcomes import add, measured, trigger
 
 from service.api.lot_reports import FilesFailedError, ReportRequest, lot_files
 from service.delivery.file_drop import FileDrop, LotFiles, due_lots, open_file_drop

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from support.calibration_desk import open_desk
+from support.outcomes import add, measured
 from support.remeasuring import AgainPool, add_old, remeasuring_of
-from support.rest import add, measured, particle_files
+from support.rest import particle_files
 
 from drivers.errors import RecordingError
 from service.calibration.calibrations import Calibrations

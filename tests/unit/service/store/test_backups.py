@@ -8,7 +8,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from support.rest import add, measured, particle_files
+from support.outcomes import add, measured
+from support.rest import particle_files
 from support.stores import folder_of
 from typer.testing import CliRunner
 

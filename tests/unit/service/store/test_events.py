@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from support.rest import add, measured
+from support.outcomes import add, measured
 
 from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product

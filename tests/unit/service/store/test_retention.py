@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.rest import add, measured, particle_files, rejected
+from support.outcomes import add, measured, rejected
+from support.rest import particle_files
 
 from service.store import Store
 from service.store.disk_use import days_until_full, store_use

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 import trimesh
-from support.rest import add, measured, particle_files, rejected
+from support.outcomes import add, measured, rejected
+from support.rest import particle_files
 from support.stores import folder_of
 
 from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_lot

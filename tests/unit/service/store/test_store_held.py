@@ -8,7 +8,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from support.rest import add, measured, particle_files, trigger
+from support.outcomes import add, measured, trigger
+from support.rest import particle_files
 
 from pipeline.frames import BundleKind, Trigger
 from service.errors import StoreError

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from support.extents import first_quick
-from support.rest import add, measured, particle_files, rejected
+from support.outcomes import add, measured, rejected
+from support.rest import particle_files
 from support.store_process import run_until_killed
 
 from service.errors import StoreError

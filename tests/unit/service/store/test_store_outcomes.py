@@ -8,7 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from support.rest import add, measured, particle_files, rejected, trigger
+from support.outcomes import add, measured, rejected, trigger
+from support.rest import particle_files
 from support.stores import folder_of
 
 from drivers.files.times import utc_now
