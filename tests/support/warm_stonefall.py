@@ -1,7 +1,7 @@
-"""The program `stonefall`, forked from a process that has imported it: a start costs 1 to 2 s of a processor less.
+"""The program `stonefall`, forked from a process that has imported it: a start costs 2 s of a processor less.
 
 It runs in a process of its own, with its own descriptors, environment, signals and exit code; only its imports are
-done. The server that forks it has one thread, as a process must that forks.
+done, also those of the server that its workers are forked from. What forks has one thread, as it must.
 """
 
 import atexit
@@ -13,8 +13,10 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
+from itertools import pairwise
+from multiprocessing import util
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +157,22 @@ def _exchange(request: Mapping[str, Any]) -> None:
         os.dup2(theirs, own)
         os.close(theirs)
     sys.argv = request["run"]
+    util.spawnv_passfds = partial(_forked, util.spawnv_passfds)  # type: ignore[attr-defined]  # not in its stubs
+
+
+def _forked(spawn: Callable[..., int], path: bytes, arguments: Sequence[str], kept: Sequence[int]) -> int:
+    """Fork multiprocessing's fork server from this process instead of a new one, while it has one thread."""
+    code = arguments[-1]
+    if "forkserver" not in code or len([*Path("/proc/self/task").iterdir()]) > 1:
+        return spawn(path, arguments, kept)
+    if (pid := os.fork()) == 0:
+        for first, next_kept in pairwise((2, *sorted(kept), os.sysconf("SC_OPEN_MAX"))):
+            os.closerange(first + 1, next_kept)
+        try:
+            exec(code, {})  # noqa: S102 - the code that it would be started with
+        finally:  # nothing of the program that forked it
+            os._exit(0)
+    return pid
 
 
 if __name__ == "__main__":
@@ -162,11 +180,18 @@ if __name__ == "__main__":
     from service.compiled_code import isolate_numba_cache
 
     isolate_numba_cache()
+    import service.api.app
     import service.cli
     import service.daemon.run
+    import service.processing.worker_imports
     import service.store  # so that nothing is left to import after the fork
+    from service.processing.process_memory import freeze_gc
 
     for command in service.cli.COMMANDS.values():
         __import__(command)
+    routes = service.api.app.build_routes()
+    routes.openapi()  # what FastAPI makes at first use
+    service.api.app.build_routes = lambda: routes
+    freeze_gc()
     if _serve():
         sys.exit(service.cli.main())
