@@ -110,7 +110,7 @@ def seqs(results: list[dict[str, Any]]) -> list[int]:
 def test_a_recording_runs_through_and_sigterm_ends_it(
     recording: Path, offline: list[dict[str, Any]], tmp_path: Path
 ):
-    with DaemonProcess(tmp_path, recording) as daemon:
+    with DaemonProcess(tmp_path, recording, slots=2) as daemon:
         daemon.hear("READY=1")
         daemon.hear("WATCHDOG=1")
         daemon.wait_for("/accounting", is_through)
@@ -138,7 +138,7 @@ def test_a_recording_runs_through_and_sigterm_ends_it(
 
 
 def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path: Path):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
         assert daemon.stop() == 0
@@ -152,7 +152,7 @@ def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path:
 
 @pytest.mark.full
 def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Path):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)
@@ -172,7 +172,7 @@ def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Pat
 def test_a_killed_worker_costs_one_retry_and_no_stone(
     recording: Path, offline: list[dict[str, Any]], tmp_path: Path
 ):
-    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         (worker,) = daemon.worker_pids()
@@ -186,7 +186,7 @@ def test_a_killed_worker_costs_one_retry_and_no_stone(
 
 @pytest.mark.full
 def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/health/ready", lambda answer: answer == {"ready": True})  # the empty rig was seen
         daemon.wait_for("/accounting", lambda now: now["triggers"] >= 1)
@@ -208,7 +208,7 @@ def test_a_fatal_error_ends_the_process_with_its_traceback(recording: Path, tmp_
         database.execute(
             "CREATE TRIGGER refuse BEFORE INSERT ON results BEGIN SELECT RAISE(ABORT, 'a bug'); END"
         )
-    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording) as daemon:
         assert daemon.process.wait(PATIENCE_S) == 1
         workers = daemon.worker_pids()
         assert "StoreError" in daemon.log

@@ -43,7 +43,7 @@ def told(events: dict[str, Any]) -> list[tuple[str, str, str]]:
 @pytest.mark.full
 def test_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
     nominal_id = read_rig(balls / "rig.json").calibration_id
-    with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:
+    with DaemonProcess(tmp_path, balls, rig=LOOP) as daemon:
         daemon.hear("READY=1")
         assert run(daemon, "list")["active"]["calibration_id"] == nominal_id
         name = run(daemon, "start", "--ball-diameter-mm", "10", "--by", "the test")["id"]
@@ -64,7 +64,7 @@ def test_from_the_first_ball_to_the_roll_back(balls: Path, tmp_path: Path):
         assert {item["outcome"] for item in measured} == {"measured"}
         daemon.process.kill()
         daemon.process.wait()
-    with DaemonProcess(tmp_path, balls, rig=LOOP, slots=1) as daemon:
+    with DaemonProcess(tmp_path, balls, rig=LOOP) as daemon:
         daemon.hear("READY=1")
         assert run(daemon, "list")["active"]["calibration_id"] == new_id
         verification = daemon.post("/verifications", {"diameter_mm": 10.0, "count": 2})["id"]

@@ -49,7 +49,7 @@ def outcome_of(results: list[dict[str, Any]]) -> dict[tuple[int, str], dict[str,
 def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
     recording: Path, tmp_path: Path
 ) -> None:
-    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig=LOOP) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)
@@ -58,11 +58,11 @@ def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
     left = open_triggers(tmp_path)
     there = {name for _, name in whole_bundles(tmp_path, CAMERAS)}
     assert len(there) >= 2
-    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:  # killed while it makes up for it
+    with DaemonProcess(tmp_path, recording, rig=LOOP) as daemon:  # killed while it makes up for it
         daemon.hear("WATCHDOG=1")
         daemon.wait_for("/accounting?session=1", lambda now: now["in_progress"] < len(there))
         kill(daemon)
-    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
         results = outcome_of(daemon.results())
@@ -82,7 +82,7 @@ def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
 
 @pytest.mark.full
 def test_a_bundle_that_kills_its_workers_is_kept_and_named(recording: Path, tmp_path: Path) -> None:
-    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig=LOOP) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         for _ in range(2):
@@ -146,7 +146,7 @@ def is_full_and_lost(queue: dict[str, Any]) -> bool:
 
 @pytest.mark.full
 def test_overload_loses_the_newest_whole_is_named_and_ends_by_itself(recording: Path, tmp_path: Path) -> None:
-    with DaemonProcess(tmp_path, recording, rig=LOOP, slots=1, max_bundles=2) as daemon:
+    with DaemonProcess(tmp_path, recording, rig=LOOP, max_bundles=2) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)

@@ -69,7 +69,7 @@ def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
 ) -> None:
     state = tmp_path / "state"
     rig = "loop = true\nspeed = 2.0"
-    with DaemonProcess(tmp_path, recording, rig=rig, slots=1, max_bundles=3) as daemon:
+    with DaemonProcess(tmp_path, recording, rig=rig, max_bundles=3) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         with refusing(state):
@@ -117,7 +117,7 @@ def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
 @pytest.mark.full
 def test_a_held_daemon_can_be_stopped(recording: Path, tmp_path: Path) -> None:
     rig = "loop = true\nspeed = 2.0"
-    with DaemonProcess(tmp_path, recording, rig=rig, slots=1, max_bundles=3) as daemon:
+    with DaemonProcess(tmp_path, recording, rig=rig, max_bundles=3) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         with locked(tmp_path / "state"):
@@ -135,7 +135,7 @@ def test_a_held_daemon_can_be_stopped(recording: Path, tmp_path: Path) -> None:
 def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
     recording: Path, tmp_path: Path
 ) -> None:
-    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] == 6)
         before = daemon.get("/results?after=0")["instance_id"]
@@ -143,7 +143,7 @@ def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
     database = tmp_path / "state/results.sqlite"
     content = database.read_bytes()
     database.write_bytes(content[:4096] + b"\xa5" * (len(content) - 4096))
-    with DaemonProcess(tmp_path, recording, slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] == 6)
         page = daemon.get("/results?after=6")
@@ -159,7 +159,7 @@ def test_a_damaged_store_is_moved_aside_and_named_and_measuring_goes_on(
 @pytest.mark.full
 def test_damage_that_shows_while_it_runs_is_an_alarm_and_no_end(recording: Path, tmp_path: Path) -> None:
     database = tmp_path / "state/results.sqlite"
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.put("/acquisition", {"state": "disarmed"})

@@ -53,12 +53,12 @@ def test_good_bad_and_partly_appliable_configurations(daemon: DaemonProcess) -> 
             "/alarms", lambda found: "configuration" in [each["check"] for each in found["items"]]
         )
 
-        reload(daemon, text.replace("slots = 2", "slots = 1") + "[optics]\ndust = 0.15\n")  # partly appliable
+        reload(daemon, text.replace("slots = 1", "slots = 2") + "[optics]\ndust = 0.15\n")  # partly appliable
         config = daemon.get("/config")
         assert config["problem"] is None
         assert config["restart_needed_for"] == ["workers.slots"]
         assert config["settings"]["optics"]["dust"] == 0.15
-        assert config["settings"]["workers"]["slots"] == 2
+        assert config["settings"]["workers"]["slots"] == 1
         assert daemon.get("/webhooks")["items"] == []
         daemon.check("configuration", lambda check: "workers.slots" in str(check["detail"]))
         assert "a restart is needed for workers.slots" in daemon.log

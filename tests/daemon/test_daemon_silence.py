@@ -35,7 +35,6 @@ def test_nothing_leaves_while_a_network_runs_and_a_stone_is_measured(tmp_path: P
         tmp_path,
         tmp_path / "recording",
         segmentation='model = "net.onnx"\nsegmenter = "onnx"',
-        slots=1,
         command=(
             "env",
             "-u",

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from support.daemon_process import PATIENCE_S, DaemonProcess
 from support.live_rig import LiveRig, live_section, simulated_rig
-from support.rest import add, measured
+from support.outcomes import add, measured
 from support.small_recording import write_small_recording
 
 from service.store import open_store

@@ -20,7 +20,7 @@ PATIENCE_MS = 60_000
 def locked(tmp_path: Path, recording: Path) -> Iterator[tuple[DaemonProcess, str]]:
     """A daemon that has a key, and the key's token."""
     _, token = create_key(tmp_path / "state", "shift", (Scope.READ, Scope.OPERATE), None, "root")
-    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0", slots=1) as daemon:
+    with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
         yield daemon, token
 

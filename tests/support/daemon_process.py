@@ -68,7 +68,7 @@ class DaemonProcess:
         spool: str = "spool",
         voxels: int = 64,
         body: str = "estimate",
-        slots: int = 2,
+        slots: int = 1,
         port: int = 0,
         max_bundles: int = 100,
         command: Sequence[str | Path] = (),
