@@ -102,6 +102,7 @@ class Client:
         self._connection = make(parts.hostname, parts.port)
         self._base = f"{parts.path.rstrip('/')}/api/v1"
         self._key_file = key_file
+        self._key_sent = ""
 
     def close(self) -> None:
         self._connection.close()
@@ -159,6 +160,7 @@ class Client:
         sent = {"Accept": "application/json", **(headers or {})}
         if key := self.key():
             sent["Authorization"] = f"Bearer {key}"
+        self._key_sent = key
         if body is not None:
             sent["Content-Type"] = "application/json"
         connection = self._connection
@@ -192,9 +194,9 @@ class Client:
             return ""
 
     def pause(self, seconds: float) -> None:
-        """Wait, but not for longer than the key stays the same."""
-        end_s, before = time.monotonic() + seconds, self.key()
-        while (left_s := end_s - time.monotonic()) > 0 and self.key() == before:
+        """Wait, but not for longer than the key stays the one that was sent last."""
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0 and self.key() == self._key_sent:
             time.sleep(min(left_s, 1.0))
 
 

@@ -235,12 +235,14 @@ def test_a_wrong_key_is_told_again_and_again_until_there_is_another(
     assert said == [*["401 unauthorized: no key; the cursor stays at 0"] * 3, "answered again"]
 
 
-def test_a_new_key_ends_a_long_pause(feed: FakeFeed, tmp_path: Path) -> None:
+def test_a_key_that_is_new_since_the_answer_ends_a_long_pause(feed: FakeFeed, tmp_path: Path) -> None:
     key_file = tmp_path / "key"
     key_file.write_text("old")
+    feed.key = "new"
     asking = connect(feed, key_file)
-    keys = iter(["old", "old", "new"])
-    asking.key = lambda: next(keys)
+    with pytest.raises(client.RefusedError):
+        asking.get("/results")
+    key_file.write_text("new")  # before the pause, or in it: it is looked at again and again
     asking.pause(3600)
 
 
