@@ -145,7 +145,7 @@ def tables(durations: Durations) -> Iterator[str]:
 def too_long(durations: Durations) -> list[str]:
     """Return a complaint for each quick test above the limit, and for each exception without a test."""
     # share of a processor that each process of the sessions has
-    share = min(1.0, (os.cpu_count() or 1) / (N_PROCESSES + 1))
+    share = min(1.0, (os.cpu_count() or 1) / N_PROCESSES)
     limit_s = LIMIT_S / share * max(1.0, REFERENCE_GFLOPS / durations.gflops)
     wrong = [
         f"{name} took {max(each.setup_s, each.call_s):.1f} s, longer than {limit_s:.0f} s: make it shorter, mark it"

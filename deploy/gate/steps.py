@@ -36,11 +36,10 @@ class Extent(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A command, and whether it leaves most of the processors to the steps beside it."""
+    """A command with a name."""
 
     name: str
     command: tuple[str, ...]
-    is_nice: bool = False
 
     @property
     def printed(self) -> Path:
@@ -81,8 +80,8 @@ RIGS = ("tests/live", "tests/screens", "tests/soak")
 """Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
 FIRST = ("tests/daemon", "tests/accuracy", "tests/aravis")
 """Folders with the longest files of the other tests; they begin first."""
-N_PROCESSES = 2
-"""With that of the rigs one more than processors: daemons and devices mostly wait."""
+N_PROCESSES = 3
+"""One more than processors: daemons and devices mostly wait."""
 
 
 def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[list[Step]]]:
@@ -91,21 +90,15 @@ def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[l
     `selected`: the files of tests to run instead of all.
     """
     files = sorted(map(str, Path("tests").rglob("test_*.py"))) if selected is None else selected
-    rigs = [file for file in files if file.startswith(RIGS)]
-    others = [file for file in files if not file.startswith(RIGS)]
-    others.sort(key=lambda file: not file.startswith(FIRST))
-    # a file stays in one process, so its fixtures are made once; files begin in this order
-    spread = ("--numprocesses", str(N_PROCESSES), "--dist", "loadfile", "--no-loadscope-reorder")
-    lanes = [
-        [_tests("rigs", extent, rigs)] if rigs else [],
-        [_tests("tests", extent, [*spread, *others], is_nice=True)] if others else [],
-    ]
-    return [[list(SOURCE), [COMPILE]], lanes]
+    files = sorted(files, key=lambda file: (not file.startswith(RIGS), not file.startswith(FIRST)))
+    return [[list(SOURCE), [COMPILE]], [[_tests(extent, files)] if files else []]]
 
 
-def _tests(name: str, extent: Extent, arguments: Sequence[str], *, is_nice: bool = False) -> Step:
-    command = (f"{BIN}/pytest", *extent.options, f"--report-log={KEPT / name}.jsonl", *arguments)
-    return Step(name, command, is_nice)
+def _tests(extent: Extent, files: Sequence[str]) -> Step:
+    shared = ("-p", "gate.sharing", "--numprocesses", str(N_PROCESSES), "--dist", "loadfile")
+    report = f"--report-log={KEPT}/tests.jsonl"
+    command = (f"{BIN}/pytest", *extent.options, *shared, "--no-loadscope-reorder", report, *files)
+    return Step("tests", command)
 
 
 class Runner:
@@ -141,12 +134,11 @@ class Runner:
                     self._on_failed(ran)
 
     def _run_step(self, step: Step) -> Ran:
-        command = ("nice", "-n", "5", *step.command) if step.is_nice else step.command
         start_s = time.monotonic()
         self.running.append(step.name)
         with step.printed.open("wb") as printed:
             process = subprocess.Popen(  # noqa: S603 - one of the steps above, no shell
-                command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT
+                step.command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT
             )
         self._processes.add(process)
         _, status, usage = os.wait4(process.pid, 0)  # with all processes that it has waited for

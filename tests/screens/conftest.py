@@ -16,8 +16,9 @@ DIMMED_TO = 0.7
 N_STONES = 20
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
+    """Playwright's event loop, which no asyncio test may meet, ends with the tests of this folder."""
     with sync_playwright() as playwright:
         browser = launch(playwright)
         yield browser

@@ -9,6 +9,7 @@ import pytest
 from gate import durations, steps
 from gate.durations import Durations, Times, read_reports, tables, too_long
 from gate.selection import reached_by, sources
+from gate.sharing import RigsTogether
 from gate.steps import Extent, Runner, Step, stages
 
 REPOSITORY = Path(__file__).parents[3]
@@ -27,19 +28,26 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 # --- steps ---
 
 
-def test_each_file_of_tests_is_in_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_file_is_in_the_session_rigs_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(REPOSITORY)
-    _, (rigs, others) = stages(Extent.FULL)
-    files = [*files_of(rigs[0]), *files_of(others[0])]
+    _, ((tests,),) = stages(Extent.FULL)
+    files = files_of(tests)
     assert sorted(files) == sorted(map(str, Path("tests").rglob("test_*.py")))
-    assert all(file.startswith(("tests/live", "tests/screens", "tests/soak")) for file in files_of(rigs[0]))
-    assert "--full" in rigs[0].command and "--full" in others[0].command
+    is_rig = [file.startswith(("tests/live", "tests/screens", "tests/soak")) for file in files]
+    assert is_rig == sorted(is_rig, reverse=True) and any(is_rig)
+    assert "--full" in tests.command
 
 
-def test_a_session_without_selected_files_is_left_out() -> None:
-    _, (rigs, others) = stages(Extent.QUICK, ["tests/unit/test_a.py", "tests/daemon/test_b.py"])
-    assert rigs == []
-    assert files_of(others[0]) == ["tests/daemon/test_b.py", "tests/unit/test_a.py"], "the longest first"
+def test_selected_files_begin_with_the_longest_and_none_are_no_session() -> None:
+    _, ((tests,),) = stages(Extent.QUICK, ["tests/unit/test_a.py", "tests/daemon/test_b.py"])
+    assert files_of(tests) == ["tests/daemon/test_b.py", "tests/unit/test_a.py"]
+    assert stages(Extent.QUICK, [])[-1] == [[]]
+
+
+def test_all_rigs_are_one_share_and_each_other_file_is_one() -> None:
+    sharing = RigsTogether.__new__(RigsTogether)  # it is made for processes that run
+    names = ("tests/live/test_a.py::test", "tests/soak/test_b.py::test", "tests/api/test_c.py::test")
+    assert [sharing._split_scope(name) for name in names] == ["rigs", "rigs", "tests/api/test_c.py"]
 
 
 def python(name: str, program: str) -> Step:
@@ -117,7 +125,7 @@ def run_of(gflops: float = durations.REFERENCE_GFLOPS, **calls_s: float) -> Dura
 
 def test_a_quick_test_has_ten_seconds_and_more_on_a_slower_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(durations, "LONGER", {})
-    monkeypatch.setattr(durations, "N_PROCESSES", 0)
+    monkeypatch.setattr(durations, "N_PROCESSES", 1)
     (wrong,) = too_long(run_of(quick=9.0, slow=11.0))
     assert wrong.startswith("tests/unit/test_x.py::slow took 11.0 s, longer than 10 s")
     assert too_long(run_of(durations.REFERENCE_GFLOPS / 2, slow=11.0)) == []
@@ -127,7 +135,7 @@ def test_a_quick_test_has_ten_seconds_and_more_on_a_slower_machine(monkeypatch: 
 def test_a_test_that_shares_a_processor_has_as_much_more_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(durations, "LONGER", {})
     monkeypatch.setattr(durations.os, "cpu_count", lambda: 2)
-    assert durations.N_PROCESSES == 2
+    assert durations.N_PROCESSES == 3
     assert too_long(run_of(slow=14.0)) == []
     assert len(too_long(run_of(slow=16.0))) == 1
 

@@ -147,7 +147,7 @@ def test_every_frame_is_the_recording_s_pixel_by_pixel(recording_path: Path, des
 
 def test_without_a_wire_the_host_triggers(recording_path: Path, design: RigDesign) -> None:
     # a stone is seen as late as the host of a busy machine may be: less than the delay, which must not be left out
-    design = replace(design, rate_hz=2, fall_ms=250, sight_ms=200)
+    design = replace(design, rate_hz=1, fall_ms=500, sight_ms=450)
     with (
         SimulatedRig(design, open_recording(recording_path)) as rig,
         hosted(rig, design, source="Software") as host,
