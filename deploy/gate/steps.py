@@ -74,7 +74,8 @@ SOURCE = (
 )
 COMPILE = Step("compile", (f"{BIN}/stonefall", "compile", "--config", "deploy/stonefall.toml"))
 """All loops once, for all processes that follow."""
-
+COLLECT = Step("collect", (f"{BIN}/pytest", "--collect-only", "--quiet"))
+"""Compiles what the processes of the tests would each compile: they import the same at the same time."""
 
 RIGS = ("tests/live", "tests/screens", "tests/soak")
 """Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
@@ -91,7 +92,7 @@ def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[l
     """
     files = sorted(map(str, Path("tests").rglob("test_*.py"))) if selected is None else selected
     files = sorted(files, key=lambda file: (not file.startswith(RIGS), not file.startswith(FIRST)))
-    return [[list(SOURCE), [COMPILE]], [[_tests(extent, files)] if files else []]]
+    return [[[*SOURCE, COLLECT], [COMPILE]], [[_tests(extent, files)] if files else []]]
 
 
 def _tests(extent: Extent, files: Sequence[str]) -> Step:

@@ -8,7 +8,6 @@ from itertools import product
 
 import pytest
 from playwright.sync_api import Browser, expect
-from screens.conftest import DIM
 from support.browser import (
     SIZES,
     Watched,
@@ -21,6 +20,8 @@ from support.browser import (
     watched_page,
 )
 from support.daemon_process import DaemonProcess
+
+from screens.conftest import DIM
 
 PATIENCE_MS = 60_000
 MAX_PAINT_MS = 10_000

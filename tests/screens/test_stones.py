@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
-from screens.conftest import N_STONES
 from support.browser import (
     SIZES,
     Watched,
@@ -21,6 +20,7 @@ from support.browser import (
 from support.daemon_process import DaemonProcess
 from support.extents import first_quick
 
+from screens.conftest import N_STONES
 from service import screens
 
 PATIENCE_MS = 60_000
