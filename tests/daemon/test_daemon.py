@@ -140,10 +140,14 @@ def test_a_recording_runs_through_and_sigterm_ends_it(
 def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path: Path):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
-        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1 and now["in_progress"] >= 2)
-        assert daemon.stop() == 0
+        daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
+        daemon.signal_workers(signal.SIGSTOP)  # what is seen is not measured at once
+        daemon.wait_for("/accounting", lambda now: now["in_progress"] >= 2)
+        daemon.process.send_signal(signal.SIGTERM)
         daemon.hear("STOPPING=1")
         daemon.hear("EXTEND_TIMEOUT_USEC=")
+        daemon.signal_workers(signal.SIGCONT)
+        assert daemon.process.wait(PATIENCE_S) == 0
     accounting = accounting_in(tmp_path)
     assert accounting.is_balanced
     assert accounting.triggers >= 3

@@ -5,6 +5,7 @@ done, also those of the server that its workers are forked from. What forks has 
 """
 
 import atexit
+import ctypes
 import json
 import os
 import select
@@ -19,6 +20,9 @@ from itertools import pairwise
 from multiprocessing import util
 from pathlib import Path
 from typing import Any
+
+PR_SET_PDEATHSIG = 1
+"""Option of prctl(2): the signal to get when the parent ends."""
 
 
 class WarmStonefall:
@@ -147,7 +151,8 @@ def _serve() -> bool:
 
 
 def _exchange(request: Mapping[str, Any]) -> None:
-    """Exchange what this process has inherited for what the request says."""
+    """Exchange what this process has inherited for what the request says; it is killed when the server ends."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["environment"])
