@@ -77,10 +77,10 @@ COMPILE = Step("compile", (f"{BIN}/stonefall", "compile", "--config", "deploy/st
 COLLECT = Step("collect", (f"{BIN}/pytest", "--collect-only", "--quiet"))
 """Compiles what the processes of the tests would each compile: they import the same at the same time."""
 
-RIGS = ("tests/live", "tests/screens", "tests/soak")
-"""Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
-FIRST = ("tests/daemon", "tests/accuracy", "tests/aravis")
-"""Folders with the longest files of the other tests; they begin first."""
+RIGS = ("tests/live", "tests/screens", "tests/soak", "tests/aravis", "tests/contract")
+"""Rigs, browsers and devices: one after the other, as they want a processor whenever they want one and else wait."""
+FIRST = ("tests/accuracy", "tests/unit/pipeline")
+"""Folders whose tests compute rather than wait: they begin first, beside those of the rigs that wait most."""
 N_PROCESSES = 3
 """One more than processors: daemons and devices mostly wait."""
 

@@ -10,7 +10,7 @@ from gate import durations, steps
 from gate.durations import Durations, Times, read_reports, tables, too_long
 from gate.selection import reached_by, sources
 from gate.sharing import RigsTogether
-from gate.steps import Extent, Runner, Step, stages
+from gate.steps import RIGS, Extent, Runner, Step, stages
 
 REPOSITORY = Path(__file__).parents[3]
 
@@ -33,14 +33,14 @@ def test_each_file_is_in_the_session_rigs_first(monkeypatch: pytest.MonkeyPatch)
     _, ((tests,),) = stages(Extent.FULL)
     files = files_of(tests)
     assert sorted(files) == sorted(map(str, Path("tests").rglob("test_*.py")))
-    is_rig = [file.startswith(("tests/live", "tests/screens", "tests/soak")) for file in files]
+    is_rig = [file.startswith(RIGS) for file in files]
     assert is_rig == sorted(is_rig, reverse=True) and any(is_rig)
     assert "--full" in tests.command
 
 
-def test_selected_files_begin_with_the_longest_and_none_are_no_session() -> None:
-    _, ((tests,),) = stages(Extent.QUICK, ["tests/unit/test_a.py", "tests/daemon/test_b.py"])
-    assert files_of(tests) == ["tests/daemon/test_b.py", "tests/unit/test_a.py"]
+def test_selected_files_begin_with_those_that_compute_and_none_are_no_session() -> None:
+    _, ((tests,),) = stages(Extent.QUICK, ["tests/unit/service/test_a.py", "tests/unit/pipeline/test_b.py"])
+    assert files_of(tests) == ["tests/unit/pipeline/test_b.py", "tests/unit/service/test_a.py"]
     assert stages(Extent.QUICK, [])[-1] == [[]]
 
 

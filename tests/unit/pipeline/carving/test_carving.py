@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from support.extents import examples
+from support.extents import examples, first_quick
 from support.silhouettes import sphere_silhouettes
 
 from pipeline.carving import CarvingParameters, VisualHull, all_leaves, carve
@@ -73,7 +73,7 @@ def test_axes_are_x_y_z(field: str) -> None:
 
 
 @pytest.mark.parametrize("field", ["sub_voxel", "view_count"])
-@pytest.mark.parametrize("radius_mm", [1.0, 4.0, 18.0])
+@pytest.mark.parametrize("radius_mm", first_quick([4.0, 1.0, 18.0]))
 def test_mesh_is_closed_and_faces_outwards(field: str, radius_mm: float) -> None:
     parameters = CarvingParameters(field=field)
     mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG, (0.3, 0.2, -0.4), radius_mm), RIG), parameters))
