@@ -79,8 +79,6 @@ COLLECT = Step("collect", (f"{BIN}/pytest", "--collect-only", "--quiet"))
 
 RIGS = ("tests/live", "tests/screens", "tests/soak", "tests/aravis", "tests/contract")
 """Rigs, browsers and devices: one after the other, as they want a processor whenever they want one and else wait."""
-FIRST = ("tests/accuracy", "tests/unit/pipeline")
-"""Folders whose tests compute rather than wait: they begin first, beside those of the rigs that wait most."""
 N_PROCESSES = 3
 """One more than processors: daemons and devices mostly wait."""
 
@@ -91,7 +89,8 @@ def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[l
     `selected`: the files of tests to run instead of all.
     """
     files = sorted(map(str, Path("tests").rglob("test_*.py"))) if selected is None else selected
-    files = sorted(files, key=lambda file: (not file.startswith(RIGS), not file.startswith(FIRST)))
+    # beside the rigs by their names, not by their folders: some folders only compute, others mostly wait
+    files = sorted(files, key=lambda file: (not file.startswith(RIGS), Path(file).name))
     return [[[*SOURCE, COLLECT], [COMPILE]], [[_tests(extent, files)] if files else []]]
 
 

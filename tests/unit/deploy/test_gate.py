@@ -38,9 +38,9 @@ def test_each_file_is_in_the_session_rigs_first(monkeypatch: pytest.MonkeyPatch)
     assert "--full" in tests.command
 
 
-def test_selected_files_begin_with_those_that_compute_and_none_are_no_session() -> None:
-    _, ((tests,),) = stages(Extent.QUICK, ["tests/unit/service/test_a.py", "tests/unit/pipeline/test_b.py"])
-    assert files_of(tests) == ["tests/unit/pipeline/test_b.py", "tests/unit/service/test_a.py"]
+def test_without_selected_files_there_is_no_session() -> None:
+    _, ((tests,),) = stages(Extent.QUICK, ["tests/unit/service/test_b.py", "tests/unit/pipeline/test_a.py"])
+    assert files_of(tests) == ["tests/unit/pipeline/test_a.py", "tests/unit/service/test_b.py"]
     assert stages(Extent.QUICK, [])[-1] == [[]]
 
 
