@@ -67,6 +67,7 @@ def test_rendered_stones_are_as_large_and_as_flaky_as_the_true_ones(rendered: li
         assert found.volume_mm3 == pytest.approx(row.true.volume_mm3, rel=0.05), said
 
 
+@pytest.mark.full
 def test_the_bench_finds_no_fault_with_perfect_stones(drawn: list[Row]) -> None:
     found = comparison(drawn)
     assert missed(found) == []
@@ -74,6 +75,7 @@ def test_the_bench_finds_no_fault_with_perfect_stones(drawn: list[Row]) -> None:
     assert max(abs(figure.difference) for figure in found.figures) < 1e-9
 
 
+@pytest.mark.full
 def test_the_bench_finds_stones_that_are_measured_too_large_or_too_thick(drawn: list[Row]) -> None:
     larger = [with_found(row, sieve_size_mm=1.03 * row.true.sieve_size_mm) for row in drawn]
     assert any("true class of r20" in said for said in missed(comparison(larger)))
@@ -83,6 +85,7 @@ def test_the_bench_finds_stones_that_are_measured_too_large_or_too_thick(drawn: 
     assert not any("mm differs" in said for said in missed(comparison(thicker)))
 
 
+@pytest.mark.full
 def test_stones_that_are_not_measured_are_left_out_of_the_truth_and_counted(drawn: list[Row]) -> None:
     heaviest = max(drawn, key=lambda row: row.true.volume_mm3)
     lost = UnmeasuredStone(fate=Fate.REJECTED, reason="clipped")

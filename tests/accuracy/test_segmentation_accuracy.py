@@ -95,6 +95,7 @@ def test_more_than_one_body_is_told(case: HardCase) -> None:
     assert segmenter("auto")(view.frame, view.background).status is ViewStatus.MULTIPLE
 
 
+@pytest.mark.full
 def test_a_stone_before_dark_apertures_measures_as_beside_them() -> None:
     body = replace(stone("irregular", 14.0, stream(SEED, 0)), grey=DARK_GREY)
     top_mm = body.mesh.vertices[:, 2].max()

@@ -78,6 +78,7 @@ def test_percentages_ignore_the_poses_of_stones(seed: int) -> None:
         assert abs(found.value - expected.value) <= 4 * found.measuring_se + 1e-6, name
 
 
+@pytest.mark.full
 def test_the_stones_of_that_lot_are_flaky_and_not_flaky_on_many_sieves() -> None:
     assert all(2 < (upright().passing(mm).value or 0.0) < 98 for mm in (11.2, 12.5, 14.0, 16.0))
     for of in (upright().indices.flakiness, upright().indices.shape):

@@ -95,6 +95,7 @@ def test_light_that_dims_by_a_third_over_an_hour_measures_no_other_sphere(
     assert found_mm == pytest.approx(true_figures(), abs=0.02)
 
 
+@pytest.mark.full
 def test_a_window_that_gets_dusty_is_told_and_measures_on() -> None:
     """E1: maintenance at half of a limit, out of specification at the limit; the outline is still right."""
     told = []
@@ -114,6 +115,7 @@ def test_a_window_that_gets_dusty_is_told_and_measures_on() -> None:
     assert diameters_mm(measured({DIRTY: dirty})) == pytest.approx(true_figures(), abs=0.02)
 
 
+@pytest.mark.full
 def test_a_splash_of_mud_before_the_outline_costs_what_it_hides() -> None:
     """E1, at its worst: hidden pixels do not carve, a view that the others contradict is left out."""
     (camera,) = rig().subset([DIRTY]).cameras

@@ -69,6 +69,7 @@ def test_balls_calibrate_the_rig(folder: Path) -> None:
     assert rig_error(written, thumbnail_rig()).length_percent < 0.2
 
 
+@pytest.mark.full
 def test_the_report_for_people(folder: Path) -> None:
     result = run(folder, "--ball-diameter-mm", "10", "--workers", "1")
     assert result.exit_code == 0, result.stderr
@@ -77,6 +78,7 @@ def test_the_report_for_people(folder: Path) -> None:
     assert "drops not used in the fit: 0.0" in result.stdout
 
 
+@pytest.mark.full
 def test_without_a_diameter_the_scale_is_said_to_be_unknown(folder: Path) -> None:
     result = run(folder, "--json")
     assert result.exit_code == 0, result.stderr
@@ -99,6 +101,7 @@ def test_a_wrong_diameter_is_refused_unless_forced(folder: Path) -> None:
     assert read_rig(folder / "forced.json").ball_diameter_mm == 10.5263
 
 
+@pytest.mark.full
 def test_swapped_cameras_in_the_rig_file_are_named(folder: Path) -> None:
     document = rig_to_document(read_rig(folder / "nominal.json"))
     del document["checksum"]
@@ -114,6 +117,7 @@ def test_swapped_cameras_in_the_rig_file_are_named(folder: Path) -> None:
     assert not (folder / "swapped-out.json").exists()
 
 
+@pytest.mark.full
 def test_one_size_entered_as_two_is_refused(folder: Path) -> None:
     result = run(folder, "--ball-diameter-mm", "10", "--ball-diameter-mm", "15")
     assert isinstance(result.exception, CalibrationError)

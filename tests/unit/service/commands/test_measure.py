@@ -274,6 +274,7 @@ def test_a_view_with_a_damaged_pixel_is_not_used(tmp_path: Path) -> None:
     assert (record["outcome"], record["dropped_views"]) == ("measured", {"c05": "damaged"})
 
 
+@pytest.mark.full
 def test_a_folder_has_the_results_of_one_run_alone(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for number, n_stones in enumerate((2, 1)):

@@ -138,6 +138,7 @@ def test_a_bundle_depends_on_the_seed_and_not_on_the_others(tmp_path: Path, rig_
     assert not same_pixels(first[0], other[0])
 
 
+@pytest.mark.full
 def test_without_a_rig_the_design_is_built_with_deviations(tmp_path: Path) -> None:
     out = tmp_path / "recording"
     command(out, bodies="ball", count=0, seed=4, backgrounds=1)
@@ -202,6 +203,7 @@ def truths_of(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (path / "truth.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.full
 def test_balls_of_two_sizes_are_dropped_across_the_volume(tmp_path: Path, rig_path: Path) -> None:
     out = tmp_path / "recording"
     command(out, bodies="ball,ball:6", count=10, seed=1, rig=rig_path, backgrounds=0)
@@ -215,6 +217,7 @@ def test_balls_of_two_sizes_are_dropped_across_the_volume(tmp_path: Path, rig_pa
         command(tmp_path / "other", bodies="ball:big", rig=rig_path)
 
 
+@pytest.mark.full
 def test_a_late_exposure_shows_a_ball_lower(tmp_path: Path, rig_path: Path) -> None:
     out = tmp_path / "recording"
     command(
