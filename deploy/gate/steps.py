@@ -77,8 +77,8 @@ COMPILE = Step("compile", (f"{BIN}/stonefall", "compile", "--config", "deploy/st
 COLLECT = Step("collect", (f"{BIN}/pytest", "--collect-only", "--quiet"))
 """Compiles what the processes of the tests would each compile: they import the same at the same time."""
 
-RIGS = ("tests/live", "tests/screens", "tests/soak", "tests/aravis", "tests/contract")
-"""Rigs, browsers and devices: one after the other, as they want a processor whenever they want one and else wait."""
+RIGS = ("tests/live", "tests/screens", "tests/soak")
+"""Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
 N_PROCESSES = 4
 """Two more than processors: daemons and devices mostly wait."""
 
