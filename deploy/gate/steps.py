@@ -79,8 +79,8 @@ COLLECT = Step("collect", (f"{BIN}/pytest", "--collect-only", "--quiet"))
 
 RIGS = ("tests/live", "tests/screens", "tests/soak")
 """Whole rigs and browsers: one after the other, as they want a processor whenever they want one and else wait."""
-N_PROCESSES = 4
-"""Two more than processors: daemons and devices mostly wait."""
+N_PROCESSES = 3
+"""One more than processors: daemons and devices mostly wait."""
 
 
 def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[list[Step]]]:

@@ -132,12 +132,15 @@ def delete(folder: Path) -> None:
 
 
 def kill_fork_server(daemon: DaemonProcess) -> None:
-    """Kill it, and a worker so that it is missed at once."""
-    for pid in descendants_of(daemon.process.pid):
-        with suppress(FileNotFoundError, ProcessLookupError):  # it may end meanwhile
-            command = Path(f"/proc/{pid}/cmdline").read_bytes()
-            if b"forkserver" in command and pid not in daemon.worker_pids():
-                os.kill(pid, signal.SIGKILL)
+    """Kill what the workers are forked from."""
+    theirs = set(descendants_of(daemon.process.pid))  # a worker whose server has ended has another parent
+    with suppress(FileNotFoundError, ProcessLookupError):  # they may end meanwhile
+        for server in {parent_of(pid) for pid in daemon.worker_pids()} & theirs:
+            os.kill(server, signal.SIGKILL)
+
+
+def parent_of(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()[1])
 
 
 def is_full_and_lost(queue: dict[str, Any]) -> bool:

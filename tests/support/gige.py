@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from support.eventually import eventually
 from support.recordings import SIZE_PX as SMALL_PX
 from support.recordings import tagged_image
 
@@ -17,6 +18,7 @@ from drivers.camera_process.process import CameraProcess
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import GigeCameraSettings, exposure_features, trigger_features
 from drivers.gige_simulator.camera import CameraDesign, Exposure, ImageSource, SimulatedCamera
+from drivers.gvcp import probe
 from drivers.interfaces import Camera
 from pipeline.frames import CameraId
 
@@ -125,4 +127,6 @@ def gige_rig(camera_ids: Sequence[CameraId], process: CameraProcess | None = Non
             cameras[each.id] = RemoteCamera(settings, process) if process else AravisCamera(settings)
         for camera in cameras.values():
             stack.callback(camera.close)
+        # on a busy machine later than the driver waits for an answer
+        eventually(lambda: all(probe(each.address) for each in designs))
         yield GigeRig(simulated, cameras, fired_ns)
