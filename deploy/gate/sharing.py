@@ -13,6 +13,7 @@ from xdist.scheduler import LoadFileScheduling
 from gate.steps import RIGS
 
 NICE = 5
+"""Added to the niceness of a process that has no rigs before it (nice(2))."""
 
 
 class RigsTogether(LoadFileScheduling):  # type: ignore[misc]  # xdist has no types

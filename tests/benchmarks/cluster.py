@@ -99,7 +99,9 @@ def daemon_of(folder: Path, spool: str, n_stones: int, *, loop: bool) -> DaemonP
         voxels=256,
         body="photo",
         spool=spool,
+        slots=2,
         port=free_port(),
+        command=(STONEFALL,),
     )
 
 

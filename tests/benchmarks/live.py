@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.daemon_process import DaemonProcess, descendants_of
+from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.simulator_process import SimulatorProcess
 from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
@@ -75,6 +75,8 @@ def soak(folder: Path, spool: str, simulator: SimulatorProcess, arguments: Any) 
         voxels=256,
         spool=spool,
         store=f"keep_raw = {arguments.keep_raw}",
+        slots=2,
+        command=(STONEFALL,),
     ) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)

@@ -135,6 +135,7 @@ def measure(
             max_bundles=arguments.queue,
             spool=spool,
             store="keep_raw = 0",
+            slots=2,
             command=(
                 *("sh", "-c", IN_GROUP, group if condition.weight else "/dev/null"),
                 *("nice", "-n", str(condition.nice), sys.executable, PROBE, notes),

@@ -15,7 +15,7 @@ from pathlib import Path
 if __package__ is None:
     sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
-from support.daemon_process import PATIENCE_S, DaemonProcess
+from support.daemon_process import PATIENCE_S, STONEFALL, DaemonProcess
 from support.eventually import eventually
 from support.reference_client import start_client
 from support.small_recording import write_small_recording
@@ -34,7 +34,7 @@ def main() -> None:
             daemon.wait_for("/accounting", lambda counts: counts["measured"] == 3)
             daemon.stop()
         multiply_newest(folder / "state" / "results.sqlite", n)
-        with DaemonProcess(folder, recording, rig="speed = 0.01") as daemon:
+        with DaemonProcess(folder, recording, rig="speed = 0.01", command=(STONEFALL,)) as daemon:
             daemon.hear("READY=1")
             url = daemon.url("").removesuffix("/api/v1")
             for fields in ("lean", "all"):

@@ -36,7 +36,7 @@ from rich.table import Table
 from sustained import DRAIN_S, LOOK_S, RIG, Watched
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.daemon_process import DaemonProcess, descendants_of, process_name
+from support.daemon_process import STONEFALL, DaemonProcess, descendants_of, process_name
 from support.outcomes import add
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.stores import folder_of
@@ -92,6 +92,8 @@ def main() -> int:
             rig=RIG.format(window_ms=0.4 * apart_ms, dead_time_ms=0.9 * apart_ms),
             voxels=256,
             spool=spool,
+            slots=2,
+            command=(STONEFALL,),
         )
         phases = run(daemon, due_s, arguments)
     return report(phases, arguments)

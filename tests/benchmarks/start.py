@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.daemon_process import DaemonProcess, descendants_of
+from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
@@ -118,6 +118,7 @@ def start(folder: Path, arguments: Any) -> Start:
         segmentation=f'segmenter = "{arguments.segmenter}"',
         voxels=256,
         slots=arguments.slots,
+        command=(STONEFALL,),
     ) as daemon:
         daemon.hear("READY=1", timeout_s=PATIENCE_S)
         ready_s = time.monotonic() - begin_s

@@ -50,7 +50,7 @@ def offline(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize(("slots", "exact_meshes"), first_quick([(2, "false"), (1, "true")]))
+@pytest.mark.parametrize(("slots", "exact_meshes"), first_quick([(3, "false"), (1, "true")]))
 def test_daemon_equals_offline(
     tmp_path: Path, recording: Path, offline: Path, slots: int, exact_meshes: str
 ) -> None:

@@ -61,7 +61,7 @@ def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0) -> Tally:
     client = follow()
     try:
         while True:
-            with DaemonProcess(folder, recording, rig=RIG, port=port) as daemon:
+            with DaemonProcess(folder, recording, rig=RIG, slots=2, port=port) as daemon:
                 is_left_to_start = dice.random() > UNREADY_SHARE or sum(kills.values()) == n_kills
                 if is_left_to_start:
                     daemon.hear("READY=1")

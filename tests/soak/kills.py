@@ -69,7 +69,7 @@ def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0, number: in
     with simulated_rig(folder, recording, number=number, only_stones=True) as rig:
         section = live_section(rig, folder, recording, by_address=True)
         for kill in range(n_kills):
-            with DaemonProcess(folder, recording, rig=section) as daemon:
+            with DaemonProcess(folder, recording, rig=section, slots=2) as daemon:
                 if kill == 0:
                     daemon.hear("READY=1")
                     daemon.wait_for("/accounting", lambda counts: counts["backgrounds"] == 2)
@@ -93,7 +93,7 @@ def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0, number: in
                 now = whole_bundles(folder, cameras)
                 spooled |= now
                 print(f"kill {kill + 1}: {len(open_triggers(folder))} open, {len(now)} in the spool")  # noqa: T201
-        with DaemonProcess(folder, recording, rig=section) as daemon:
+        with DaemonProcess(folder, recording, rig=section, slots=2) as daemon:
             daemon.hear("READY=1")
             fallen = rig.gate.counters.edges
             daemon.wait_for(

@@ -32,7 +32,7 @@ from rich.table import Table
 if __package__ is None:
     sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
-from support.daemon_process import DaemonProcess, descendants_of
+from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.simulator_process import SimulatorProcess
 from support.small_recording import write_small_recording
 from support.stone_recording import write_stones
@@ -176,6 +176,8 @@ def run_steadily(
             voxels=voxels,
             spool=spool,
             store=f"keep_raw = {keep_raw}",
+            slots=2,
+            command=(STONEFALL,),
         ) as daemon,
     ):
         daemon.hear("READY=1")

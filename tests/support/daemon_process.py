@@ -23,6 +23,7 @@ from support.warm_stonefall import WarmStonefall
 from service.processing.worker_pool import WORKER_NAME
 
 STONEFALL = Path(sys.executable).with_name("stonefall")
+"""The program as it is installed."""
 
 CONFIG = """
 {rig}
@@ -75,7 +76,8 @@ class DaemonProcess:
     ) -> None:
         """`rig`: what follows `recording` in the section of that name, or all of it with its name.
 
-        `command`: the program and what is before it; without it the daemon is forked where it has been imported.
+        `command`: the program and what is before it; without it the daemon is forked where it has been imported. What
+        measures a start, memory or speed gives `(STONEFALL,)`, and as many `slots` as its figure is of.
         """
         self._command = command
         if not rig.startswith("[rig]"):

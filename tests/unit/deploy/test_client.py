@@ -235,14 +235,14 @@ def test_a_wrong_key_is_told_again_and_again_until_there_is_another(
     assert said == [*["401 unauthorized: no key; the cursor stays at 0"] * 3, "answered again"]
 
 
-def test_a_key_that_is_new_since_the_answer_ends_a_long_pause(feed: FakeFeed, tmp_path: Path) -> None:
-    key_file = tmp_path / "key"
-    key_file.write_text("old")
+@pytest.mark.parametrize("looked_at", [["new"], ["old", "new"]], ids=["before the pause", "in the pause"])
+def test_a_key_that_is_new_since_the_answer_ends_a_long_pause(feed: FakeFeed, looked_at: list[str]) -> None:
     feed.key = "new"
-    asking = connect(feed, key_file)
+    asking = connect(feed)
+    keys = iter(["old", *looked_at])
+    asking.key = lambda: next(keys)
     with pytest.raises(client.RefusedError):
         asking.get("/results")
-    key_file.write_text("new")  # before the pause, or in it: it is looked at again and again
     asking.pause(3600)
 
 
