@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gate.durations import Durations, busy_s, gflops, keep, kept, read_reports, summed, tables, too_long
 from gate.selection import reached
-from gate.steps import BIN, KEPT, SOURCE, Extent, Ran, Runner, stages
+from gate.steps import BIN, FORM, KEPT, TYPES, Extent, Ran, Runner, stages
 
 TOLD_EVERY_S = 20.0
 TYPICAL_S = {Extent.QUICK: 300.0, Extent.FULL: 900.0, Extent.NIGHT: 3600.0}
@@ -46,7 +46,7 @@ def _run_these(extent: Extent, tests: Sequence[str]) -> None:
     """Check the source, then become pytest with these arguments."""
     KEPT.mkdir(parents=True, exist_ok=True)
     runner = _runner()
-    runner.run([SOURCE])
+    runner.run([FORM, [TYPES]])
     if any(each.has_failed for each in runner.ran):
         sys.exit(1)
     os.execv(f"{BIN}/pytest", ["pytest", *extent.options, *tests])  # noqa: S606 - pytest of this environment, no shell

@@ -66,12 +66,13 @@ class Ran:
         return self.code not in (0, NO_TESTS)
 
 
-SOURCE = (
+FORM = (
     Step("format", (f"{BIN}/ruff", "format", "--check", "--quiet", ".")),
     Step("lint", (f"{BIN}/ruff", "check", "--quiet", ".")),
-    Step("types", (f"{BIN}/mypy",)),
     Step("imports", (f"{BIN}/lint-imports", "--no-cache")),
 )
+TYPES = Step("types", ("nice", f"{BIN}/mypy"))
+"""Fills what the tests leave of the processors."""
 COMPILE = Step("compile", (f"{BIN}/stonefall", "compile", "--config", "deploy/stonefall.toml"))
 """All loops once, for all processes that follow."""
 COLLECT = Step("collect", (f"{BIN}/pytest", "--collect-only", "--quiet"))
@@ -91,7 +92,7 @@ def stages(extent: Extent, selected: Sequence[str] | None = None) -> list[list[l
     files = sorted(map(str, Path("tests").rglob("test_*.py"))) if selected is None else selected
     # beside the rigs by their names, not by their folders: some folders only compute, others mostly wait
     files = sorted(files, key=lambda file: (not file.startswith(RIGS), Path(file).name))
-    return [[[*SOURCE, COLLECT], [COMPILE]], [[_tests(extent, files)] if files else []]]
+    return [[[*FORM, COLLECT], [COMPILE]], [[_tests(extent, files)] if files else [], [TYPES]]]
 
 
 def _tests(extent: Extent, files: Sequence[str]) -> Step:

@@ -30,7 +30,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_each_file_is_in_the_session_rigs_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(REPOSITORY)
-    _, ((tests,),) = stages(Extent.FULL)
+    _, ((tests,), _) = stages(Extent.FULL)
     files = files_of(tests)
     assert sorted(files) == sorted(map(str, Path("tests").rglob("test_*.py")))
     is_rig = [file.startswith(RIGS) for file in files]
@@ -39,9 +39,9 @@ def test_each_file_is_in_the_session_rigs_first(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_without_selected_files_there_is_no_session() -> None:
-    _, ((tests,),) = stages(Extent.QUICK, ["tests/unit/service/test_b.py", "tests/unit/pipeline/test_a.py"])
+    _, ((tests,), _) = stages(Extent.QUICK, ["tests/unit/service/test_b.py", "tests/unit/pipeline/test_a.py"])
     assert files_of(tests) == ["tests/unit/pipeline/test_a.py", "tests/unit/service/test_b.py"]
-    assert stages(Extent.QUICK, [])[-1] == [[]]
+    assert stages(Extent.QUICK, [])[-1][0] == []
 
 
 def test_all_rigs_are_one_share_and_each_other_file_is_one() -> None:
