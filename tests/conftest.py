@@ -2,6 +2,7 @@
 
 import asyncio
 import functools
+import gc
 import inspect
 import multiprocessing
 import os
@@ -15,6 +16,7 @@ from support.renewed import HAS_FAILED
 
 from service.compiled_code import isolate_numba_cache
 
+gc.disable()  # until all tests are imported: a third of the time was spent on walking what stays
 # as systemd/stonefall.service has it; before NumPy is imported: its threads only spin on matrices as small as ours
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 isolate_numba_cache()  # before numba is; with the daemons that the tests start
@@ -49,6 +51,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     extent = extent_of(config)
     config.hook.pytest_deselected(items=[item for item in items if is_beyond(item, extent)])
     items[:] = [item for item in items if not is_beyond(item, extent)]
+
+
+def pytest_collection_finish() -> None:
+    """Let the collector walk only what the tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

@@ -44,7 +44,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def replay(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Iterator[DaemonProcess]:
     """A real daemon that plays the recording again and again."""
-    rig = "loop = true\nspeed = 1.0"
+    rig = "loop = true\nspeed = 0.5"
     with DaemonProcess(tmp_path_factory.mktemp("daemon"), recording, rig=rig) as daemon:
         daemon.hear("READY=1")
         yield daemon
