@@ -4,12 +4,13 @@ import gzip
 import json
 import sqlite3
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pydantic import BaseModel
 
 from service.lots.evaluation import lot_figures, window_figures
+from service.lots.laboratory import StoredSieving, sievings
 from service.lots.stored_stones import Choice
 from service.lots.yardsticks import Request
 from service.results.selection import served
@@ -110,6 +111,24 @@ def window_figures_json(
 ) -> bytes | None:
     """Return the figures of a time, None if the product is unknown."""
     return _model_json(window_figures(connection, since, until, request, product))
+
+
+def sievings_json(connection: sqlite3.Connection, lot: str) -> bytes:
+    """Return what laboratories found in a lot."""
+    return json.dumps({"items": [sieving_document(each) for each in sievings(connection, lot)]}).encode()
+
+
+def sieving_document(stored: StoredSieving) -> dict[str, Any]:
+    """Return a sieving as its document says it."""
+    sieving = stored.document
+    return {
+        **asdict(sieving),
+        "sieving": stored.sieving,
+        "at": stored.at,
+        "mass_g": sieving.mass_g,
+        "retained_g": {f"{sieve_mm:g}": grams for sieve_mm, grams in sieving.retained_g.items()},
+        "passing_percent": {f"{sieve_mm:g}": share for sieve_mm, share in sieving.passing_percent.items()},
+    }
 
 
 def _model_json(model: BaseModel | None) -> bytes | None:

@@ -1,7 +1,7 @@
 """The laboratory: sievings of portions of a lot, and how its sieves and this instrument agree for a product."""
 
 import json
-import re
+import math
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -16,10 +16,11 @@ from service.lots.stored_stones import stones_of_lot
 from service.store import audit
 from service.store.schema import transaction
 
+MOST_SIEVES = 100
+"""In one table or request; a stored one may be older than this limit."""
 PAN = frozenset({"pan", "boden", "0"})
 """Words for what passes the last sieve; the second is German."""
 MOST_LOTS = 1000
-_ROW = re.compile(r"\s*([^;\t]+?)\s*[;\t]\s*([0-9.,\s]+?)\s*(kg|g)?\s*[;\t]?\s*", re.IGNORECASE)
 
 
 class SievingError(ServiceError):
@@ -41,7 +42,7 @@ class Sieving:
     remark: str | None = None
 
     def __post_init__(self) -> None:
-        if not self.retained_g or min(self.retained_g) <= 0:
+        if not self.retained_g or not all(0 < sieve_mm < math.inf for sieve_mm in self.retained_g):
             raise SievingError("retained_g: needs sieves with apertures above 0 mm")
         for sieve_mm, grams in self.retained_g.items():
             if not 0 <= grams < 1e7:
@@ -59,9 +60,9 @@ class Sieving:
     @property
     def passing_percent(self) -> dict[float, float]:
         """By rising aperture in mm: what passes is what lies on all smaller sieves and in the pan."""
-        passing, below_g = {}, self.pan_g
+        passing, below_g, mass_g = {}, self.pan_g, self.mass_g
         for sieve_mm in sorted(self.retained_g):
-            passing[sieve_mm] = 100 * below_g / self.mass_g
+            passing[sieve_mm] = 100 * below_g / mass_g
             below_g += self.retained_g[sieve_mm]
         return passing
 
@@ -97,24 +98,45 @@ def parse_table(text: str, **more: str | None) -> Sieving:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():
             continue
-        row = _ROW.fullmatch(line)
+        row = _row(line)
         if row is None:
             if retained_g or number > 1:
                 raise SievingError(
                     f"table: line {number}: {line.strip()[:80]!r} is not an aperture and a mass"
                 )
-            unit_g = 1000.0 if re.search(r"\bkg\b", line, re.IGNORECASE) else 1.0  # the head of the columns
+            unit_g = 1000.0 if "kg" in _words(line) else 1.0  # the head of the columns
             continue
-        name, mass, unit = row.groups()
-        grams = _number(mass, number) * (1000.0 if (unit or "").lower() == "kg" else 1.0 if unit else unit_g)
+        name, mass, factor = row
+        grams = _number(mass, number) * (factor or unit_g)
         if name.lower() in PAN:
             pan_g += grams
         else:
             sieve_mm = _number(name.lower().removesuffix("mm"), number)
             if sieve_mm in retained_g:
                 raise SievingError(f"table: line {number}: the sieve {sieve_mm:g} mm is there twice")
+            if len(retained_g) == MOST_SIEVES:
+                raise SievingError(f"table: line {number}: more than {MOST_SIEVES} sieves")
             retained_g[sieve_mm] = grams
     return Sieving(retained_g=retained_g, pan_g=pan_g, **more)
+
+
+def _row(line: str) -> tuple[str, str, float | None] | None:
+    """Return the name of a sieve, what is written as its mass, and grams of its unit; None for other lines."""
+    name, *cells = (cell.strip() for cell in line.strip().replace("\t", ";").split(";"))
+    if not name or not cells or any(cells[1:]) or len(cells) > 2:
+        return None
+    mass, unit_g = cells[0].lower(), None
+    for unit, grams in (("kg", 1000.0), ("g", 1.0)):
+        if mass.endswith(unit):
+            mass, unit_g = mass.removesuffix(unit).rstrip(), grams
+            break
+    is_number = bool(mass) and all(character.isspace() or character in "0123456789.," for character in mass)
+    return (name, mass, unit_g) if is_number else None
+
+
+def _words(line: str) -> list[str]:
+    """Return the words of a line, in small letters."""
+    return "".join(character if character.isalnum() else " " for character in line.lower()).split()
 
 
 def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:

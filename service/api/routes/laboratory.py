@@ -3,28 +3,28 @@
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.gradation.correlation import Form
 from service.api.auth import Who, require
 from service.api.context import Context
+from service.api.pages import sieving_document, sievings_json
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.lot_figures import Measuring
 from service.api.routes.lots import LotName
 from service.api.routes.products import ProductName, Text
 from service.api.settings import Scope
 from service.lots.laboratory import (
+    MOST_SIEVES,
     Correlation,
     NothingToStudyError,
     Sieving,
     SievingError,
-    StoredSieving,
     add_sieving,
     correlations,
     keep_study,
     parse_table,
-    sievings,
     study_of,
 )
 from service.lots.lots import find_lot
@@ -46,7 +46,7 @@ class SievingRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     retained_g: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], float] | None = Field(
-        default=None, description="Grams retained on each sieve, by aperture in mm"
+        default=None, max_length=MOST_SIEVES, description="Grams retained on each sieve, by aperture in mm"
     )
     pan_g: float = Field(default=0.0, description="Grams in the pan")
     table: Annotated[str, Field(max_length=20_000)] | None = Field(
@@ -172,16 +172,17 @@ async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, a
     except SievingError as err:
         raise Problem(422, "invalid-request", str(err)) from err
     context.store.require_writable()
-    return _document(await context.store.write(add_sieving, lot, sieving, asking))
+    return sieving_document(await context.store.write(add_sieving, lot, sieving, asking))
 
 
 @router.get(
     "/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE, responses=problem_responses(404)
 )
-async def list_sievings(context: Context, lot: LotName) -> dict[str, Any]:
+async def list_sievings(context: Context, lot: LotName) -> Response:
     """Return what laboratories found in a lot."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
-    return {"items": [_document(each) for each in await context.store.read(sievings, lot)]}
+    content = await context.reading.run(read, context.store.path, sievings_json, lot)
+    return Response(content, media_type="application/json")
 
 
 @router.post(
@@ -263,20 +264,11 @@ def _sieving(wanted: SievingRequest) -> Sieving:
         raise SievingError("retained_g, table: give one of them")
     if wanted.table is not None:
         return parse_table(wanted.table, **words)
-    retained_g = {float(aperture): grams for aperture, grams in (wanted.retained_g or {}).items()}
+    given = wanted.retained_g or {}
+    retained_g = {float(aperture): grams for aperture, grams in given.items()}
+    if len(retained_g) < len(given):
+        raise SievingError("retained_g: a sieve is there twice")
     return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words)
-
-
-def _document(stored: StoredSieving) -> dict[str, Any]:
-    sieving = stored.document
-    return {
-        **asdict(sieving),
-        "sieving": stored.sieving,
-        "at": stored.at,
-        "mass_g": sieving.mass_g,
-        "retained_g": {f"{sieve_mm:g}": grams for sieve_mm, grams in sieving.retained_g.items()},
-        "passing_percent": {f"{sieve_mm:g}": share for sieve_mm, share in sieving.passing_percent.items()},
-    }
 
 
 def _flat(correlation: Correlation) -> dict[str, Any]:

@@ -40,6 +40,14 @@ def test_tables_are_read_as_spreadsheets_write_them(text: str) -> None:
         ("16;0\n8;0", "nothing was weighed"),
         ("0;10", "needs sieves"),
         ("16;99999999", "16 mm"),
+        ("nan;5", "above 0"),
+        ("1e999;5", "above 0"),
+        ("\n".join(f"{mm};1" for mm in range(1, 102)), "line 101.*more than 100"),
+        ("8;1" + 20_000 * " " + "x", "line 1|needs sieves"),
+        ("16;1\n8;1" + 20_000 * " " + "x", "line 2"),
+        ("16;1\n" + 20_000 * "8", "line 2"),
+        ("16;1\n" + 10_000 * "8;", "line 2"),
+        (20_000 * "8" + ";" + 20_000 * "1", "above 0|grams"),
     ],
 )
 def test_a_table_that_cannot_be_read_is_named_by_its_line(text: str, named: str) -> None:
