@@ -19,13 +19,18 @@ class SharedAnswers:
         """Return what `make` returns; whoever asks the same until `keep_s` after that gets it as well."""
         answer = self._answers.get(question)
         if answer is None:
-            answer = self._answers[question] = asyncio.create_task(make())
-            answer.add_done_callback(lambda done: self._forget(question, done, keep_s))
+            answer = self._answers[question] = asyncio.create_task(self._made(question, make, keep_s))
         return await asyncio.shield(answer)  # others may wait for it
 
-    def _forget(self, question: Hashable, answer: "asyncio.Task[Any]", keep_s: float) -> None:
-        failed = answer.cancelled() or answer.exception() is not None
-        if failed or keep_s == 0:
+    async def _made(self, question: Hashable, make: Callable[[], Coroutine[Any, Any, T]], keep_s: float) -> T:
+        """Return what `make` returns, and forget it before anybody could get a task that is done."""
+        try:
+            answer = await make()
+        except BaseException:
+            del self._answers[question]
+            raise
+        if keep_s == 0:
             del self._answers[question]
         else:
             asyncio.get_running_loop().call_later(keep_s, self._answers.pop, question)
+        return answer

@@ -18,7 +18,7 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from support.eventually import PATIENCE_S
-from support.warm_stonefall import WarmStonefall
+from support.warm_stonefall import HELD, WarmStonefall
 
 from service.processing.worker_pool import WORKER_NAME
 
@@ -132,6 +132,7 @@ class DaemonProcess:
         self._listener.shutdown(socket.SHUT_RD)
         self._listening.join()
         self._listener.close()
+        assert error or HELD not in self.log, self.log
 
     def _listen(self) -> None:
         while assignments := self._listener.recv(4096):

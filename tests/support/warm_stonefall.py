@@ -4,6 +4,7 @@ It runs in a process of its own, with its own descriptors, environment, signals 
 done, also those of the server that its workers are forked from. What forks has one thread, as it must.
 """
 
+import asyncio
 import atexit
 import ctypes
 import json
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from itertools import pairwise
@@ -23,6 +25,11 @@ from typing import Any
 
 PR_SET_PDEATHSIG = 1
 """Option of prctl(2): the signal to get when the parent ends."""
+
+
+MOST_HELD_S = 1.0
+"""Of processor time, in which an event loop must get on: one that spins takes five."""
+HELD = "held the event loop for"
 
 
 class WarmStonefall:
@@ -165,6 +172,19 @@ def _exchange(request: Mapping[str, Any]) -> None:
     util.spawnv_passfds = partial(_forked, util.spawnv_passfds)  # type: ignore[attr-defined]  # not in its stubs
 
 
+def _told(run: Callable[[asyncio.Handle], None]) -> Callable[[asyncio.Handle], None]:
+    """Return `run` that says on stderr which callback of an event loop has held it."""
+
+    def run_and_tell(handle: asyncio.Handle) -> None:
+        start_s = time.thread_time()
+        run(handle)
+        if (used_s := time.thread_time() - start_s) > MOST_HELD_S:
+            sys.stderr.write(f"{handle} {HELD} {used_s:.1f} s of processor time\n")
+            sys.stderr.flush()
+
+    return run_and_tell
+
+
 def _forked(spawn: Callable[..., int], path: bytes, arguments: Sequence[str], kept: Sequence[int]) -> int:
     """Fork multiprocessing's fork server from this process instead of a new one, while it has one thread."""
     code = arguments[-1]
@@ -197,6 +217,7 @@ if __name__ == "__main__":
     routes = service.api.app.build_routes()
     routes.openapi()  # what FastAPI makes at first use
     service.api.app.build_routes = lambda: routes
+    asyncio.Handle._run = _told(asyncio.Handle._run)  # type: ignore[attr-defined,method-assign]  # not in its stubs
     freeze_gc()
     if _serve():
         sys.exit(service.cli.main())
