@@ -1,13 +1,19 @@
-"""Refuse request bodies above a limit, announced in the header or not."""
+"""Refuse request bodies that are too large or too fine, announced in the header or not."""
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import Problem, problem_response
 
+MOST_PARTS = 5000
+"""Quotes, brackets and braces of a body: what is parsed and checked on the event loop takes 15 ms at most.
+
+A megabyte of unknown fields took 0.3 s, to be told in an answer of 6 MB; no request that means something has 700.
+"""
+
 
 class BodyLimit:
-    """ASGI middleware that answers 413 to bodies above `max_body_bytes`."""
+    """ASGI middleware that answers 413 to bodies above `max_body_bytes`, or of more than `MOST_PARTS`."""
 
     def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
         self._app = app
@@ -20,21 +26,27 @@ class BodyLimit:
         request = Request(scope)
         announced = request.headers.get("content-length", "0")
         if not announced.isdecimal() or int(announced) > self._max_body_bytes:
-            await problem_response(request, self._problem())(scope, receive, send)
+            await problem_response(request, self._too_large())(scope, receive, send)
             return
-        n_bytes = 0
+        n_bytes = n_parts = 0
 
         async def counted() -> Message:
-            nonlocal n_bytes
+            nonlocal n_bytes, n_parts
             message = await receive()
-            n_bytes += len(message.get("body", b""))
+            piece = message.get("body", b"")
+            n_bytes += len(piece)
             if n_bytes > self._max_body_bytes:
-                raise self._problem()
+                raise self._too_large()
+            n_parts += sum(map(piece.count, (b'"', b"[", b"{")))
+            if n_parts > MOST_PARTS:
+                raise _too_large(f"{MOST_PARTS} quotes, brackets and braces")
             return message
 
         await self._app(scope, counted, send)
 
-    def _problem(self) -> Problem:
-        return Problem(
-            413, "content-too-large", f"a request body may have at most {self._max_body_bytes} bytes"
-        )
+    def _too_large(self) -> Problem:
+        return _too_large(f"{self._max_body_bytes} bytes")
+
+
+def _too_large(limit: str) -> Problem:
+    return Problem(413, "content-too-large", f"a request body may have at most {limit}")

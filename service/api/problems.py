@@ -84,6 +84,9 @@ TITLES = {
 WAIT = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
 """Statuses that always say when to come again."""
 RETRY_AFTER_S = 5
+MOST_ERRORS = 100
+MOST_CHARACTERS = 500
+"""Of the name of a wrong field, and of what is wrong with it: both may repeat what was sent."""
 
 
 class FieldError(BaseModel):
@@ -108,7 +111,9 @@ class ProblemDocument(BaseModel):
         description="The `X-Request-Id` of the request, or one made for it; the log names it. Absent when a connection"
         " was refused before its request was read",
     )
-    errors: list[FieldError] = Field(default=[], description="With `invalid-request`: every wrong field")
+    errors: list[FieldError] = Field(
+        default=[], description="With `invalid-request`: the wrong fields, 100 at most"
+    )
 
 
 class Problem(HTTPException):
@@ -215,10 +220,15 @@ def _allowed_methods(request: Request) -> str:
     return ", ".join(sorted({method.upper() for methods in fitting for method in methods}))
 
 
+def _shortened(text: str) -> str:
+    return text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS]} ..."
+
+
 async def _handle_validation(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
     errors = [
-        {"field": ".".join(map(str, _field(item["loc"]))), "message": item["msg"]} for item in error.errors()
+        {"field": _shortened(".".join(map(str, _field(item["loc"])))), "message": _shortened(item["msg"])}
+        for item in error.errors()[:MOST_ERRORS]
     ]
     detail = "; ".join(f"{item['field']}: {item['message']}" for item in errors)
     return problem_response(request, Problem(422, "invalid-request", detail, errors=errors))

@@ -176,3 +176,39 @@ def test_the_service_is_where_the_document_says() -> None:
     (server,) = json.loads(openapi_text())["servers"]
     defaults = {name: variable["default"] for name, variable in server["variables"].items()}
     assert server["url"].format(**defaults) == f"http://{ApiSettings().host}:{ApiSettings().port}"
+
+
+def test_whatever_a_client_sends_has_a_bound() -> None:
+    """A text, a list or a map without one would be parsed, stored and sent again on the event loop."""
+    document = json.loads(openapi_text())
+    unbounded: list[str] = []
+
+    def look(schema: dict[str, Any], where: str) -> None:
+        while "$ref" in schema:
+            schema = document["components"]["schemas"][schema["$ref"].rpartition("/")[2]]
+        for each in schema.get("anyOf", ()):
+            look(each, where)
+        bounds = {
+            # a pattern has a bound if nothing in it repeats at will
+            "string": "maxLength" in schema
+            or "enum" in schema
+            or schema.get("format") == "date-time"
+            or re.search(r"[+*]|,\}", schema.get("pattern", "*").replace("[\\x21-\\x7e]", "")) is None,
+            "array": "maxItems" in schema,
+            "object": "properties" in schema or "maxProperties" in schema,
+        }
+        if not bounds.get(schema.get("type", ""), True):
+            unbounded.append(where)
+        for name, each in schema.get("properties", {}).items():
+            look(each, f"{where}.{name}")
+        for each in (schema.get("items"), schema.get("additionalProperties")):
+            if isinstance(each, dict):
+                look(each, f"{where}[]")
+
+    for path, method, operation in operations():
+        for body in operation.get("requestBody", {}).get("content", {}).values():
+            look(body["schema"], f"{method} {path}")
+        for each in operation.get("parameters", ()):
+            if each["in"] != "header":  # the server bounds the head of a request
+                look(each["schema"], f"{method} {path} {each['name']}")
+    assert unbounded == []

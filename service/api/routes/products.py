@@ -53,7 +53,7 @@ class OwnSpecification(BaseModel):
 
     name: Text = Field(description="Name of the specification, printed on reports")
     passing: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], PercentRange] = Field(
-        description="Percent passing by mass, by aperture in mm"
+        max_length=100, description="Percent passing by mass, by aperture in mm"
     )
     flakiness: PercentRange | None = Field(default=None, description="Flakiness index, EN 933-3")
     shape: PercentRange | None = Field(default=None, description="Shape index, EN 933-4")
