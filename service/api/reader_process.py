@@ -23,6 +23,11 @@ DEADLINE_S = 30.0
 """Longest time for one answer: a page of a thousand takes 0.3 s of an idle core, but none may be idle for long."""
 MAX_WAITING = 64
 """Requests that wait for the process; more are told to come again."""
+NICENESS = 19
+"""The least priority that always gets on: an eighth of a core beside a worker.
+
+Of the class SCHED_IDLE the process would get nothing on a machine that is busy for long, and clients no answer.
+"""
 PROCESS_NAME = "stonefall-read"
 """Name of the process in `ps` and `top`."""
 
@@ -39,12 +44,9 @@ class Reading(Protocol):
         ...
 
 
-def lower_priority(context: None) -> tuple[WarmUp, ...]:
-    """Give this process the least priority that always gets on: an eighth of a core beside a worker.
-
-    Of the class SCHED_IDLE it would get nothing on a machine that is busy for long, and clients no answer.
-    """
-    os.nice(19)
+def lower_priority(niceness: int) -> tuple[WarmUp, ...]:
+    """Give this process a lower priority."""
+    os.nice(niceness)
     return (import_answers,)
 
 
@@ -102,7 +104,9 @@ class ReaderProcess:
 
 
 def _pool() -> WorkerPool:
-    return WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=None, name=PROCESS_NAME)
+    return WorkerPool(
+        slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=NICENESS, name=PROCESS_NAME
+    )
 
 
 def _call(job: Callable[[], T]) -> T:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import httpx
 import pytest
 from support.daemon_process import process_name
+from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, rejected
 from support.rest import FakeControl, ReadingThread, app_of, assert_problem, client_of, particle_files
 from support.worker_jobs import Stumble, stumble, wait_for
@@ -29,7 +30,10 @@ N_POLLS = 60
 
 
 @pytest.fixture
-async def reading() -> AsyncIterator[ReaderProcess]:
+async def reading(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[ReaderProcess]:
+    """The process, with the patience and the priority of a machine that computes something else."""
+    monkeypatch.setattr(reader_process, "DEADLINE_S", PATIENCE_S)
+    monkeypatch.setattr(reader_process, "NICENESS", 1)
     reading = ReaderProcess()
     yield reading
     reading.close()
@@ -119,7 +123,7 @@ async def test_it_is_a_process_of_lower_priority(reading: ReaderProcess) -> None
     pid = await reading.run(os.getpid)
     assert pid != os.getpid()
     assert process_name(pid) == "stonefall-read"
-    assert os.getpriority(os.PRIO_PROCESS, pid) == 19
+    assert os.getpriority(os.PRIO_PROCESS, pid) == os.getpriority(os.PRIO_PROCESS, 0) + 1
     assert await reading.run(os.getpid) == pid
 
 

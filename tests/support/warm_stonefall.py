@@ -206,6 +206,7 @@ if __name__ == "__main__":
 
     isolate_numba_cache()
     import service.api.app
+    import service.api.reader_process
     import service.cli
     import service.daemon.run
     import service.processing.worker_imports
@@ -217,6 +218,7 @@ if __name__ == "__main__":
     routes = service.api.app.build_routes()
     routes.openapi()  # what FastAPI makes at first use
     service.api.app.build_routes = lambda: routes
+    service.api.reader_process.NICENESS = 1  # who looks gets an answer also beside processes that compute
     asyncio.Handle._run = _told(asyncio.Handle._run)  # type: ignore[attr-defined,method-assign]  # not in its stubs
     freeze_gc()
     if _serve():
