@@ -13,7 +13,7 @@ A megabyte of unknown fields took 0.3 s, to be told in an answer of 6 MB; no req
 
 
 class BodyLimit:
-    """ASGI middleware that answers 413 to bodies above `max_body_bytes`, or of more than `MOST_PARTS`."""
+    """ASGI middleware that answers 413 to bodies above `max_body_bytes`, 422 to those of more than `MOST_PARTS`."""
 
     def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
         self._app = app
@@ -39,14 +39,16 @@ class BodyLimit:
                 raise self._too_large()
             n_parts += sum(map(piece.count, (b'"', b"[", b"{")))
             if n_parts > MOST_PARTS:
-                raise _too_large(f"{MOST_PARTS} quotes, brackets and braces")
+                raise Problem(
+                    422,
+                    "invalid-request",
+                    f"a request body may have at most {MOST_PARTS} quotes, brackets and braces",
+                )
             return message
 
         await self._app(scope, counted, send)
 
     def _too_large(self) -> Problem:
-        return _too_large(f"{self._max_body_bytes} bytes")
-
-
-def _too_large(limit: str) -> Problem:
-    return Problem(413, "content-too-large", f"a request body may have at most {limit}")
+        return Problem(
+            413, "content-too-large", f"a request body may have at most {self._max_body_bytes} bytes"
+        )
