@@ -28,6 +28,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
+from service.store.history import aside_folder, explain
 
 log = logging.getLogger(__name__)
 
@@ -133,6 +134,12 @@ class CalibrationFiles:
         """Read the activations, none before the first start; raise `RecordingError` when the file is damaged."""
         path = self.folder / ACTIVATIONS
         return read_document(path, self._activations) if path.exists() else Activations()
+
+    def set_activations_aside(self, why: str) -> None:
+        """Move the damaged list of activations away, with a note that says why."""
+        path, aside = self.folder / ACTIVATIONS, aside_folder(self.folder.parent, "damaged")
+        path.replace(aside / ACTIVATIONS)
+        explain(aside, why)
 
     def write_activations(self, activations: Activations) -> None:
         """Replace the list of activations, and thereby which calibration is in use."""

@@ -23,6 +23,10 @@ from service.calibration.states import OPEN, CalibrationState
 
 log = logging.getLogger(__name__)
 
+LOST_LIST = (
+    "which calibration was in use is lost, the configured rig file is used: activate the one that is right"
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationsAtStart:
@@ -39,21 +43,17 @@ class CalibrationsAtStart:
 def load_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsAtStart:
     """Read all calibrations, decide which one is in use, and resume or cancel an open one; blocks.
 
-    Raises
-    ------
-    RecordingError
-        The list of activations is damaged: which calibration was in use is not guessed.
+    When the list of activations is damaged, which calibration was in use is not guessed: the configured one is.
     """
     files = CalibrationFiles(folder)
     files.clean()
     records = {record.id: record for record in files.records()}
+    lost = None
     try:
         activations = files.activations()
     except RecordingError as err:
-        remedy = (
-            "remove the file: the configured rig file is used then, until you activate another calibration"
-        )
-        raise RecordingError(err.path, f"{err.problem}; {remedy}") from err
+        files.set_activations_aside(f"{err}; {LOST_LIST}")
+        activations, lost = Activations(), LOST_LIST
     if activations.configured_calibration_id != configured.calibration_id:
         why = "the configured rig file was changed"
         activations = _activate_configured(files, records, activations, configured, why)
@@ -72,7 +72,7 @@ def load_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsA
         if record.state in OPEN:
             records[record.id] = _after_restart(files, record, active)
     return CalibrationsAtStart(
-        files=files, records=records, activations=activations, active=active, rig=rig, trouble=trouble
+        files=files, records=records, activations=activations, active=active, rig=rig, trouble=trouble or lost
     )
 
 

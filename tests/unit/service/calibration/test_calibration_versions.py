@@ -10,10 +10,10 @@ import pytest
 from support.calibration_desk import ARMED, CONFIGURED, MadeUpSolver, accepted, open_desk, other_rig
 
 import drivers.files.durable
-from drivers.errors import RecordingError
 from drivers.files.rig_file import read_rig
 from service.calibration.states import CalibrationAction, CalibrationConflictError
 from service.calibration.verifications import VerificationPlan, VerificationState
+from service.store.history import incidents
 
 
 def test_the_configured_rig_is_the_first_version_and_wins_when_it_is_changed(
@@ -63,9 +63,22 @@ async def test_when_the_one_in_use_is_damaged_the_one_before_is_used(
         open_desk(tmp_path).rig_file.calibration_id
         == read_rig(tmp_path / "calibrations/0001/rig.json").calibration_id
     )
-    (tmp_path / "calibrations/activations.json").write_text("{")
-    with pytest.raises(RecordingError, match=r"activations\.json.*remove the file"):
-        open_desk(tmp_path)
+
+
+async def test_a_damaged_list_of_activations_is_set_aside_and_told(tmp_path: Path):
+    desk = open_desk(tmp_path)
+    await desk.act(await accepted(desk), CalibrationAction.ACTIVATE)
+    (tmp_path / "calibrations/activations.json").write_bytes(b"\xff{")
+    desk = open_desk(tmp_path)
+    assert (desk.active.id, len(desk.all())) == ("0001", 2)
+    assert "activate the one that is right" in str(desk.facts().trouble)
+    (incident,) = incidents(tmp_path)
+    assert "activations.json" in incident
+    assert "activate the one that is right" in incident
+    assert (tmp_path / incident.partition(":")[0] / "activations.json").read_bytes() == b"\xff{"
+    await desk.act("0002", CalibrationAction.ACTIVATE)
+    assert desk.facts().trouble is open_desk(tmp_path).facts().trouble is None
+    assert open_desk(tmp_path).active.id == "0002"
 
 
 async def test_when_none_in_use_can_be_read_the_configured_one_is_used(tmp_path: Path):
