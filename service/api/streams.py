@@ -50,10 +50,10 @@ class OpenStream(EventStream):
         self._chunks = _with_problems(chunks, request)
         headers = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}  # a proxy is not to collect it
         super().__init__(self._chunks, headers=headers)
-        self._streams = context.streams
+        self._streams, self._request = context.streams, request
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        with self._streams.one_more():
+        with self._streams.one_more(self._request):
             async with aclosing(self._chunks):
                 await super().__call__(scope, receive, send)
 
@@ -68,7 +68,7 @@ async def open_stream(
     Problem
         The feed does not have what follows `after`, or too many streams are open.
     """
-    context.streams.require_room()
+    context.streams.require_room(request)
     page = await page_now(context, feed, after, 1)
     if (problem := cursor_problem(page, after, feed.kind)) is not None:
         raise problem

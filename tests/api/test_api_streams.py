@@ -194,6 +194,15 @@ async def test_streams_leave_connections_to_everything_else(
         again.client.writer.close()
 
 
+async def test_one_address_leaves_streams_to_the_others(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(open_streams, "max_connections", lambda: 32)
+    heads = [await (await opened(served)).head() for _ in range(8)]
+    assert [head.startswith("HTTP/1.1 200") for head in heads] == 7 * [True] + [False]
+    assert (await (await opened(served, address="127.0.0.2")).head()).startswith("HTTP/1.1 200")
+
+
 async def test_a_stalled_reader_holds_little_and_ends(served: Served, store: Store, session: int) -> None:
     stalled, reading = await opened(served), await opened(served)
     n_results = 0

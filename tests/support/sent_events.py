@@ -68,6 +68,8 @@ class Stream:
         return [None if each is None else each.id for each in found]
 
 
-async def opened(served: Served, path: str = "/results/stream", more: str = "") -> Stream:
-    client = await served.connect(f"GET /api/v1{path} HTTP/1.1\r\n{HEAD}{more}\r\n".encode())
+async def opened(
+    served: Served, path: str = "/results/stream", more: str = "", address: str = "127.0.0.1"
+) -> Stream:
+    client = await served.connect(f"GET /api/v1{path} HTTP/1.1\r\n{HEAD}{more}\r\n".encode(), address)
     return Stream(client)

@@ -38,7 +38,7 @@ async def overview_stream(request: Request, context: Context, allow: Allow) -> O
     At most one comes in 0.7 s; one that does not change comes again after 5 s, so hear nothing for 10 s, and connect
     again. Ages and temperatures alone are no change. What goes wrong later is an event `problem`, the last one.
     """
-    context.streams.require_room()
+    context.streams.require_room(request)
     return OpenStream(context, _chunks(context, allow), request)
 
 
