@@ -70,7 +70,8 @@ def open_lot(
     Raises
     ------
     LotConflictError
-        Another lot is open, or this one was opened before with other words, or is closed or void.
+        Another lot is open, or this one was opened before with other words, or is closed or void, or the name of
+        another differs by capital letters alone.
     UnknownProductError
         There is no such product, or not this version of it.
     """
@@ -84,6 +85,10 @@ def open_lot(
             if existing.state is LotState.OPEN and same == (definition, product, found.version):
                 return existing
             raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
+        if (alike := _alike(connection, definition.lot)) is not None:
+            raise LotConflictError(
+                f"lot {alike} differs by capital letters alone: its files would be the same"
+            )
         if (other := _open_lot(connection)) is not None:
             raise LotConflictError(f"lot {other} is open: close it first")
         connection.execute(
@@ -226,6 +231,11 @@ def _lots(
 
 def _open_lot(connection: sqlite3.Connection) -> str | None:
     row = connection.execute("SELECT lot FROM lots WHERE state = 'open'").fetchone()
+    return None if row is None else str(row[0])
+
+
+def _alike(connection: sqlite3.Connection, lot: str) -> str | None:
+    row = connection.execute("SELECT lot FROM lots WHERE lot = ? COLLATE NOCASE", (lot,)).fetchone()
     return None if row is None else str(row[0])
 
 

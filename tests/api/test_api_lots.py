@@ -52,6 +52,20 @@ async def test_a_lot_has_what_falls_while_it_is_open(
 
 
 @pytest.mark.usefixtures("product")
+async def test_the_name_of_a_lot_is_safe_in_urls_shells_and_file_systems(client: httpx.AsyncClient) -> None:
+    for name in (".", "..", "-rf", ".hidden", "L1.", "L/1", "L 1", "", "x" * 65):
+        answer = await client.post("/lots", json={"lot": name, "product": "basalt-8-16"})
+        assert_problem(answer, 422, "invalid-request")
+    assert_problem(await client.put("/products/-rf", json={"title": "basalt"}), 422, "invalid-request")
+    for name in ("A", "L-1.2_x"):
+        assert (await client.post("/lots", json={"lot": name, "product": "basalt-8-16"})).status_code == 201
+        await client.post(f"/lots/{name}/close", json={})
+    answer = await client.post("/lots", json={"lot": "l-1.2_X", "product": "basalt-8-16"})
+    assert_problem(answer, 409, "lot-conflict")
+    assert "L-1.2_x" in answer.json()["detail"]
+
+
+@pytest.mark.usefixtures("product")
 async def test_only_one_lot_is_open_and_none_is_opened_twice(client: httpx.AsyncClient) -> None:
     await opened(client)
     assert_problem(await opened(client, "L2"), 409, "lot-conflict")

@@ -13,14 +13,13 @@ from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unch
 from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
+from service.ids import ID
 from service.results.fields import TIME
 from service.store.holds import Consumer, CursorError, TooManyConsumersError, consumers, forget, park
 
 router = APIRouter(prefix="/consumers", tags=["results"])
 
-ConsumerName = Annotated[
-    str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Name that the consumer chooses")
-]
+ConsumerName = Annotated[str, Path(pattern=ID, description="Name that the consumer chooses")]
 
 
 class ParkedCursor(BaseModel):

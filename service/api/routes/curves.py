@@ -14,6 +14,7 @@ from service.api.routes.lots import LotName
 from service.api.routes.windows import Minutes, ProductId, last_minutes
 from service.api.settings import Scope
 from service.api.shared_documents import SVG, shared, svg_answer
+from service.ids import ID
 from service.language import Language
 from service.lots.lots import find_lot
 from service.reports.names import minutes_name
@@ -32,7 +33,7 @@ async def curve_request_of(
     beside_lot: Annotated[
         str | None,
         Query(
-            pattern=r"^[A-Za-z0-9_.-]{1,64}$",
+            pattern=ID,
             description="Draw the curve of this lot beside it, at the same sieves",
         ),
     ] = None,

@@ -19,6 +19,7 @@ from service.api.routes.products import Text
 from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
+from service.ids import ID, NEW_ID
 from service.lots.evaluation import lot_document
 from service.lots.figures import LotDocument
 from service.lots.lots import (
@@ -37,8 +38,7 @@ from service.results.fields import TIME
 
 router = APIRouter(prefix="/lots", tags=["lots"])
 
-LotName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the lot")]
-Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+LotName = Annotated[str, Path(pattern=ID, description="Id of the lot")]
 Tonnage = Annotated[float | None, Field(ge=0, le=1e6, description="Of the whole lot, t")]
 STONES = re.compile('-[0-9]+(?=")')
 """The number of stones in the tag of a lot."""
@@ -51,8 +51,8 @@ class LotRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    lot: Id = Field(description="Material lot")
-    product: Id = Field(description="Material definition")
+    lot: str = Field(pattern=NEW_ID, description="Material lot")
+    product: str = Field(pattern=ID, description="Material definition")
     product_version: int | None = Field(
         default=None, ge=1, le=MAX_SEQ, strict=True, description="The newest when absent"
     )

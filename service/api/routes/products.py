@@ -14,6 +14,7 @@ from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unch
 from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
+from service.ids import ID, NEW_ID
 from service.lots.products import (
     Product,
     definition_of,
@@ -31,7 +32,8 @@ from service.results.fields import TIME
 
 router = APIRouter(prefix="/products", tags=["lots"])
 
-ProductName = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the product")]
+ProductName = Annotated[str, Path(pattern=ID, description="Id of the product")]
+NewProductName = Annotated[str, Path(pattern=NEW_ID, description="Id of the product")]
 Percent = Annotated[float, Field(ge=0, le=100)]
 PercentRange = Annotated[
     list[Percent], Field(min_length=2, max_length=2, description="Least and greatest percent, both allowed")
@@ -148,7 +150,7 @@ async def standards() -> dict[str, Any]:
 )
 async def put_product(
     context: Context,
-    product: ProductName,
+    product: NewProductName,
     wanted: ProductRequest,
     asking: Who,
     response: Response,

@@ -13,6 +13,7 @@ from service.api.routes.lot_figures import Measuring
 from service.api.routes.windows import next_second
 from service.api.shared_documents import SVG, shared, svg_answer
 from service.api.trend_answers import comparison_json, trend_drawing, trend_json
+from service.ids import ID
 from service.language import Language
 from service.lots.comparing import LotComparison, Side
 from service.lots.lots import find_lot
@@ -24,7 +25,7 @@ router = APIRouter(tags=["trends"])
 KEEP_S = 5.0
 """How long a trend is kept for others who ask for it; a new result ends it."""
 Hours = Annotated[float, Query(ge=1, le=720, description="How far back, h")]
-LotId = Annotated[str, Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the first lot")]
+LotId = Annotated[str, Query(pattern=ID, description="Id of the first lot")]
 
 
 @router.get("/trends", response_model=Trend, responses=problem_responses())
@@ -68,7 +69,7 @@ async def compare(
     a: LotId,
     b: Annotated[
         str | None,
-        Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Id of the second lot; the first when absent"),
+        Query(pattern=ID, description="Id of the second lot; the first when absent"),
     ] = None,
     a_algorithm_version: Annotated[
         str | None, Query(max_length=200, description="The first as this version measured it")

@@ -13,6 +13,7 @@ from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
 from service.delivery.table import EventCursorError, deliveries
 from service.delivery.webhooks import BeingTestedError, EndpointStatus
+from service.ids import ID
 from service.results.fields import TIME
 from service.store.events import EventType
 
@@ -80,7 +81,7 @@ class ReplayRequest(BaseModel):
 
 async def name_of(
     context: Context,
-    webhook: Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="`name` of the endpoint")],
+    webhook: Annotated[str, Path(pattern=ID, description="`name` of the endpoint")],
 ) -> str:
     """Return the name of an endpoint that is configured."""
     return existing(context.control.webhooks.find(webhook), "webhook", webhook).name

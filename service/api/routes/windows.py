@@ -10,6 +10,7 @@ from service.api.context import ApiContext, Context
 from service.api.pages import window_figures_json
 from service.api.problems import existing, problem_responses
 from service.api.routes.lot_figures import Measuring
+from service.ids import ID
 from service.lots.figures import LotFigures
 from service.lots.shifts import shift_at
 from service.lots.yardsticks import Request
@@ -18,9 +19,7 @@ from service.store import read
 router = APIRouter(prefix="/windows", tags=["lots"])
 
 Minutes = Annotated[float, Query(gt=0, le=10_080, description="How far back")]
-ProductId = Annotated[
-    str | None, Query(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="Judge by this product's newest version")
-]
+ProductId = Annotated[str | None, Query(pattern=ID, description="Judge by this product's newest version")]
 
 
 @router.get("/current", response_model=LotFigures, responses=problem_responses(404, 422))

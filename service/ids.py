@@ -1,0 +1,6 @@
+"""What ids of lots, products and consumers may be: they stand in URLs, names of files and lines of shells."""
+
+ID = r"^[A-Za-z0-9_.-]{1,64}$"
+"""Pattern of an id that is asked for."""
+NEW_ID = r"^[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,62}[A-Za-z0-9_-])?$"
+"""Pattern of an id that is given: no folder such as `..`, no option such as `-f`, no dot that Windows drops."""
