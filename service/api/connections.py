@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from functools import cache
 
 import h11
+from h11._receivebuffer import ReceiveBuffer
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.api.pieces import UNSENT
@@ -43,6 +44,22 @@ def max_of_address() -> int:
     return max_connections() - max_connections() // 8
 
 
+class StrictHead(ReceiveBuffer):
+    """The lines of a head, each of which ends with CR LF and begins with no blank (RFC 9112 2.2 and 5.2).
+
+    h11 takes others too: a proxy that reads them otherwise may see another request than this server.
+    """
+
+    def maybe_extract_lines(self) -> list[bytearray] | None:
+        """Return the lines up to the first blank one; raise `h11.RemoteProtocolError` for other ends of lines."""
+        there = bytes(self)
+        lines: list[bytearray] | None = super().maybe_extract_lines()
+        head = there[: len(there) - len(self)]
+        if head.count(b"\n") > head.count(b"\r\n") or b"\n " in head or b"\n\t" in head:
+            raise h11.RemoteProtocolError("lines of a head end with CR LF and are not folded")
+        return lines
+
+
 class Connection(H11Protocol):
     """uvicorn's connection, with an end for clients that do not get on and for those that are too many."""
 
@@ -52,6 +69,7 @@ class Connection(H11Protocol):
         Too many of one address make room among themselves.
         """
         super().connection_made(transport)
+        self.conn._receive_buffer = StrictHead()  # h11 has no other way to it
         self._began_s = self._read_all_s = self.loop.time()
         self._is_refused = False
         others = [each for each in self.connections if isinstance(each, Connection) and each is not self]

@@ -242,3 +242,17 @@ async def test_a_real_server_stops_at_once_under_a_long_poll(
         store.release_waiters()
         served.server.should_exit = True
         assert (await asyncio.wait_for(poll, 5)).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET /api/v1/live HTTP/1.1\nHost: x\n\n",
+        b"GET /api/v1/live HTTP/1.1\r\nHost: x\nX-A: 1\r\n\r\n",
+        b"GET /api/v1/live HTTP/1.1\r\nHost: x\r\nX-A: 1\r\n 2\r\n\r\n",
+        b"GET /api/v1/live HTTP/1.1\r\nHost: x\r\nX-A:\r\n\t2\r\n\r\n",
+    ],
+)
+async def test_a_head_that_a_proxy_may_read_otherwise_is_refused(served: Served, head: bytes) -> None:
+    client = await served.connect(head)
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 400")
