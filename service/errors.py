@@ -38,4 +38,15 @@ class UsageError(ServiceError):
 
 
 class WorkerFailure(Exception):  # noqa: N818 - no `ServiceError`
-    """A job in a worker process ended with an unexpected exception, whose traceback this carries as text."""
+    """A job in a worker process ended with an unexpected exception, whose traceback this carries as text.
+
+    `is_hosts`: the host had no descriptor or no room for it, whatever the job was.
+    """
+
+    def __init__(self, traceback: str, is_hosts: bool = False) -> None:
+        super().__init__(traceback, is_hosts)
+        self.traceback = traceback
+        self.is_hosts = is_hosts
+
+    def __str__(self) -> str:
+        return self.traceback

@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import os
+import resource
 import sys
 import threading
 from pathlib import Path
@@ -13,15 +14,20 @@ import typer
 from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.daemon.systemd import configure_logging, service_manager
 from service.errors import SettingsError
+from service.host.machine import FILES
 from service.processing.fork_server import import_for_workers
 
 log = logging.getLogger(__name__)
+
+LEAST_FILES = 512
+"""Open files and connections of sixteen cameras, the workers, and a few clients."""
 
 
 def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
     """Run the daemon: measure the stones of a rig, store the results and serve them, until SIGTERM."""
+    allow_files()
     import_for_workers("service.processing.worker_imports")
     # imported here, while the server of worker processes does its own imports
     from service.configuration.settings import load_settings, problems
@@ -37,6 +43,21 @@ def command(
         log.critical("fatal, the daemon ends", exc_info=True)
         _exit(1)
     _exit(0)
+
+
+def allow_files() -> None:
+    """Allow this process as many open files as the host lets it have; raise `SettingsError` if these are too few.
+
+    A worker without a descriptor would fail over one stone after the other.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    n_files = FILES if most == resource.RLIM_INFINITY else min(most, FILES)
+    if n_files < LEAST_FILES:
+        raise SettingsError(
+            f"only {n_files} files may be open at a time, and {LEAST_FILES} are needed: set LimitNOFILE={FILES} in the"
+            f" unit, or ulimit -Hn {FILES} in a shell"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (n_files, most))
 
 
 def _exit(code: int) -> NoReturn:

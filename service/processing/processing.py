@@ -326,7 +326,7 @@ class Processing:
             return await self._measure(bundle.content, inputs, folder)
         except JobLostError as err:
             loss = Loss(reason=err.reason, detail=err.detail)
-            if self._quarantine is not None:
+            if self._quarantine is not None and not err.is_hosts:
                 session = self._session_of(bundle)
                 await asyncio.to_thread(self._quarantine.keep, bundle.content, session, bundle.name)
         except RecordingError as err:

@@ -53,12 +53,16 @@ class WorkerStartError(ServiceError):
 
 
 class JobLostError(ServiceError):
-    """A job failed twice, each time in a fresh process; `reason` is `WORKER_CRASH` or `DEADLINE`."""
+    """A job failed twice, each time in a fresh process; `reason` is `WORKER_CRASH` or `DEADLINE`.
 
-    def __init__(self, reason: LossReason, detail: str) -> None:
+    `is_hosts`: the host had no descriptor or no room for it, whatever the job was.
+    """
+
+    def __init__(self, reason: LossReason, detail: str, *, is_hosts: bool = False) -> None:
         super().__init__(f"{reason}: {detail}")
         self.reason = reason
         self.detail = detail
+        self.is_hosts = is_hosts
 
 
 class WorkerPool:
@@ -305,7 +309,8 @@ class _Slot:
             raise JobLostError(LossReason.WORKER_CRASH, f"worker process {self.pid} died") from err
         except WorkerFailure as err:
             log.error("a job failed in worker process %s:\n%s", self.pid, err)
-            raise JobLostError(LossReason.WORKER_CRASH, _last_line(str(err))) from err
+            detail = _last_line(str(err))
+            raise JobLostError(LossReason.WORKER_CRASH, detail, is_hosts=err.is_hosts) from err
 
     def kill(self) -> None:
         if self._pidfd >= 0:

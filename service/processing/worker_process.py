@@ -1,5 +1,6 @@
 """The life of a worker process around its jobs: it begins, is warmed up, and ends with its parent."""
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -28,7 +29,8 @@ def worker_boundary() -> Iterator[None]:
     try:
         yield
     except Exception as err:  # noqa: BLE001 - the one place where everything is caught
-        raise WorkerFailure("".join(traceback.format_exception(err))) from None
+        is_hosts = isinstance(err, OSError) and err.errno in (errno.EMFILE, errno.ENFILE, errno.ENOSPC)
+        raise WorkerFailure("".join(traceback.format_exception(err)), is_hosts) from None
 
 
 _warm_ups: Sequence[WarmUp] = ()

@@ -83,6 +83,10 @@ def stumble(job: Stumble) -> str:
                 hoard = []
                 while True:
                     hoard.append(bytearray(MEMORY_BYTES // 16))
+        if job.way == "no file":
+            resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0))
+            with worker_boundary():
+                job.notes.joinpath("one too many").open("w")
         raise WorkerFailure(TRACEBACK)
     return "done"
 

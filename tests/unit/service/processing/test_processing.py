@@ -279,15 +279,18 @@ async def test_what_an_earlier_session_left_ends_there_with_the_background_of_th
 
 
 async def test_a_bundle_that_no_worker_survives_is_kept_and_nothing_else(tmp_path: Path):
-    failures = {name: JobLostError("worker_crash", "") for name in ("b", "e")}
-    bundles = [turn("a"), turn("b"), turn("e", kind=BundleKind.BACKGROUND), turn("c")]
+    failures = {
+        **{name: JobLostError("worker_crash", "") for name in ("b", "e")},
+        "d": JobLostError("worker_crash", "OSError: [Errno 24] Too many open files", is_hosts=True),
+    }
+    bundles = [turn("a"), turn("b"), turn("e", kind=BundleKind.BACKGROUND), turn("c"), turn("d")]
     bench = Bench(tmp_path / "spool", bundles, ScriptedPool(failures))
     (tmp_path / "spool").mkdir()
     for bundle in bundles:
         (tmp_path / f"{bundle.name}.tiff").touch()
     bench.spool.bundles = [replace(each, content=tmp_path / f"{each.name}.tiff") for each in bundles]
     await bench.processing.run()
-    assert bench.outcomes == [("a", None), ("b", "worker_crash"), ("c", None)]
+    assert bench.outcomes == [("a", None), ("b", "worker_crash"), ("c", None), ("d", "worker_crash")]
     assert bench.quarantine.bundles() == ["1-b.tiff"]
 
 

@@ -91,6 +91,16 @@ async def test_the_traceback_is_for_the_journal_and_its_last_line_for_clients(
     ] * 2
 
 
+async def test_a_host_without_a_free_file_is_not_taken_for_a_fault_of_the_job(tmp_path: Path):
+    async with pool_of(1) as pool:
+        for way, is_hosts in (("no file", True), ("raise", False)):
+            notes = tmp_path / way
+            notes.mkdir()
+            with pytest.raises(JobLostError) as lost:
+                await pool.run(stumble, Stumble(notes, way, failures=2))
+            assert lost.value.is_hosts == is_hosts
+
+
 async def test_a_worker_killed_while_idle_is_replaced():
     async with pool_of(1) as pool:
         (pid,) = pool.pids
