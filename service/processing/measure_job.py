@@ -43,6 +43,8 @@ from service.processing.worker_process import WarmUp, worker_boundary
 from service.results.record import optics_record, result_record
 from service.results.refinement import RUSH
 
+NICENESS = 10
+"""Of the workers, above that of the daemon."""
 MESH, COMPACT_MESH, SILHOUETTES = RESULT_FILES = ("mesh.ply", "mesh.sfmesh", "silhouettes.tiff")
 """Files of a result; a worker that crashed may have left others."""
 GC_THRESHOLD = 20_000
@@ -196,7 +198,7 @@ def initialize(context: WorkerContext) -> None:
 
 def lower_priority(context: None = None) -> tuple[WarmUp, ...]:
     """Give this process a lower priority than the daemon, which receives the frames, and one thread a library."""
-    os.nice(10)
+    os.nice(NICENESS)
     # N processes with M library threads each would only stall one another
     cv2.setNumThreads(1)
     threadpool_limits(1)

@@ -209,6 +209,7 @@ if __name__ == "__main__":
     import service.api.reader_process
     import service.cli
     import service.daemon.run
+    import service.processing.measure_job
     import service.processing.worker_imports
     import service.store  # so that nothing is left to import after the fork
     from service.processing.process_memory import freeze_gc
@@ -218,7 +219,8 @@ if __name__ == "__main__":
     routes = service.api.app.build_routes()
     routes.openapi()  # what FastAPI makes at first use
     service.api.app.build_routes = lambda: routes
-    service.api.reader_process.NICENESS = 1  # who looks gets an answer also beside processes that compute
+    # stones get measured and who looks gets an answer also beside processes that compute
+    service.processing.measure_job.NICENESS, service.api.reader_process.NICENESS = 1, 2
     asyncio.Handle._run = _told(asyncio.Handle._run)  # type: ignore[attr-defined,method-assign]  # not in its stubs
     freeze_gc()
     if _serve():
