@@ -38,7 +38,7 @@ def look(state_dir: Path) -> Stock:
     for backup in sorted((state_dir / BACKUPS).glob("*.sqlite")):
         try:
             backups.append(_copy(backup))
-        except sqlite3.Error as err:
+        except (sqlite3.Error, TypeError, ValueError) as err:  # of a damaged one
             print(f"{backup}: {err}", file=sys.stderr)
     return Stock(_copy(path) if path.exists() else None, tuple(backups))
 

@@ -1,12 +1,15 @@
 """The table of alarms: those of an earlier run, and the history."""
 
 import json
+import logging
 import sqlite3
 from dataclasses import asdict
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from service.alarms.alarm import Alarm
+
+log = logging.getLogger(__name__)
 
 ALARM = TypeAdapter(Alarm)
 
@@ -26,10 +29,17 @@ def keep(connection: sqlite3.Connection, alarm: Alarm) -> None:
 
 
 def unended(connection: sqlite3.Connection) -> tuple[list[Alarm], int]:
-    """Return the alarms that have not ended, and the number of the next one."""
+    """Return the alarms that have not ended, and the number of the next one; those that cannot be read are left out."""
     (newest,) = connection.execute("SELECT coalesce(max(alarm), 0) FROM alarms").fetchone()
-    rows = connection.execute("SELECT document FROM alarms WHERE ended_at IS NULL ORDER BY alarm").fetchall()
-    return [ALARM.validate_json(document) for (document,) in rows], newest + 1
+    alarms = []
+    for number, document in connection.execute(
+        "SELECT alarm, document FROM alarms WHERE ended_at IS NULL ORDER BY alarm"
+    ):
+        try:
+            alarms.append(ALARM.validate_json(document))
+        except ValidationError as err:  # `keep` ends it when its check is an alarm again
+            log.error("an alarm cannot be read alarm=%d: %s", number, err)
+    return alarms, newest + 1
 
 
 def history(connection: sqlite3.Connection, check: str | None, before: int, limit: int) -> list[Alarm]:

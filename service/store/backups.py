@@ -15,10 +15,10 @@ from pathlib import Path
 from drivers.files.durable import replacing, sync
 from service.errors import StoreError
 from service.store import history, schema
+from service.store.damage import find_damage
 from service.store.lock import lock_store
 from service.store.trouble import Cause, trouble_of
 
-BACKUPS = "backups"
 PAGES, PAUSE_S = 1000, 0.01
 """Copied at a time, 4 MB, and the pause before the next: measuring comes first."""
 ROOM_BYTES = 1 << 30
@@ -31,12 +31,7 @@ class DamagedStoreError(StoreError):
 
 def backup_path(state_dir: Path) -> Path:
     """Return where a copy made now belongs."""
-    return state_dir / BACKUPS / f"results-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.sqlite"
-
-
-def backups_in(state_dir: Path) -> list[Path]:
-    """Return all copies, the oldest first."""
-    return sorted((state_dir / BACKUPS).glob("results-*.sqlite"))
+    return state_dir / history.BACKUPS / f"results-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.sqlite"
 
 
 def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: True) -> None:
@@ -54,11 +49,11 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
         with replacing(target) as unfinished:
             unfinished.unlink(missing_ok=True)
             _copy(path, unfinished, go_on)
-            if (damage := history.find_damage(unfinished, go_on)) is not None:
+            if (damage := find_damage(unfinished, go_on)) is not None:
                 raise DamagedStoreError(f"the database is damaged: {damage}")
             if not go_on():
                 raise StoreError(f"no backup of {path}: the daemon stops")
-    except (sqlite3.Error, OSError) as err:
+    except (sqlite3.Error, OSError, ValueError) as err:
         trouble = trouble_of(err)
         is_damaged = trouble is not None and trouble.cause is Cause.DAMAGED
         kind = DamagedStoreError if is_damaged else StoreError
@@ -67,7 +62,7 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
 
 def prune(state_dir: Path, keep: int, made: Path) -> None:
     """Remove all copies but `keep`: the one just `made`, whatever the clock says, and the newest others."""
-    others = [path for path in reversed(backups_in(state_dir)) if path != made]
+    others = [path for path in reversed(history.backups_in(state_dir)) if path != made]
     for path in others[keep - 1 :]:
         path.unlink()
 
@@ -86,7 +81,7 @@ def restore(source: Path, state_dir: Path) -> str:
     lock = lock_store(state_dir)
     try:
         return _restore(source, state_dir)
-    except (sqlite3.Error, OSError) as err:
+    except (sqlite3.Error, OSError, ValueError) as err:
         raise StoreError(f"{source} is not restored to {state_dir}: {err}") from err
     finally:
         os.close(lock)
@@ -135,7 +130,7 @@ def _require_room(path: Path, target: Path) -> None:
 
 
 def _require_backup(source: Path) -> None:
-    if (damage := history.find_damage(source)) is not None:
+    if (damage := find_damage(source)) is not None:
         raise StoreError(f"{source}: is damaged: {damage}")
     with schema.connect_reader(source) as connection:
         try:
@@ -149,5 +144,5 @@ def _last_seq(path: Path) -> int:
     try:
         with schema.connect_reader(path) as connection:
             return int(connection.execute("SELECT last_seq FROM store").fetchone()[0])
-    except (sqlite3.Error, TypeError):
+    except (sqlite3.Error, TypeError, ValueError):
         return 0

@@ -19,21 +19,25 @@ from pathlib import Path
 
 from drivers.files.durable import sync
 from service.store import schema
+from service.store.damage import ALL, N_NEWEST, find_damage
 from service.store.events import NEW_HISTORY_STEP
 from service.store.particle_files import particle_id
-from service.store.trouble import Cause, trouble_of
 
 log = logging.getLogger(__name__)
 
-DATABASE, PARTICLES, ASIDE, ACKNOWLEDGED, NOTE = (
+DATABASE, PARTICLES, BACKUPS, ASIDE, ACKNOWLEDGED, NOTE = (
     "results.sqlite",
     "particles",
+    "backups",
     "aside",
     "acknowledged",
     "note.txt",
 )
-CHECK_S = 10.0
-"""Longest check of the database at the start, half a million results; every backup is checked to the end."""
+MET = "damage-met"
+"""File that says that the last daemon has met damage of the database."""
+CHECK_S, FULL_CHECK_S = 10.0, 60.0
+"""Longest check of the database at the start, half a million results, and after one that has met damage; every backup
+is checked to the end."""
 NEWEST_DAYS = 3
 """Folders of days that are searched at each start for results that the database lacks."""
 
@@ -51,12 +55,12 @@ def open_history(state_dir: Path) -> None:
     path = state_dir / DATABASE
     folder: Path | None = None
     is_new = not path.exists()
-    deadline_s = time.monotonic() + CHECK_S
-    if not is_new and (damage := find_damage(path, lambda: time.monotonic() < deadline_s)) is not None:
+    if not is_new and (damage := _damage_at_start(state_dir)) is not None:
         folder = aside_folder(state_dir, "damaged")
-        explain(folder, f"The database was damaged ({damage}) and was moved here.")
+        explain(folder, f"The database was damaged ({damage}) and was moved here. {_offer(state_dir)}")
         move_database(path, folder)
         is_new = True
+    (state_dir / MET).unlink(missing_ok=True)
     schema.prepare(path)
     with closing(schema.connect(path)) as connection:
         if loss := _find_loss(connection, state_dir, is_new=is_new):
@@ -65,27 +69,40 @@ def open_history(state_dir: Path) -> None:
         _drop_unfinished(connection, state_dir)
 
 
-def find_damage(path: Path, go_on: Callable[[], bool] = lambda: True) -> str | None:
-    """Return what is damaged in a database, None if nothing is found as long as it may `go_on`.
+def note_damage(state_dir: Path, detail: str) -> None:
+    """Leave a note that a read or a write has met damage: the next start looks at all records for it."""
+    with suppress(OSError):
+        (state_dir / MET).write_text(f"{detail}\n", encoding="utf-8")
 
-    Raises
-    ------
-    sqlite3.Error
-        It cannot be read now.
-    """
-    try:
-        with schema.connect_reader(path) as connection:
-            connection.set_progress_handler(lambda: not go_on(), 10_000)
-            (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    except sqlite3.Error as err:
-        if getattr(err, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
-            log.info("only a part of the database was checked file=%s", path)
-            return None
-        trouble = trouble_of(err)
-        if trouble is None or trouble.cause is not Cause.DAMAGED:
-            raise
-        return trouble.detail
-    return None if found == "ok" else " ".join(str(found).split())
+
+def backups_in(state_dir: Path) -> list[Path]:
+    """Return all copies of the database, the oldest first."""
+    return sorted((state_dir / BACKUPS).glob("results-*.sqlite"))
+
+
+def _damage_at_start(state_dir: Path) -> str | None:
+    """Return the damage of the database; all records are parsed if one was met since the last start."""
+    is_met = (state_dir / MET).exists()
+    go_on = _for_seconds(FULL_CHECK_S if is_met else CHECK_S)
+    return find_damage(state_dir / DATABASE, go_on, n_newest=ALL if is_met else N_NEWEST)
+
+
+def _offer(state_dir: Path) -> str:
+    """Return a sentence that names the newest backup without damage, with the number of its last result."""
+    go_on = _for_seconds(CHECK_S)
+    for path in reversed(backups_in(state_dir)):
+        with suppress(sqlite3.Error, OSError):
+            if find_damage(path, go_on) is None:
+                with schema.connect_reader(path) as connection:
+                    (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
+                name = path.relative_to(state_dir)
+                return f"The newest good backup is {name}, up to result {last_seq}: stonefall restore."
+    return "There is no good backup."
+
+
+def _for_seconds(seconds: float) -> Callable[[], bool]:
+    deadline_s = time.monotonic() + seconds
+    return lambda: time.monotonic() < deadline_s
 
 
 def begin_anew(

@@ -6,8 +6,9 @@ one applied. A database with a newer schema is refused.
 
 import sqlite3
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
@@ -88,18 +89,50 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
             connection.execute("ROLLBACK")
 
 
+def newest_version() -> int:
+    """Return the number of today's schema."""
+    return len(_scripts())
+
+
+Objects = Mapping[str, tuple[str, str, str | None]]
+"""Kind, table and statement of each object of a schema, by its name; spaces and line ends do not count."""
+
+
+def objects(connection: sqlite3.Connection) -> Objects:
+    """Return the objects of a database."""
+    return {
+        name: (kind, table, statement and " ".join(statement.split()))
+        for kind, name, table, statement in connection.execute(
+            "SELECT type, name, tbl_name, sql FROM sqlite_schema"
+        )
+    }
+
+
+@cache
+def expected_objects(version: int) -> Objects:
+    """Return the objects of a new database of this schema."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        _apply(connection, 0, version)
+        return objects(connection)
+
+
 def _migrate(connection: sqlite3.Connection) -> None:
-    scripts = sorted(
-        (entry for entry in files("service.store").iterdir() if entry.name.endswith(".sql")),
-        key=lambda entry: entry.name,
-    )
     (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version > len(scripts):
+    if version > newest_version():
         raise StoreError(
-            f"schema {version} was written by a newer stonefall; this one knows schemas up to {len(scripts)}:"
+            f"schema {version} was written by a newer stonefall; this one knows schemas up to {newest_version()}:"
             " start the newer one, or choose another store.dir"
         )
-    for number, script in enumerate(scripts[version:], start=version + 1):
-        connection.executescript(
-            f"BEGIN IMMEDIATE; {script.read_text(encoding='utf-8')}; PRAGMA user_version = {number}; COMMIT;"
-        )
+    _apply(connection, version, newest_version())
+
+
+def _apply(connection: sqlite3.Connection, version: int, target: int) -> None:
+    """Bring a database from one version of the schema to a later one."""
+    for number, script in enumerate(_scripts()[version:target], start=version + 1):
+        connection.executescript(f"BEGIN IMMEDIATE; {script}; PRAGMA user_version = {number}; COMMIT;")
+
+
+@cache
+def _scripts() -> Sequence[str]:
+    entries = (entry for entry in files("service.store").iterdir() if entry.name.endswith(".sql"))
+    return [entry.read_text(encoding="utf-8") for entry in sorted(entries, key=lambda entry: entry.name)]

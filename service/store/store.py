@@ -63,8 +63,10 @@ def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
     try:
         history.open_history(state_dir)
         return Store(state_dir, lock, StoreWriter(state_dir / history.DATABASE), keep_raw)
-    except (sqlite3.Error, OSError, StoreError) as err:
+    except BaseException as err:
         os.close(lock)
+        if not isinstance(err, (sqlite3.Error, OSError, StoreError, ValueError)):
+            raise
         raise StoreError(f"{state_dir / history.DATABASE}: {err}") from err
 
 
@@ -234,14 +236,14 @@ class Store:
         try:
             await asyncio.to_thread(backups.back_up, self.dir, target, lambda: not self._released)
         except backups.DamagedStoreError as err:
-            self._writer.hold(StoreTrouble(Cause.DAMAGED, str(err)))
+            await asyncio.to_thread(self._writer.hold, StoreTrouble(Cause.DAMAGED, str(err)))
             raise
         await asyncio.to_thread(backups.prune, self.dir, keep, target)
         return target
 
     def last_backup(self) -> Path | None:
         """Return the newest copy of the database that was made by `back_up`, None if there is none."""
-        return max(backups.backups_in(self.dir), default=None)
+        return max(history.backups_in(self.dir), default=None)
 
     async def open_triggers(self) -> list[tuple[int, str]]:
         """Return session and bundle of every trigger that an earlier session left open, in their order."""

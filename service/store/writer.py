@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from service.errors import StoreError
+from service.store.history import note_damage
 from service.store.schema import connect
 from service.store.trouble import Cause, StoreTrouble, trouble_of
 
@@ -56,12 +57,14 @@ class StoreWriter:
         return self._trouble
 
     def hold(self, trouble: StoreTrouble) -> None:
-        """Record why nothing can be written; for good, if the database is damaged. Call it on any thread."""
+        """Record why nothing can be written; for good, if the database is damaged. Blocks; call it on any thread."""
         if self._is_damaged:
             return
         if self._trouble is None or trouble.cause is Cause.DAMAGED:
             log.error("the store is held: %s", trouble)
         self._trouble = trouble
+        if trouble.cause is Cause.DAMAGED:
+            note_damage(self._path.parent, trouble.detail)
 
     def submit(self, write: Callable[[sqlite3.Connection], T]) -> Future[T]:
         """Run `write` on the thread, again and again until the disk takes it; it must change all or nothing.
@@ -89,9 +92,11 @@ class StoreWriter:
                         result = write(self._connect())
                         self._release()
                         return result
-                except (sqlite3.Error, OSError) as err:
+                except (sqlite3.Error, OSError, ValueError) as err:  # the last also of a damaged record
                     trouble = trouble_of(err)
                     if trouble is None:
+                        if isinstance(err, ValueError):
+                            raise
                         raise StoreError(f"{self._path}: {err}") from err
                     self.hold(trouble)
                 if self._closing.wait(pause_s):

@@ -17,7 +17,8 @@ from service.cli import build_app
 from service.daemon.backing_up import BackingUp
 from service.errors import StoreError
 from service.store import Store, backups, open_store
-from service.store.backups import back_up, backups_in, restore
+from service.store.backups import back_up, restore
+from service.store.history import backups_in
 from service.store.trouble import Cause
 
 
