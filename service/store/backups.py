@@ -88,21 +88,21 @@ def restore(source: Path, state_dir: Path) -> str:
 
 
 def _restore(source: Path, state_dir: Path) -> str:
-    path = state_dir / history.DATABASE
-    restored = path.with_name(f"{path.name}.restored")
     _require_backup(source)
-    with replacing(restored) as unfinished:
+    history.finish_restore(state_dir)  # of an earlier one that was killed
+    with replacing(history.restored_path(state_dir)) as unfinished:
         shutil.copyfile(source, unfinished)
-    schema.prepare(restored)
-    folder = history.aside_folder(state_dir, "before-restore")
-    with closing(schema.connect(restored)) as connection:
-        why = f"The backup {source} was restored."
-        history.begin_anew(connection, state_dir, folder, why, beyond=_last_seq(path))
-        n_back = history.take_back(connection, state_dir)
-        connection.execute("PRAGMA journal_mode = DELETE")  # so that it is one file
-    history.move_database(path, folder)
-    restored.rename(path)
-    sync(state_dir)
+        schema.prepare(unfinished)
+        with closing(schema.connect(unfinished)) as connection:
+            beyond = _last_seq(state_dir / history.DATABASE)
+            _, highest = history.renumber(connection, state_dir, beyond)
+            connection.execute("PRAGMA journal_mode = DELETE")  # so that it is one file
+    why = f"The backup {source} was restored. The feed goes on after {highest}, with a new instance_id."
+    history.switch_later(state_dir, why)
+    done = history.finish_restore(state_dir)
+    if done is None:
+        raise StoreError(f"{source} is not restored to {state_dir}: its note is gone")
+    folder, n_back = done
     return f"restored; what was there before is in {folder}; folders of particles taken back: {n_back}"
 
 

@@ -17,7 +17,7 @@ from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from drivers.files.durable import sync
+from drivers.files.durable import read_json, sync, write_json
 from service.store import schema
 from service.store.damage import ALL, N_NEWEST, find_damage
 from service.store.events import NEW_HISTORY_STEP
@@ -35,6 +35,8 @@ DATABASE, PARTICLES, BACKUPS, ASIDE, ACKNOWLEDGED, NOTE = (
 )
 MET = "damage-met"
 """File that says that the last daemon has met damage of the database."""
+RESTORING = "restoring"
+"""File that says that a restore is to be finished: where what it replaces belongs, and why."""
 CHECK_S, FULL_CHECK_S = 10.0, 60.0
 """Longest check of the database at the start, half a million results, and after one that has met damage; every backup
 is checked to the end."""
@@ -53,11 +55,17 @@ def open_history(state_dir: Path) -> None:
         It cannot be read or written now.
     """
     path = state_dir / DATABASE
+    finish_restore(state_dir)
     folder: Path | None = None
     is_new = not path.exists()
-    if not is_new and (damage := _damage_at_start(state_dir)) is not None:
+    damage = _damage_at_start(state_dir) if path.exists() else None
+    if damage is not None:
         folder = aside_folder(state_dir, "damaged")
         explain(folder, f"The database was damaged ({damage}) and was moved here. {_offer(state_dir)}")
+    elif is_new and path.with_name(f"{DATABASE}-wal").exists():  # of one that was removed, or half moved away
+        folder = aside_folder(state_dir, "damaged")
+        explain(folder, f"The WAL of a database that is gone was moved here. {_offer(state_dir)}")
+    if folder is not None:
         move_database(path, folder)
         is_new = True
     (state_dir / MET).unlink(missing_ok=True)
@@ -65,7 +73,11 @@ def open_history(state_dir: Path) -> None:
     with closing(schema.connect(path)) as connection:
         if loss := _find_loss(connection, state_dir, is_new=is_new):
             folder = folder or aside_folder(state_dir, "lost-rows")
-            begin_anew(connection, state_dir, folder, loss)
+            instance_id, highest = renumber(connection, state_dir)
+            # first of all: what is moved away is evidence that these numbers were given
+            acknowledge(state_dir, instance_id, highest)
+            explain(folder, f"{loss} The feed goes on after {highest}, with a new instance_id.")
+            _move_strays(connection, state_dir, folder)
         _drop_unfinished(connection, state_dir)
 
 
@@ -105,23 +117,67 @@ def _for_seconds(seconds: float) -> Callable[[], bool]:
     return lambda: time.monotonic() < deadline_s
 
 
-def begin_anew(
-    connection: sqlite3.Connection, state_dir: Path, folder: Path, why: str, *, beyond: int = 0
-) -> None:
-    """Give the history a new identity and numbers beyond all that were seen; move folders without a result away."""
+def renumber(connection: sqlite3.Connection, state_dir: Path, beyond: int = 0) -> tuple[str, int]:
+    """Give the history a new identity and numbers beyond all that were seen; return both."""
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
     in_folders = max((seq for _, seq in particle_folders(state_dir)), default=0)
     highest = max(last_seq, acknowledged(state_dir)[1], in_folders, beyond)
-    explain(folder, f"{why} The feed goes on after {highest}, with a new instance_id.")
     instance_id = schema.new_instance()
-    # first of all: what is moved away is evidence that these numbers were given
     connection.execute(
         "UPDATE store SET instance_id = ?, last_seq = ?, last_event = last_event + ?",
         (instance_id, highest, NEW_HISTORY_STEP),
     )
-    acknowledge(state_dir, instance_id, highest)
+    return instance_id, highest
+
+
+def _move_strays(connection: sqlite3.Connection, state_dir: Path, folder: Path) -> None:
+    """Move the folders of particles that have no result."""
     strays = [path for path, _ in particle_folders(state_dir) if not _has_result(connection, path.name)]
     move_particles(strays, folder)
+
+
+def switch_later(state_dir: Path, why: str) -> None:
+    """Note durably that the finished copy is to take the place of the database, which `finish_restore` does."""
+    write_json(state_dir / RESTORING, {"folder": _aside_name("before-restore"), "why": why})
+
+
+def finish_restore(state_dir: Path) -> tuple[Path, int] | None:
+    """Put the copy of a noted restore in the place of the database, then move the folders of particles to fit it.
+
+    Each step can be repeated after a kill. Returns where the former database is, and how many folders were taken back;
+    None if no restore was noted, when the copy of one that was killed before is removed.
+
+    Raises
+    ------
+    sqlite3.Error, OSError
+        The disk refuses.
+    """
+    path, copy, noted = state_dir / DATABASE, restored_path(state_dir), state_dir / RESTORING
+    if not noted.exists():
+        for left in (*state_dir.glob(f"{copy.name}*"), *state_dir.glob(f"{noted.name}*")):
+            left.unlink()
+        return None
+    note = read_json(noted)
+    folder: Path = state_dir / ASIDE / note["folder"]
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / NOTE).exists():
+        explain(folder, note["why"])
+    if copy.exists():  # until then, the files of this name are those of the former database
+        move_database(path, folder)
+        copy.rename(path)
+        sync(state_dir)
+    with closing(schema.connect(path)) as connection:
+        acknowledge(state_dir, *connection.execute("SELECT instance_id, last_seq FROM store").fetchone())
+        _move_strays(connection, state_dir, folder)
+        n_back = take_back(connection, state_dir)
+    noted.unlink()
+    sync(state_dir)
+    return folder, n_back
+
+
+def restored_path(state_dir: Path) -> Path:
+    """Return where a copy is completed that is to take the place of the database."""
+    return state_dir / f"{DATABASE}.restored"
 
 
 def move_particles(paths: Sequence[Path], folder: Path) -> None:
@@ -160,10 +216,13 @@ def move_database(path: Path, folder: Path) -> None:
 
 def aside_folder(state_dir: Path, why: str) -> Path:
     """Create and return a new folder for what is moved away."""
-    name = f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{why}"
-    folder = state_dir / ASIDE / name
+    folder = state_dir / ASIDE / _aside_name(why)
     folder.mkdir(parents=True)
     return folder
+
+
+def _aside_name(why: str) -> str:
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{why}"
 
 
 def explain(folder: Path, note: str) -> None:

@@ -1,13 +1,21 @@
 """Copies of the database are whole, checked, and can be put in its place."""
 
 import asyncio
+import os
+import shutil
+import signal
 import sqlite3
+import sys
+from collections.abc import Callable
 from contextlib import closing
+from functools import partial
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from support.extents import first_quick
 from support.outcomes import add, measured
 from support.rest import particle_files
 from support.stores import folder_of
@@ -16,7 +24,7 @@ from typer.testing import CliRunner
 from service.cli import build_app
 from service.daemon.backing_up import BackingUp
 from service.errors import StoreError
-from service.store import Store, backups, open_store
+from service.store import Store, backups, history, open_store
 from service.store.backups import back_up, restore
 from service.store.history import backups_in
 from service.store.trouble import Cause
@@ -223,3 +231,104 @@ def test_the_commands_back_up_and_restore(tmp_path: Path) -> None:
     restored = run(app, ["restore", str(elsewhere), "--config", str(config)])
     assert restored.exit_code == 0, restored.output
     assert "before-restore" in restored.stdout
+
+
+def killed_at(step: int, work: Callable[[], object]) -> bool:
+    """Kill a process that does `work` before its change number `step` to the file system; False if it ends first."""
+    if (child := os.fork()) == 0:
+        n_steps = 0
+
+        def kill_then(event: str, arguments: tuple[object, ...]) -> None:
+            nonlocal n_steps
+            is_writing = event == "open" and isinstance(arguments[2], int) and arguments[2] & os.O_ACCMODE
+            if event in {"os.rename", "os.remove", "os.mkdir", "sqlite3.connect"} or is_writing:
+                n_steps += 1
+                if n_steps == step:
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+        try:
+            sys.addaudithook(kill_then)
+            work()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0
+    return os.WIFSIGNALED(status)
+
+
+def meshes_and_rests(state_dir: Path) -> tuple[int, list[str]]:
+    """Return the number of meshes, wherever they lie, and what a restore has left unfinished."""
+    rests = [path.name for name in ("restoring*", "*.restored*") for path in state_dir.glob(name)]
+    return len(list(state_dir.rglob("mesh.ply"))), rests
+
+
+def meshes_in_place(state_dir: Path) -> set[str]:
+    return {path.parent.name for path in state_dir.glob("particles/*/*/mesh.ply")}
+
+
+@pytest.fixture
+async def backed_up(state_dir: Path, tmp_path: Path) -> tuple[Path, list[str]]:
+    """Return a backup of two results, the first of which was moved aside since, and the ids of all three."""
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        for number in (1, 2):
+            await add_with_files(store, session, number, tmp_path)
+        backup = await store.back_up(keep=4)
+        await add_with_files(store, session, 3, tmp_path)
+        names = [item["id"] for item in (await store.results_after(0, 10)).items]
+    history.move_particles([folder_of(state_dir, names[0])], history.aside_folder(state_dir, "strays"))
+    return backup, names
+
+
+async def require_one_whole_history(state_dir: Path, names: list[str], former: tuple[str, int, int]) -> bool:
+    """Fail unless the next start has the former history or the restored one, whole; True for the latter."""
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        served = [item["id"] for item in (await store.results_after(0, 10)).items]
+        is_restored = store.instance_id != former[0]
+        assert served == (names[:2] if is_restored else names)
+        assert meshes_in_place(state_dir) == set(names[:2] if is_restored else names[1:])
+        assert len(store.incidents) == (2 if is_restored else 1)
+        assert await add(store, await store.begin_session({}), 9, measured()) == 4
+    if is_restored:
+        (aside,) = (state_dir / "aside").glob("*-before-restore/results.sqlite")
+        assert ends_of(aside) == former
+    assert meshes_and_rests(state_dir) == (3, [])
+    return is_restored
+
+
+@pytest.mark.parametrize("every", first_quick([5, 1]))
+async def test_a_restore_that_is_killed_at_any_step_leaves_one_history_whole(
+    state_dir: Path, tmp_path: Path, backed_up: tuple[Path, list[str]], every: int
+) -> None:
+    backup, names = backed_up
+    former = ends_of(state_dir / "results.sqlite")
+    seen = []
+    for step in count(1, every):
+        copy = shutil.copytree(state_dir, tmp_path / "copies" / str(step))
+        is_killed = killed_at(step, partial(restore, backup, copy))
+        seen.append(await require_one_whole_history(copy, names, former))
+        if not is_killed:
+            break
+    assert seen == sorted(seen)
+    assert set(seen) == {False, True}
+
+
+@pytest.mark.full
+async def test_a_start_that_finishes_a_restore_may_be_killed_at_any_step_too(
+    state_dir: Path, tmp_path: Path, backed_up: tuple[Path, list[str]]
+) -> None:
+    backup, names = backed_up
+    former = ends_of(state_dir / "results.sqlite")
+    step = next(
+        step
+        for step in count(1)
+        if killed_at(step, partial(restore, backup, shutil.copytree(state_dir, tmp_path / f"to-{step}")))
+        and (tmp_path / f"to-{step}" / "restoring").exists()
+    )
+    for kill in count(1):
+        copy = shutil.copytree(tmp_path / f"to-{step}", tmp_path / f"then-{kill}")
+        is_killed = killed_at(kill, partial(open_store, copy))
+        assert await require_one_whole_history(copy, names, former)
+        if not is_killed:
+            break

@@ -116,6 +116,16 @@ async def test_a_removed_database_does_not_begin_at_one_again(state_dir: Path) -
         assert await next_seq(store) == 3
 
 
+async def test_the_wal_of_a_database_that_is_gone_is_moved_aside(state_dir: Path) -> None:
+    await add_measured(state_dir, 2)
+    (state_dir / "results.sqlite").unlink()
+    (state_dir / "results.sqlite-wal").write_bytes(b"results not in the database yet")
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        assert await next_seq(store) == 3
+    (kept,) = (state_dir / "aside").glob("*-damaged/results.sqlite-wal")
+    assert kept.read_bytes() == b"results not in the database yet"
+
+
 async def test_a_number_is_not_given_again_where_a_crash_comes_while_the_history_begins_anew(
     state_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
