@@ -28,6 +28,7 @@ from service.reports.report import (
     ReportFormat,
     SievingStep,
 )
+from service.store.particle_files import path_of
 from service.store.reads import newest_folder
 from service.store.schema import connect_reader
 
@@ -146,7 +147,8 @@ def _stone(
         "SELECT id, sieve_size_mm, volume_mm3, quality FROM stones WHERE seq = ?", (seq,)
     ).fetchone()
     try:
-        png = preview_png(particles_dir / (newest_folder(connection, seq) or str(seq)))
+        folder = newest_folder(connection, seq)
+        png = None if folder is None else preview_png(path_of(particles_dir, folder))
     except NotKeptError:
         png = None
     return GalleryStone(

@@ -8,7 +8,7 @@ import typer
 from service.configuration.settings import load_settings
 from service.errors import StoreError
 from service.store import read
-from service.store.audit import check_chain
+from service.store.audit import check_chain, kept_digests
 from service.store.history import DATABASE
 
 command = typer.Typer(no_args_is_help=True, help="The audit: who changed what. `GET /audit.csv` exports it.")
@@ -25,10 +25,12 @@ def verify(
 ) -> None:
     """Check that no entry of the audit was edited or removed; exit 1 if one was.
 
-    Entries that are missing at the end show beside an earlier export or an earlier printed digest alone.
+    It is compared with the digests that the daemon keeps beside the database. If both were changed, only an earlier
+    export or an earlier printed digest shows it.
     """
-    path = load_settings(config).store.dir / DATABASE
-    chain = read(path, check_chain)
+    state_dir = load_settings(config).store.dir
+    path, kept = state_dir / DATABASE, kept_digests(state_dir)
+    chain = read(path, check_chain, kept)
     if chain.broken_at is not None:
         raise StoreError(
             f"{path}: entry {chain.broken_at} of the audit, or one before it, was changed or removed"

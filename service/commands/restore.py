@@ -12,6 +12,12 @@ from service.store.backups import restore
 def command(
     file: Annotated[Path, typer.Argument(help="A file that `stonefall backup` or the daemon has written.")],
     config: Annotated[Path, typer.Option("--config", help="TOML file of the daemon, which must not run.")],
+    any_audit: Annotated[
+        bool,
+        typer.Option(
+            "--any-audit", help="Also with an audit that is none of this store, as of another rig's."
+        ),
+    ] = False,
 ) -> None:
     """Restore a backup; what was there is moved aside, and clients begin the feed again (new instance_id)."""
-    typer.echo(restore(file.absolute(), load_settings(config).store.dir))
+    typer.echo(restore(file.absolute(), load_settings(config).store.dir, any_audit=any_audit))

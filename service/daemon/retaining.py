@@ -20,6 +20,7 @@ from service.recording.recordings import Recordings
 from service.store import Store
 from service.store.disk_use import RetentionFacts, store_use
 from service.store.holds import consumers
+from service.store.particle_files import path_of
 from service.store.retention import (
     STEP,
     Disk,
@@ -102,7 +103,7 @@ class Retaining:
         n_marked = await store.write(mark_files, limits, disk, now)
         going = await store.read(files_going)
         for _, folder in going:
-            await thread.run(_remove, store.particles_dir / folder)
+            await thread.run(_remove, path_of(store.particles_dir, folder))
         if going:
             await store.write(note_gone, [seq for seq, _ in going])
         n_results = await store.write(remove_results, limits, now)

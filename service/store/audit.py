@@ -1,22 +1,32 @@
 """Who changed what, in the order of the changes; never edited.
 
 A change of the database is noted in its own transaction, any other right after it was made. The digests of the entries
-are a chain: an entry that was edited or removed breaks it, a last one that was removed shows beside an earlier export.
+are a chain: an entry that was edited or removed breaks it. Each digest is kept in a file beside the database as well,
+so that a chain that was made anew, or has lost its end, shows beside what it was.
 """
 
 import csv
 import hashlib
 import json
+import os
+import re
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
 from service.store.schema import transaction
 
 COLUMNS = ("entry", "at", "who", "action", "subject", "before", "after", "digest")
+DIGESTS = "audit-digests"
+"""File beside the database: the digest of each entry, a line each, in their order."""
+LINE = re.compile(rb"([0-9a-f]{64})\n")
+LINE_BYTES = 65
+N_NEWEST = 1000
+"""Newest digests that are compared at each start."""
 FORMULA_STARTS = ("=", "+", "-", "@")
 """What a spreadsheet would compute has an apostrophe before it."""
 
@@ -80,16 +90,61 @@ def next_digest(digest: str, row: tuple[object, ...]) -> str:
     return hashlib.sha256(f"{digest}{json.dumps(row, ensure_ascii=False)}".encode()).hexdigest()
 
 
-def check_chain(connection: sqlite3.Connection) -> Chain:
-    """Return what the digests of all entries say."""
+def kept_digests(folder: Path) -> list[str]:
+    """Return the digests kept beside the database, in the order of the entries; "" for one that is not known."""
+    try:
+        content = (folder / DIGESTS).read_bytes()
+    except FileNotFoundError:
+        return []
+    lines = (content[at : at + LINE_BYTES] for at in range(0, len(content), LINE_BYTES))
+    return [line[:-1].decode() if LINE.fullmatch(line) else "" for line in lines]
+
+
+def keep_digests(connection: sqlite3.Connection, folder: Path, n_kept: int) -> int:
+    """Keep the digests of all entries after the first `n_kept` beside the database; return how many are kept now.
+
+    The file is not flushed, so it may be behind. What it has is never written over.
+    """
+    rows = connection.execute(
+        "SELECT entry, digest FROM audit WHERE entry > ? AND digest IS NOT NULL ORDER BY entry", (n_kept,)
+    ).fetchall()
+    if not rows:
+        return n_kept
+    descriptor = os.open(folder / DIGESTS, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o640)
+    try:
+        for entry, digest in rows:
+            os.pwrite(descriptor, f"{digest}\n".encode(), (entry - 1) * LINE_BYTES)
+    finally:
+        os.close(descriptor)
+    return int(rows[-1][0])
+
+
+def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int = N_NEWEST) -> bool:
+    """Return whether the audit has the newest of these entries, each with its digest."""
+    first = max(len(kept) - n_newest, 0)
+    if not kept:
+        return True
+    found = dict(
+        connection.execute(
+            "SELECT entry, digest FROM audit WHERE entry BETWEEN ? AND ?", (first + 1, len(kept))
+        )
+    )
+    return all(digest in ("", found.get(entry)) for entry, digest in enumerate(kept[first:], first + 1))
+
+
+def check_chain(connection: sqlite3.Connection, known: Sequence[str] = ()) -> Chain:
+    """Return what the digests of all entries say, compared with those `known` from elsewhere, in the same order."""
     n_entries, digest, broken_at = 0, "", None
     for *row, kept in _rows(connection, None, 0, -1):
         n_entries += 1
         digest = next_digest(digest, tuple(row))
-        is_next = row[0] == n_entries and kept in (None, digest)
+        is_known = n_entries > len(known) or known[n_entries - 1] in ("", kept or digest)
+        is_next = row[0] == n_entries and kept in (None, digest) and is_known
         if not is_next and broken_at is None:
             broken_at = n_entries
         digest = kept or digest
+    if n_entries < len(known) and broken_at is None:
+        broken_at = n_entries + 1
     return Chain(n_entries, digest, broken_at)
 
 

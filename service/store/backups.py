@@ -14,11 +14,13 @@ from pathlib import Path
 
 from drivers.files.durable import replacing, sync
 from service.errors import StoreError
-from service.store import history, schema
-from service.store.damage import find_damage
+from service.store import audit, history, schema
+from service.store.damage import ALL, find_damage
 from service.store.lock import lock_store
 from service.store.trouble import Cause, trouble_of
 
+STATISTICS = "sqlite_stat"
+"""Begins the names of the tables that `ANALYZE` makes."""
 PAGES, PAUSE_S = 1000, 0.01
 """Copied at a time, 4 MB, and the pause before the next: measuring comes first."""
 ROOM_BYTES = 1 << 30
@@ -67,35 +69,41 @@ def prune(state_dir: Path, keep: int, made: Path) -> None:
         path.unlink()
 
 
-def restore(source: Path, state_dir: Path) -> str:
+def restore(source: Path, state_dir: Path, *, any_audit: bool = False) -> str:
     """Put a copy in the place of the database, and return what was done.
 
-    The history begins anew, with a new `instance_id`; the database that was there is moved to `aside`.
+    The history begins anew, with a new `instance_id`; the database that was there is moved to `aside`. A copy is not
+    trusted: it must have the schema of its version and nothing else, and unless `any_audit` an audit that this store
+    has had, as the digests kept beside its databases tell.
 
     Raises
     ------
     StoreError
-        A daemon is running, or the copy is not a database of results.
+        A daemon is running, the copy is not a database of results, or it was tampered with.
     """
     state_dir.joinpath(history.PARTICLES).mkdir(parents=True, exist_ok=True)
     lock = lock_store(state_dir)
     try:
-        return _restore(source, state_dir)
+        return _restore(source, state_dir, any_audit=any_audit)
     except (sqlite3.Error, OSError, ValueError) as err:
         raise StoreError(f"{source} is not restored to {state_dir}: {err}") from err
     finally:
         os.close(lock)
 
 
-def _restore(source: Path, state_dir: Path) -> str:
-    _require_backup(source)
+def _restore(source: Path, state_dir: Path, *, any_audit: bool) -> str:
     history.finish_restore(state_dir)  # of an earlier one that was killed
     with replacing(history.restored_path(state_dir)) as unfinished:
         shutil.copyfile(source, unfinished)
+        _require_backup(source, unfinished)
         schema.prepare(unfinished)
         with closing(schema.connect(unfinished)) as connection:
+            if not any_audit:
+                _require_own_audit(source, connection, state_dir)
             beyond = _last_seq(state_dir / history.DATABASE)
-            _, highest = history.renumber(connection, state_dir, beyond)
+            _, highest = history.renumber(
+                connection, state_dir, "backup restored", source.name, beyond=beyond
+            )
             connection.execute("PRAGMA journal_mode = DELETE")  # so that it is one file
     why = f"The backup {source} was restored. The feed goes on after {highest}, with a new instance_id."
     history.switch_later(state_dir, why)
@@ -129,14 +137,35 @@ def _require_room(path: Path, target: Path) -> None:
         )
 
 
-def _require_backup(source: Path) -> None:
-    if (damage := find_damage(source)) is not None:
+def _require_backup(source: Path, copy: Path) -> None:
+    """Raise `StoreError` unless the copy of a backup has the schema of its version, nothing else, and no damage."""
+    if (damage := find_damage(copy, n_newest=ALL)) is not None:
         raise StoreError(f"{source}: is damaged: {damage}")
-    with schema.connect_reader(source) as connection:
-        try:
-            connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
-        except sqlite3.OperationalError as err:
-            raise StoreError(f"{source}: is not a database of results: {err}") from err
+    with schema.connect_reader(copy) as connection:
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        found = schema.objects(connection)
+        if version == 0 or ("table", "store") not in found:
+            raise StoreError(f"{source}: is not a database of results")
+        expected = schema.expected_objects(min(version, schema.newest_version()))
+        foreign = sorted(
+            each for each in found if each not in expected and not each[1].startswith(STATISTICS)
+        )
+        if foreign and version <= schema.newest_version():  # a newer one is refused with its number
+            kind, name = foreign[0]
+            raise StoreError(f"{source}: was tampered with: it has a {kind} {name!r} of its own")
+
+
+def _require_own_audit(source: Path, connection: sqlite3.Connection, state_dir: Path) -> None:
+    """Raise `StoreError` unless the audit of a backup begins like one whose digests this store has kept."""
+    chain = audit.check_chain(connection)
+    folders = (state_dir, *(state_dir / history.ASIDE).glob("*"))
+    kept = [digests[: chain.n_entries] for folder in folders if (digests := audit.kept_digests(folder))]
+    broken_at = [audit.check_chain(connection, digests).broken_at for digests in kept] or [chain.broken_at]
+    if None not in broken_at:
+        raise StoreError(
+            f"{source}: was tampered with, or is of another store: entry {max(filter(None, broken_at))} of its audit is"
+            " none of this store; with --any-audit it is restored all the same"
+        )
 
 
 def _last_seq(path: Path) -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pipeline.frames import rfc3339
 from service.store import schema
+from service.store.particle_files import is_folder
 from service.store.trouble import Cause, trouble_of
 
 log = logging.getLogger(__name__)
@@ -98,18 +99,16 @@ def _schema_damage(connection: sqlite3.Connection) -> str | None:
         return f"schema {version}"
     found, expected = schema.objects(connection), schema.expected_objects(version)
     later = schema.expected_objects(schema.newest_version())
-    for name in sorted(later):
-        if found.get(name) != expected.get(name):
-            return f"{name} is not that of schema {version}"
+    for kind, name in sorted(later):
+        if found.get((kind, name)) != expected.get((kind, name)):
+            return f"{kind} {name} is not that of schema {version}"
     return None
 
 
 def _record_damage(connection: sqlite3.Connection, n_newest: int) -> str | None:
     """Return the first table with a row that cannot be read; of each, the newest rows are parsed."""
     own = schema.expected_objects(schema.newest_version())
-    tables = sorted(
-        name for name, (kind, _, _) in schema.objects(connection).items() if kind == "table" and name in own
-    )
+    tables = sorted(name for kind, name in own.keys() & schema.objects(connection).keys() if kind == "table")
     if "store" not in tables:
         return None  # before the first schema
     for table in tables:
@@ -126,6 +125,12 @@ def _record_damage(connection: sqlite3.Connection, n_newest: int) -> str | None:
     uuid.UUID(row[0])
     if not 0 <= newest <= row[1] < MAX_NUMBER:
         return f"the newest result has the number {newest}, the history ends at {row[1]}"
+    if "files" in tables:
+        folders = connection.execute("SELECT folder FROM files ORDER BY seq DESC LIMIT ?", (n_newest,))
+        if not all(is_folder(folder) for (folder,) in folders):
+            return "a folder of a particle would be elsewhere"
+    if "lots" in tables and connection.execute("SELECT 1 FROM lots WHERE lot LIKE '%/%'").fetchone():
+        return "files of a lot would be elsewhere"
     for (captured_at,) in connection.execute("SELECT captured_at FROM triggers WHERE state = 'open'"):
         rfc3339(captured_at)
     return None

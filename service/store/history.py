@@ -18,10 +18,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.files.durable import read_json, sync, write_json
-from service.store import schema
+from service.store import audit, schema
 from service.store.damage import ALL, N_NEWEST, find_damage
 from service.store.events import NEW_HISTORY_STEP
-from service.store.particle_files import particle_id
+from service.store.particle_files import particle_id, path_of
 
 log = logging.getLogger(__name__)
 
@@ -69,16 +69,35 @@ def open_history(state_dir: Path) -> None:
         move_database(path, folder)
         is_new = True
     (state_dir / MET).unlink(missing_ok=True)
+    is_audit_known = not path.exists() or _has_audit(path, state_dir)
     schema.prepare(path)
     with closing(schema.connect(path)) as connection:
         if loss := _find_loss(connection, state_dir, is_new=is_new):
             folder = folder or aside_folder(state_dir, "lost-rows")
-            instance_id, highest = renumber(connection, state_dir)
+            instance_id, highest = renumber(connection, state_dir, "history begun anew", folder.name)
             # first of all: what is moved away is evidence that these numbers were given
             acknowledge(state_dir, instance_id, highest)
             explain(folder, f"{loss} The feed goes on after {highest}, with a new instance_id.")
             _move_strays(connection, state_dir, folder)
+        if not audit.has_kept(connection, known := audit.kept_digests(state_dir)):
+            if not is_audit_known or is_new:
+                folder = folder or aside_folder(state_dir, "audit")
+                explain(
+                    folder,
+                    f"The audit of the database lacks some of the {len(known)} entries whose digests are here.",
+                )
+                (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
+            else:  # a migration made it anew
+                (state_dir / audit.DIGESTS).unlink()
+        audit.keep_digests(connection, state_dir, len(audit.kept_digests(state_dir)))
         _drop_unfinished(connection, state_dir)
+
+
+def _has_audit(path: Path, state_dir: Path) -> bool:
+    """Return whether the database has the audit whose digests are kept beside it."""
+    known = audit.kept_digests(state_dir)
+    with schema.connect_reader(path) as connection:
+        return audit.has_kept(connection, known)
 
 
 def note_damage(state_dir: Path, detail: str) -> None:
@@ -117,16 +136,24 @@ def _for_seconds(seconds: float) -> Callable[[], bool]:
     return lambda: time.monotonic() < deadline_s
 
 
-def renumber(connection: sqlite3.Connection, state_dir: Path, beyond: int = 0) -> tuple[str, int]:
-    """Give the history a new identity and numbers beyond all that were seen; return both."""
+def renumber(
+    connection: sqlite3.Connection, state_dir: Path, action: str, subject: str, *, beyond: int = 0
+) -> tuple[str, int]:
+    """Give the history a new identity and numbers beyond all that were seen, as the audit says; return both."""
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
     in_folders = max((seq for _, seq in particle_folders(state_dir)), default=0)
     highest = max(last_seq, acknowledged(state_dir)[1], in_folders, beyond)
     instance_id = schema.new_instance()
-    connection.execute(
-        "UPDATE store SET instance_id = ?, last_seq = ?, last_event = last_event + ?",
-        (instance_id, highest, NEW_HISTORY_STEP),
-    )
+    known = audit.kept_digests(state_dir)
+    chain = audit.check_chain(connection)
+    with schema.transaction(connection):
+        connection.execute(
+            "UPDATE store SET instance_id = ?, last_seq = ?, last_event = last_event + ?",
+            (instance_id, highest, NEW_HISTORY_STEP),
+        )
+        before = {"entries": len(known), "digest": known[-1] if known else ""}
+        after = {"entries": chain.n_entries, "digest": chain.digest}
+        audit.note(connection, "stonefall", action, subject, before=before, after=after)
     return instance_id, highest
 
 
@@ -197,7 +224,7 @@ def take_back(connection: sqlite3.Connection, state_dir: Path) -> int:
         row = connection.execute(
             "SELECT folder FROM files JOIN results USING (seq) WHERE id = ? AND removed IS NULL", (path.name,)
         ).fetchone()
-        if row is not None and not (target := state_dir / PARTICLES / row[0]).exists():
+        if row is not None and not (target := path_of(state_dir / PARTICLES, row[0])).exists():
             target.parent.mkdir(exist_ok=True)
             path.rename(target)
             n_back += 1
@@ -205,11 +232,10 @@ def take_back(connection: sqlite3.Connection, state_dir: Path) -> int:
 
 
 def move_database(path: Path, folder: Path) -> None:
-    """Move a database into a folder, with the files of its WAL."""
-    for suffix in ("", "-wal", "-shm"):
-        source = path.with_name(path.name + suffix)
-        if source.exists():
-            source.rename(folder / source.name)
+    """Move a database into a folder, with the files of its WAL and the digests of its audit."""
+    for name in (path.name, f"{path.name}-wal", f"{path.name}-shm", audit.DIGESTS):
+        if (source := path.with_name(name)).exists():
+            source.rename(folder / name)
     sync(folder)
     sync(path.parent)
 

@@ -7,16 +7,20 @@ large, so only those of the newest results are kept.
 
 import logging
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from drivers.files.durable import sync, unfinished
+from service.errors import StoreError
 
 log = logging.getLogger(__name__)
 
 RAW = "bundle.tiff"
+FOLDER = re.compile(r"([0-9]{4}-[0-9]{2}-[0-9]{2}/)?[0-9a-f]{8}-[0-9]{8,16}(/r[0-9]{1,9})?")
+"""Day (earlier versions had none), id, and of a revision its number."""
 
 
 def particle_id(instance_id: str, seq: int) -> str:
@@ -32,6 +36,24 @@ def particle_folder(name: str, recorded_at: str) -> str:
 def revision_folder(folder: str, revision: int) -> str:
     """Return where the files of a revision are, below `particles`; `folder` is the stone's."""
     return folder if revision == 1 else f"{folder}/r{revision}"
+
+
+def is_folder(folder: str) -> bool:
+    """Return whether a text of the database is that of a particle's folder: below `particles`, and nothing else."""
+    return FOLDER.fullmatch(folder) is not None
+
+
+def path_of(particles_dir: Path, folder: str) -> Path:
+    """Return where a folder is that the database names.
+
+    Raises
+    ------
+    StoreError
+        It would be elsewhere: the database was tampered with, or is damaged.
+    """
+    if not is_folder(folder):
+        raise StoreError(f"{folder!r} is no folder of a particle: nothing there is read, written or removed")
+    return particles_dir / folder
 
 
 def first_seq(name: str) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import is_of_unset_clock, utc_now
-from service.store.particle_files import keep_files, revision_folder
+from service.store.particle_files import keep_files, path_of, revision_folder
 from service.store.reads import particle
 
 KEPT = (
@@ -49,7 +49,7 @@ def add_revision(
     first, folder = found
     (seq,) = connection.execute("UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq").fetchone()
     revision = before.get("revision", 1) + 1
-    kept = keep_files(particles_dir / revision_folder(folder, revision), files)
+    kept = keep_files(path_of(particles_dir, revision_folder(folder, revision)), files)
     recorded_at = utc_now()
     identity = {
         "seq": seq,

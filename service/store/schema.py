@@ -94,14 +94,14 @@ def newest_version() -> int:
     return len(_scripts())
 
 
-Objects = Mapping[str, tuple[str, str, str | None]]
-"""Kind, table and statement of each object of a schema, by its name; spaces and line ends do not count."""
+Objects = Mapping[tuple[str, str], tuple[str, str | None]]
+"""Table and statement of each object of a schema, by its kind and name: a trigger may have the name of a table."""
 
 
 def objects(connection: sqlite3.Connection) -> Objects:
     """Return the objects of a database."""
     return {
-        name: (kind, table, statement and " ".join(statement.split()))
+        (kind, name): (table, statement)
         for kind, name, table, statement in connection.execute(
             "SELECT type, name, tbl_name, sql FROM sqlite_schema"
         )

@@ -23,7 +23,7 @@ from service.results.fields import LossReason
 from service.store import audit, backups, history, reads, writes
 from service.store.accounting import Accounting
 from service.store.lock import lock_store
-from service.store.particle_files import RAW, drop_raw
+from service.store.particle_files import RAW, drop_raw, path_of
 from service.store.schema import connect_reader, read
 from service.store.trouble import Cause, StoreTrouble, trouble_of
 from service.store.writer import StoreWriter
@@ -90,6 +90,7 @@ class Store:
         self._last_seq: int = row[1]
         self._first_raw: int = row[2]  # results before this one have no raw frames
         self._last_event: int = row[3]
+        self._n_digests = len(audit.kept_digests(state_dir))
         self._keep_raw = keep_raw
 
     def __enter__(self) -> Self:
@@ -212,7 +213,7 @@ class Store:
     async def folder(self, seq: int) -> Path:
         """Return where the files of a result are, or would be; it need not exist."""
         folder = await self.read(reads.folder, seq)
-        return self.particles_dir / (folder or str(seq))
+        return path_of(self.particles_dir, folder) if folder else self.particles_dir / str(seq)
 
     async def raw_path(self, seq: int) -> Path:
         """Return where to write the raw frames of a new result; call `drop_old_raw` afterwards."""
@@ -340,11 +341,12 @@ class Store:
         return written
 
     def _note_newest(self, connection: sqlite3.Connection) -> None:
-        """Note how far results and events are, and remove raw frames that are too old.
+        """Note how far results, events and the audit are, and remove raw frames that are too old.
 
         The disk may refuse until the next time.
         """
-        with suppress(sqlite3.Error, OSError):
+        with suppress(sqlite3.Error, OSError, StoreError):
+            self._n_digests = audit.keep_digests(connection, self.dir, self._n_digests)
             last_seq, self._last_event = connection.execute(
                 "SELECT last_seq, last_event FROM store"
             ).fetchone()

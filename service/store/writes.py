@@ -16,7 +16,14 @@ from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.errors import StoreError
 from service.results.fields import LossReason, Outcome
 from service.results.record import lost_record
-from service.store.particle_files import drop_raw, drop_sources, keep_files, particle_folder, particle_id
+from service.store.particle_files import (
+    drop_raw,
+    drop_sources,
+    keep_files,
+    particle_folder,
+    particle_id,
+    path_of,
+)
 from service.store.schema import transaction
 
 IS_REPLAY = (
@@ -76,7 +83,7 @@ def drop_old_raw(connection: sqlite3.Connection, particles_dir: Path, first: int
         (first, end),
     ).fetchall()
     for (folder,) in rows:
-        drop_raw(particles_dir / folder)
+        drop_raw(path_of(particles_dir, folder))
     if end // NOTE_EVERY > first // NOTE_EVERY:
         with transaction(connection):
             connection.execute("UPDATE store SET first_raw = ?", (end,))
