@@ -9,6 +9,12 @@ SECRET_NAME = re.compile(
 )
 USER_IN_URL = re.compile(r"(?<=://)[^/\s\"]+(?=@)")
 """User and password, which the last `@` before the path ends."""
+URL = re.compile(
+    r"(?P<host>\b[a-z][a-z0-9+.-]{0,20}://[^\s\"'<>/?#]+)"
+    r"(?P<first>/[^\s\"'<>/?#;]*)?(?P<rest>[\"'<>/?#;]\S*)?",  # quotes are part of some, so of all
+    re.IGNORECASE,
+)
+"""Only scheme, host and the first part of the path are shown: what comes after them is a token as often as not."""
 REDACTED = "redacted"
 SECRET_TEXTS = tuple(
     re.compile(pattern, re.IGNORECASE | re.DOTALL)
@@ -18,8 +24,7 @@ SECRET_TEXTS = tuple(
         r"\bstonefall_[A-Za-z0-9_-]{43,}",  # tokens of `stonefall keys`; names of metrics are shorter
         r"(?<=\bBearer )[^\s\"',]+",
         r"(?<=\bBasic )[A-Za-z0-9+/=]{6,}",
-        USER_IN_URL.pattern,
-        r"(?<=[?&])[^\s\"'<>]+=[^\s\"'<>]*",  # the query of an URL, which may be a token
+        r"(?<=[?&])[^\s\"'<>=]{1,256}=[^\s\"'<>]*",  # the query of a path, which may be a token
         r"(?<=sha256)[\"']?\s*[=:]\s*[\"']?[0-9a-f]{64}",
         r"(?:password|passphrase|token|secret)[\"']?\s*[=:]\s*[\"']?[^\s\"',}]+",
     )
@@ -28,7 +33,7 @@ SECRET_TEXTS = tuple(
 
 
 def redacted(document: Any) -> Any:
-    """Return a document with the value of every member whose name tells of a secret replaced, and users in URLs."""
+    """Return a document with the value of every member whose name tells of a secret replaced, and URLs as `shown`."""
     match document:
         case dict():
             return {
@@ -40,8 +45,13 @@ def redacted(document: Any) -> Any:
         case list() | tuple():
             return [redacted(each) for each in document]
         case str():
-            return USER_IN_URL.sub(REDACTED, document)
+            return shown(document)
     return document
+
+
+def shown(text: str) -> str:
+    """Return a text whose URLs have no user, only the first part of their path, and no query."""
+    return URL.sub(_shown_url, USER_IN_URL.sub(REDACTED, text))
 
 
 def scrubbed(text: str, known: Iterable[str] = ()) -> str:
@@ -50,7 +60,7 @@ def scrubbed(text: str, known: Iterable[str] = ()) -> str:
         text = text.replace(secret, REDACTED)
     for pattern in SECRET_TEXTS:
         text = pattern.sub(REDACTED, text)
-    return text
+    return shown(text)
 
 
 def scrubbed_document(document: Any, known: Collection[str] = ()) -> Any:
@@ -67,3 +77,8 @@ def scrubbed_document(document: Any, known: Collection[str] = ()) -> Any:
         return part
 
     return walk(redacted(document))
+
+
+def _shown_url(url: re.Match[str]) -> str:
+    separator, rest = (url["rest"] or "")[:1], (url["rest"] or "")[1:]
+    return f"{url['host']}{url['first'] or ''}{separator}{REDACTED if rest else ''}"

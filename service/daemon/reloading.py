@@ -16,7 +16,7 @@ from service.errors import ServiceError, StoreError
 from service.redaction import redacted
 from service.status import ConfigurationState
 from service.store import Store
-from service.store.audit import note_alone
+from service.store.audit import CONFIGURATION, note_alone
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ class Configuration:
         if applied:
             before, after = ({name: _at(settings, name) for name in applied} for settings in (old, live))
             try:
-                await store.write(note_alone, "SIGHUP", "configuration", str(self._file), before, after)
+                await store.write(note_alone, "SIGHUP", CONFIGURATION, str(self._file), before, after)
             except StoreError as err:  # of a store that is damaged, which health has told
                 log.error("the audit cannot note the configuration: %s", err)
 

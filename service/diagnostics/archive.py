@@ -30,7 +30,7 @@ PARTS: Mapping[str, Callable[[Inputs], Any]] = {
     "log.txt": parts.log,
 }
 README = """What stonefall says of itself, for support: configuration, versions, health, host, store, calibrations, log.
-Keys, tokens, secrets of webhooks, users and queries in URLs were replaced by `redacted`.
+Keys, tokens, secrets of webhooks, and all of URLs but host and first part of the path were replaced by `redacted`.
 It has names of devices and addresses of the plant, but no images, no meshes and no results.
 """
 

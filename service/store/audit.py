@@ -18,8 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.store.schema import transaction
+from service.redaction import redacted
 
+CONFIGURATION = "configuration"
+"""Action of the entries about the file of settings, whose URLs earlier versions kept to the end."""
+PAGE = 1000
+"""Entries that are read at a time while all are rewritten."""
 COLUMNS = ("entry", "at", "who", "action", "subject", "before", "after", "digest")
 DIGESTS = "audit-digests"
 """File beside the database: the digest of each entry, a line each, in their order."""
@@ -80,9 +84,8 @@ def note_alone(
     before: Mapping[str, Any] | None,
     after: Mapping[str, Any] | None,
 ) -> None:
-    """Note a change that was made elsewhere."""
-    with transaction(connection):
-        note(connection, who, action, subject, before=before, after=after)
+    """Note a change that was made elsewhere; the one statement is a transaction of its own."""
+    note(connection, who, action, subject, before=before, after=after)
 
 
 def next_digest(digest: str, row: tuple[object, ...]) -> str:
@@ -148,6 +151,38 @@ def check_chain(connection: sqlite3.Connection, known: Sequence[str] = ()) -> Ch
     return Chain(n_entries, digest, broken_at)
 
 
+def redact_configurations(connection: sqlite3.Connection) -> None:
+    """Redact what entries about the configuration say, within the transaction of a migration, and note that.
+
+    Digests from there on are computed anew, but for those that did not fit before: what was edited stays broken.
+    """
+    connection.execute("PRAGMA secure_delete = ON")  # what is replaced does not stay in the file
+    connection.execute("DROP TRIGGER IF EXISTS audit_is_not_edited")
+    was = now = ""  # the digest before, in the old chain and in the new one
+    last, changed = 0, []
+    while rows := list(_rows(connection, None, last, PAGE)):
+        for *columns, kept in rows:
+            old, new = tuple(columns), _redacted(columns)
+            old_digest, new_digest = next_digest(was, old), next_digest(now, new)
+            new_kept = new_digest if kept == old_digest else kept
+            if (new, new_kept) != (old, kept):
+                connection.execute(
+                    "UPDATE audit SET before = ?, after = ?, digest = ? WHERE entry = ?",
+                    (*new[-2:], new_kept, old[0]),
+                )
+            if new != old:
+                changed.append(old[0])
+            was, now = kept or old_digest, new_kept or new_digest
+        last = rows[-1][0]
+    connection.execute(
+        "CREATE TRIGGER audit_is_not_edited BEFORE UPDATE ON audit"
+        " BEGIN SELECT RAISE(ABORT, 'the audit is never edited'); END"
+    )
+    if changed:
+        facts = {"digest": now, "entries": changed}
+        note(connection, "migration", "audit redacted", "URLs", before={"digest": was}, after=facts)
+
+
 def entries(connection: sqlite3.Connection, subject: str | None, after: int, limit: int) -> list[AuditEntry]:
     """Return up to `limit` entries after a number, of one subject or of all, in their order."""
     return [
@@ -204,3 +239,10 @@ def _text(facts: Mapping[str, Any] | None) -> str | None:
 def _cell(value: Any) -> Any:
     is_formula = isinstance(value, str) and value.lstrip().startswith(FORMULA_STARTS)
     return f"'{value}" if is_formula else value
+
+
+def _redacted(columns: list[Any]) -> tuple[Any, ...]:
+    *others, action, subject, before, after = columns
+    if action == CONFIGURATION:
+        before, after = (each and _text(redacted(json.loads(each))) for each in (before, after))
+    return (*others, action, subject, before, after)

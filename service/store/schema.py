@@ -14,9 +14,14 @@ from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
 from service.errors import StoreError
+from service.store import audit
 
 BUSY_S = 0.5
 """Longest wait for another connection that has the database locked, before that is reported."""
+STEPS: Mapping[str, Callable[[sqlite3.Connection], None]] = {
+    "013_audit_urls.sql": audit.redact_configurations
+}
+"""What a migration does after its script, in the same transaction."""
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -128,11 +133,15 @@ def _migrate(connection: sqlite3.Connection) -> None:
 
 def _apply(connection: sqlite3.Connection, version: int, target: int) -> None:
     """Bring a database from one version of the schema to a later one."""
-    for number, script in enumerate(_scripts()[version:target], start=version + 1):
-        connection.executescript(f"BEGIN IMMEDIATE; {script}; PRAGMA user_version = {number}; COMMIT;")
+    for number, (name, script) in enumerate(_scripts()[version:target], start=version + 1):
+        connection.executescript(f"BEGIN IMMEDIATE; {script}")
+        if (step := STEPS.get(name)) is not None:
+            step(connection)
+        connection.execute(f"PRAGMA user_version = {number}")
+        connection.execute("COMMIT")
 
 
 @cache
-def _scripts() -> Sequence[str]:
+def _scripts() -> Sequence[tuple[str, str]]:
     entries = (entry for entry in files("service.store").iterdir() if entry.name.endswith(".sql"))
-    return [entry.read_text(encoding="utf-8") for entry in sorted(entries, key=lambda entry: entry.name)]
+    return sorted((entry.name, entry.read_text(encoding="utf-8")) for entry in entries)

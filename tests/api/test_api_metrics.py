@@ -190,11 +190,17 @@ async def test_the_configuration_is_served_without_secrets(
 
 
 def test_everything_whose_name_says_so_is_redacted() -> None:
-    secret = {"hooks": [{"url": "https://user:pw@mes/x", "signing_secret": "whsec_1", "token_file": "/t"}]}
+    secret = {
+        "hooks": [
+            {"url": "https://user:pw@mes/x/key?token=1", "signing_secret": "whsec_1", "token_file": "/t"}
+        ]
+    }
     assert redacted(
         {**secret, "password": None, "keys": ["a"], "keep_raw": 1, "more": {"apiToken": [1]}}
     ) == {
-        "hooks": [{"url": "https://redacted@mes/x", "signing_secret": "redacted", "token_file": "redacted"}],
+        "hooks": [
+            {"url": "https://redacted@mes/x/redacted", "signing_secret": "redacted", "token_file": "redacted"}
+        ],
         "password": None,
         "keys": ["a"],
         "keep_raw": 1,

@@ -19,7 +19,8 @@ class ConfigurationDocument(ConfigurationState):
     """All settings in use by section, defaults included, and what became of their file."""
 
     settings: dict[str, Any] = Field(
-        description="As `stonefall check-config --json` prints them; hashes, tokens and secrets are `redacted`"
+        description="As `stonefall check-config --json` prints them; hashes, tokens, secrets and most of URLs"
+        " are `redacted`"
     )
 
 

@@ -14,6 +14,7 @@ from service.api.settings import Scope
 from service.delivery.table import EventCursorError, deliveries
 from service.delivery.webhooks import BeingTestedError, EndpointStatus
 from service.ids import ID
+from service.redaction import shown
 from service.results.fields import TIME
 from service.store.events import EventType
 
@@ -24,7 +25,7 @@ class WebhookDocument(BaseModel):
     """An endpoint that is told of events, and how far it is; without its secrets."""
 
     name: str = Field(description="As it is configured")
-    url: str = Field(description="Without its query, which may be secret")
+    url: str = Field(description="Scheme, host and first part of the path: the rest may be secret")
     events: list[EventType] = Field(description="What it is told of")
     after: int = Field(description="`seq` of the last event that it has taken")
     waiting: int = Field(description="Events that it is to be told of yet")
@@ -146,7 +147,7 @@ def _document(status: EndpointStatus) -> dict[str, Any]:
     endpoint = status.endpoint
     return asdict(status.progress) | {
         "name": endpoint.name,
-        "url": endpoint.target._replace(query="").geturl(),
+        "url": shown(endpoint.target._replace(query="").geturl()),
         "events": endpoint.events,
         "waiting": status.n_due,
     }

@@ -11,7 +11,7 @@ from service.configuration.settings import Settings, load_settings
 from service.daemon.reloading import Configuration, differences, with_live
 from service.errors import StoreError
 from service.store import Store
-from service.store.audit import entries
+from service.store.audit import csv_page, entries
 
 
 class Applied:
@@ -100,6 +100,23 @@ async def test_keys_are_not_given_up_before_the_address_of_the_network_is(file: 
     assert len(configuration.settings.api.keys) == 1
     assert "every host that reaches 0.0.0.0" in str(configuration.state.problem)
     assert "needs a restart" in str(configuration.state.problem)
+
+
+async def test_the_audit_keeps_no_token_of_an_url_and_yet_tells_that_it_changed(
+    file: Path, store: Store
+) -> None:
+    endpoint = (
+        '[webhooks]\nallowed_hosts = ["127.0.0.1"]\n[[webhooks.endpoints]]\nname = "mes"\n'
+        f'url = "http://127.0.0.1/hook/{{0}}?token={{0}}"\nsecrets = ["whsec_{32 * "A"}"]\n'
+    )
+    configuration = await reloaded(file, REPLAY + endpoint.format("key-before"), store, Applied())
+    await reload(configuration, file, REPLAY + endpoint.format("key-now"), store, Applied())
+    noted = await store.read(entries, None, 0, 10)
+    assert len(noted) == 2
+    assert "http://127.0.0.1/hook/redacted" in str(noted[1].after)
+    assert "key-" not in str(noted)
+    exported, _ = await store.read(csv_page, None, 0, 10)
+    assert b"key-" not in exported
 
 
 def test_another_secret_is_a_difference(file: Path) -> None:

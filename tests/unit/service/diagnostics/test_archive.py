@@ -3,6 +3,7 @@
 import base64
 import json
 import stat
+import time
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ CONFIG = f"""
 allowed_hosts = ["127.0.0.1"]
 [[webhooks.endpoints]]
 name = "mes"
-url = "https://127.0.0.1/hook?apikey=in-the-query"
+url = "https://127.0.0.1/hook/in-the-path?apikey=in-the-query"
 secrets = ["{SECRET}"]
 secret_files = ["mes.secret"]
 """
@@ -64,7 +65,7 @@ def test_what_is_in_it(inputs: Inputs) -> None:
 
 def test_the_configuration_has_no_secret(inputs: Inputs) -> None:
     everything = "\n".join(files_of(build_archive(inputs)).values())
-    for secret in (KEY_SHA256, SECRET, "in-the-query", base64.b64encode(32 * b"x").decode()):
+    for secret in (KEY_SHA256, SECRET, "in-the-query", "in-the-path", base64.b64encode(32 * b"x").decode()):
         assert secret not in everything
     assert '"name": "mes"' in everything
 
@@ -125,6 +126,10 @@ def test_known_secrets_never_appear_however_they_look(
         "password = '{}'",
         "http://u:{}@mes/",
         "http://u:at@{}@mes/",
+        "http://mes/hook/{}/more",
+        "https://mes:1/hook'{}?a",
+        "see 'http://mes/a;key={}'",
+        "POST http://mes?{}",
     ],
 )
 def test_what_looks_like_a_secret_is_scrubbed_where_nobody_knows_it(secret: str, line: str) -> None:
@@ -133,6 +138,17 @@ def test_what_looks_like_a_secret_is_scrubbed_where_nobody_knows_it(secret: str,
     assert "MHcCAQEE" not in text
     assert text.startswith("first\n")
     assert text.endswith("last") or "PRIVATE" in secret
+
+
+@pytest.mark.parametrize("line", ["?&", "a.", "://", "http://", "token ", "=", "-----BEGIN ", "a:a@"])
+def test_long_lines_are_scrubbed_in_time_that_grows_with_their_length(line: str) -> None:
+    def processor_s(n: int) -> float:
+        began_s = time.process_time()
+        scrubbed(n * line)
+        return time.process_time() - began_s
+
+    short_s = min(processor_s(2_000) for _ in range(3))
+    assert processor_s(40_000) < 100 * short_s + 0.2  # 20 times as long; squared it were 400 and seconds
 
 
 def test_metrics_and_calibrations_are_left_as_they_are() -> None:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from service.cli import build_app
 from service.errors import StoreError
-from service.store import Store, open_store
+from service.store import Store, audit, open_store
 from service.store.audit import check_chain, note_alone
 from service.store.events import events_after
 
@@ -64,20 +64,61 @@ async def test_a_last_entry_that_was_removed_shows_beside_the_digest_of_before(
     assert after.digest != before.digest
 
 
+def old_store(state_dir: Path, schema: int) -> sqlite3.Connection:
+    """Return the database of an earlier version, written by its scripts."""
+    old = sqlite3.connect(state_dir / "results.sqlite", isolation_level=None)
+    for number in range(1, schema + 1):
+        (script,) = (each for each in files("service.store").iterdir() if each.name[:3] == f"{number:03d}")
+        old.executescript(f"{script.read_text(encoding='utf-8')}; PRAGMA user_version = {number}")
+    return old
+
+
+def in_files(content: bytes, state_dir: Path) -> bool:
+    """Return whether the database or its WAL has this anywhere."""
+    return any(content in path.read_bytes() for path in state_dir.glob("results.sqlite*"))
+
+
+@pytest.mark.parametrize(
+    ("statement", "broken_at"),
+    [
+        (None, None),
+        ("UPDATE audit SET who = 'key other' WHERE entry = 1", 1),
+        ("UPDATE audit SET who = 'key other' WHERE entry = 3", 3),
+    ],
+)
+async def test_tokens_in_the_audit_of_an_old_store_go_and_its_chain_says_what_it_said(
+    tmp_path: Path, statement: str | None, broken_at: int | None
+) -> None:
+    with closing(old_store(tmp_path, 12)) as old:
+        old.execute("INSERT INTO store (one, instance_id) VALUES (1, 'an-old-history')")
+        for token in ("the-first", "another"):
+            audit.note(old, "key mes", "lot opened", "L1", after={"remark": "http://wiki/a/b"})
+            facts = {"webhooks.endpoints": [{"url": f"https://mes/hook/{token}?token={token}"}]}
+            audit.note(old, "SIGHUP", "configuration", "stonefall.toml", before=None, after=facts)
+    if statement is not None:
+        tamper(tmp_path, statement)
+    with open_store(tmp_path) as store:
+        found = await store.read(audit.entries, None, 0, 10)
+        assert [each.action for each in found] == [*2 * ["lot opened", "configuration"], "audit redacted"]
+        assert found[0].after == {"remark": "http://wiki/a/b"}  # what people wrote is theirs
+        assert found[3].after == {"webhooks.endpoints": [{"url": "https://mes/hook/redacted"}]}
+        assert found[4].after == {"digest": found[3].digest, "entries": [2, 4]}
+        assert (await store.read(check_chain)).broken_at == broken_at
+        if statement is None:
+            tamper(tmp_path, "UPDATE audit SET who = 'key other' WHERE entry = 2")  # refused, as before
+    assert not in_files(b"the-first", tmp_path)
+    with open_store(tmp_path) as store:  # once only
+        assert len(await store.read(audit.entries, None, 0, 10)) == 5
+
+
 @pytest.mark.parametrize("schema", [4, 5])  # 5: the first with digests
 async def test_entries_of_an_earlier_version_are_covered_by_the_first_after_them(
     tmp_path: Path, schema: int
 ) -> None:
-    with closing(sqlite3.connect(tmp_path / "results.sqlite")) as old:
-        for number in range(1, schema + 1):
-            (script,) = (
-                each for each in files("service.store").iterdir() if each.name[:3] == f"{number:03d}"
-            )
-            old.executescript(f"{script.read_text(encoding='utf-8')}; PRAGMA user_version = {number}")
+    with closing(old_store(tmp_path, schema)) as old:
         entry = (1, "2026-03-01T00:00:00.000Z", "key mes", "lot opened", "L1", None, "{}")
         columns = "entry, at, who, action, subject, before, after"
         old.execute(f"INSERT INTO audit ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", entry)  # noqa: S608
-        old.commit()
     with open_store(tmp_path) as store:
         assert (await store.read(check_chain)).n_entries == 1
         assert (await store.read(events_after, 0, 10)).last_seq == 0

@@ -1,0 +1,2 @@
+-- Entries of the audit about the configuration kept URLs of webhooks to the end, tokens and all:
+-- `service.store.audit.redact_configurations`, which belongs to this number, shortens them.
