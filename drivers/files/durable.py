@@ -1,7 +1,8 @@
 """The one way to write durably: a file or folder is there whole or not at all, also after a power cut.
 
-`replacing` writes a file, `new_folder` a folder, `write_json` a document. Each writes under another name in
-the same folder, flushes to the device, renames, and flushes the folder that holds the name.
+`replacing` writes a file, `new_folder` a folder, `write_json` a document, and `write_file` a file where others may
+write, too. Each writes under another name in the same folder, flushes to the device, renames, and flushes the folder
+that holds the name. What is at that other name is never written to: it may be a link to any file.
 """
 
 import errno
@@ -9,9 +10,11 @@ import fcntl
 import json
 import mmap
 import os
+import re
+import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +22,22 @@ from drivers.errors import RecordingError
 
 BLOCK = 4096
 """Alignment in bytes of direct writes (O_DIRECT); a device that needs a larger one refuses them."""
+CREATING = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+UNFOUND = re.compile(r".+\.[0-9a-f]{16}\.tmp", re.DOTALL)
+"""Names under which `write_file` writes; nobody can have anything there before."""
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; it takes the place of `path`, durably, when the block ends without error.
+def replacing(path: Path, mode: int = 0o666) -> Iterator[Path]:
+    """Yield a new, empty file beside `path`; it takes the place of `path`, durably, when the block ends without error.
 
-    Two writers of one path at the same time are not provided for: the temporary path is always the same.
+    Two writers of one path at the same time are not provided for: the temporary path is always the same. For a folder
+    that others can write to there is `write_file`.
     """
     temporary = unfinished(path)
+    temporary.unlink(missing_ok=True)  # what a killed process left, or a link
     try:
+        os.close(os.open(temporary, CREATING, mode))
         yield temporary
         sync(temporary)
         temporary.replace(path)
@@ -41,6 +50,30 @@ def replacing(path: Path) -> Iterator[Path]:
 def unfinished(path: Path) -> Path:
     """Return the temporary path of `replacing`: what a process that was killed while it wrote left behind."""
     return path.with_name(f"{path.name}.tmp")
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file durably into a folder that others may write to; what they do there harms no other file."""
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.tmp")
+    descriptor = os.open(temporary, CREATING, 0o666)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(descriptor)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync(path.parent)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what processes left in a folder that were killed in `write_file`; none may be writing there."""
+    for path in folder.iterdir():
+        if UNFOUND.fullmatch(path.name):
+            with suppress(OSError):  # of somebody else
+                path.unlink()
 
 
 @contextmanager

@@ -177,12 +177,9 @@ def _locked(folder: Path) -> Iterator[None]:
 def _write(folder: Path, keys: tuple[StoredKey, ...]) -> None:
     path = folder / KEYS
     try:
-        with replacing(path) as temporary:
-            temporary.unlink(missing_ok=True)  # of a command that was killed
-            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                _give_to_owner(descriptor, folder)
-                file.write(json.dumps(asdict(KeyFile(keys=keys)), indent=1) + "\n")
+        with replacing(path, 0o600) as temporary, temporary.open("w", encoding="utf-8") as file:
+            _give_to_owner(file.fileno(), folder)
+            file.write(json.dumps(asdict(KeyFile(keys=keys)), indent=1) + "\n")
     except OSError as err:
         raise KeyFileError(f"{path}: {err.strerror}") from err
 

@@ -160,11 +160,8 @@ class Sessions:
     def _write(self, content: SessionsFile) -> None:
         """Write the file; while the disk refuses, what it says holds until the daemon ends."""
         try:
-            with replacing(self._folder / FILE) as temporary:
-                temporary.unlink(missing_ok=True)  # of a daemon that was killed
-                descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-                with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(content)))
+            with replacing(self._folder / FILE, 0o600) as temporary:
+                temporary.write_text(json.dumps(asdict(content)), encoding="utf-8")
         except OSError as err:
             log.error("sessions are not kept: %s: %s", self._folder / FILE, err.strerror)
 

@@ -45,6 +45,10 @@ def command(
     else:
         os.nice(10)  # it may run beside a daemon
         content, source = build_archive(diagnostic_inputs(settings)), "files alone: no daemon was asked"
-    out.touch(0o600, exist_ok=False)  # for its reader only, redacted as it is
-    out.write_bytes(content)
+    with open(out, "xb", opener=_for_its_owner) as file:
+        file.write(content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB, of {source}")
+
+
+def _for_its_owner(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from drivers.files.durable import replacing
+from drivers.files.durable import write_file
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.gvcp import DiscoveredCamera, discover, local_addresses
 from pipeline.frames import CameraId
@@ -91,8 +91,7 @@ def command(
     if not rig_file.exists():
         write_rig(rig_file, rig)
         typer.echo(f"{rig_file}: the rig's design, until it is calibrated")
-    with replacing(file) as temporary:
-        temporary.write_text(configuration_text(answers), encoding="utf-8")
+    write_file(file, configuration_text(answers).encode())
     missing = _missing(file, answers)
     typer.echo(f"{file}: {'written; nothing is missing' if not missing else 'written, and not ready:'}")
     for each in missing:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from drivers.files.durable import replacing
+from drivers.files.durable import write_file
 from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask, fetch
 from service.errors import UsageError
 
@@ -175,8 +175,7 @@ def report(
     if kind not in FORMATS:
         raise UsageError(f"--out {out}: must end with .{', .'.join(FORMATS)}")
     content = fetch(url, f"/lots/{quote(lot)}/report.{kind}?{urlencode({'language': language})}", key)
-    with replacing(out) as unfinished:
-        unfinished.write_bytes(content)
+    write_file(out, content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivers.files.durable import replacing
+from drivers.files.durable import write_file
 from drivers.files.times import utc_now
 from service.api.version import API_VERSION
 from service.commands.results_file import read_results
@@ -58,8 +58,7 @@ def command(
     try:
         out.mkdir(parents=True, exist_ok=True)
         for report_format in ReportFormat:
-            with replacing(out / f"report.{report_format}") as unfinished:
-                unfinished.write_bytes(render(data, report_format))
+            write_file(out / f"report.{report_format}", render(data, report_format))
     except OSError as err:
         raise ServiceError(f"--out {out}: {err.strerror}") from err
     verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"

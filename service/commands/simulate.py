@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import signal
+import stat
 import sys
 import tempfile
 import threading
@@ -119,6 +120,9 @@ def _rendered_recording(bodies: str, count: int, seed: int) -> Path:
     name = f"recording-{hashlib.sha256(wanted.encode()).hexdigest()[:12]}"
     folder = Path(tempfile.gettempdir(), f"stonefall-{os.getuid()}")
     folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        raise UsageError(f"{folder}: is not a folder of this user; nothing in it is trusted")
     path = folder / name
     if not path.exists():
         from service.commands import synthesize  # here: the renderer takes half a second to import

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.files.durable import replacing
+from drivers.files.durable import write_file
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.particle import MeasuringParameters
 from service.configured_paths import ConfiguredPath
@@ -79,5 +79,4 @@ def write_volume_model(path: Path, model: VolumeModel, remarks: dict[str, float 
         "hidden_share": model.hidden_share,
         **remarks,
     }
-    with replacing(path) as unfinished:
-        unfinished.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    write_file(path, (json.dumps(document, indent=2) + "\n").encode())

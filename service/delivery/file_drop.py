@@ -10,9 +10,10 @@ import sqlite3
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from drivers.files.durable import replacing
+from drivers.files.durable import remove_unfinished, write_file
 from drivers.files.times import utc_now
 from service.delivery.abandonable import start_abandonable
 from service.delivery.settings import DropFormat, FileDropSettings
@@ -26,7 +27,7 @@ RETRY_S = 30.0
 """Pause before a folder that took no file is tried again."""
 LOOK_S = 1.0
 """Time between two looks at a lot whose last stones are still being measured."""
-ANSWER_S = 60.0
+ANSWER_S = 30.0
 """A folder that has not taken a file for so long does not answer."""
 
 
@@ -72,6 +73,7 @@ class FileDrop:
         self._settings = settings
         self._retry_s = retry_s
         self._answer_s = answer_s
+        self._is_first = True
         self.trouble: str | None = None
 
     async def run(self, make_files: MakeFiles) -> None:
@@ -115,21 +117,28 @@ class FileDrop:
             settings.dir / f"{lot}-{files.revision}.{each}": content
             for each, content in files.content.items()
         }
-        writing = start_abandonable("file drop", write_files, settings, by_path)
+        writing = start_abandonable(
+            "file drop", partial(write_files, is_first=self._is_first), settings, by_path
+        )
         while not (await asyncio.wait([writing], timeout=self._answer_s))[0]:
             self.trouble = f"{settings.dir} has not answered for {self._answer_s:g} s"
             log.error("file drop: %s", self.trouble)
         writing.result()
+        self._is_first = False
         await self._store.write(note_dropped, lot, files.revision)
         log.info("files of a lot written lot=%s revision=%d dir=%s", lot, files.revision, settings.dir)
 
 
-def write_files(settings: FileDropSettings, files: Mapping[Path, bytes]) -> None:
-    """Write files, each whole or not at all; raise `OSError` if the folder is not there or takes none."""
+def write_files(settings: FileDropSettings, files: Mapping[Path, bytes], *, is_first: bool) -> None:
+    """Write files, each whole or not at all; raise `OSError` if the folder is not there or takes none.
+
+    Before the first ones, what a killed daemon left goes.
+    """
     settings.require_present()
+    if is_first:
+        remove_unfinished(settings.dir)
     for path, content in files.items():
-        with replacing(path) as temporary:
-            temporary.write_bytes(content)
+        write_file(path, content)
 
 
 def begin_file_drop(connection: sqlite3.Connection) -> None:

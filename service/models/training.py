@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from drivers.files.durable import write_file
 from pipeline.evaluation.hard_cases import HardCase
 from pipeline.segmentation.network import load_network
 from pipeline.training.image_layers import (
@@ -125,8 +126,8 @@ def train_network(
         f" --batch {plan.batch} --device {used} --jobs {n_jobs}",
         "metrics": metrics,
     }
-    out.write_bytes(model)
-    out.with_suffix(".json").write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+    write_file(out, model)
+    write_file(out.with_suffix(".json"), (json.dumps(description, indent=2) + "\n").encode())
     return description
 
 

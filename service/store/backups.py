@@ -49,7 +49,6 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
         target.parent.mkdir(parents=True, exist_ok=True)
         _require_room(path, target)
         with replacing(target) as unfinished:
-            unfinished.unlink(missing_ok=True)
             _copy(path, unfinished, go_on)
             if (damage := find_damage(unfinished, go_on)) is not None:
                 raise DamagedStoreError(f"the database is damaged: {damage}")

@@ -278,7 +278,7 @@ async def test_the_secret_is_for_the_daemon_alone(
 async def test_a_disk_that_refuses_keeps_nobody_out(
     remote: httpx.AsyncClient, token: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path) -> None:
+    def refuse(path: Path, mode: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("service.api.sessions.replacing", refuse)

@@ -1,12 +1,15 @@
-"""Copies that go past the page cache are the same, whatever their size and the file system."""
+"""What is written durably is whole and harms nothing else; copies past the page cache are the same."""
 
 import errno
 import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from drivers.files.durable import BLOCK, copy_past_cache
+from drivers.files.durable import BLOCK, copy_past_cache, remove_unfinished, replacing, unfinished, write_file
 
 SIZES = [1, BLOCK - 1, BLOCK, BLOCK + 1, 300 * BLOCK + 77]
 
@@ -48,3 +51,70 @@ def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(os, "write", full)
     with pytest.raises(OSError, match="No space"):
         copy_past_cache(source, tmp_path / "target")
+
+
+@contextmanager
+def planted(path: Path, kind: str, target: Path) -> Iterator[None]:
+    """Have a link to a file of somebody else, or a pipe, where something is going to be written."""
+    target.write_text("of somebody else")
+    if kind == "link":
+        path.symlink_to(target)
+        yield
+    else:
+        os.mkfifo(path)
+        reader = os.open(path, os.O_RDWR)  # else writing would wait for ever where it should not even begin
+        try:
+            yield
+        finally:
+            os.close(reader)
+    assert target.read_text() == "of somebody else"
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_what_lies_under_the_temporary_name_is_not_written_to(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "folder" / "file"
+    path.parent.mkdir()
+    with planted(unfinished(path), kind, tmp_path / "target"):
+        with replacing(path, 0o600) as temporary:
+            temporary.write_text("content")
+        assert path.read_text() == "content"
+        assert path.stat().st_mode & 0o777 == 0o600
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_a_name_that_was_guessed_is_refused(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(secrets, "token_hex", lambda n: 2 * n * "a")
+    with (
+        planted(tmp_path / f"file.{16 * 'a'}.tmp", kind, tmp_path / "target"),
+        pytest.raises(FileExistsError),
+    ):
+        write_file(tmp_path / "file", b"content")
+    assert not (tmp_path / "file").exists()
+
+
+def test_what_was_there_under_the_name_itself_is_replaced_not_followed(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    with planted(path, "link", tmp_path / "target"):
+        write_file(path, b"content")
+        assert not path.is_symlink()
+        assert path.read_bytes() == b"content"
+
+
+def test_a_killed_process_leaves_a_file_that_goes_and_a_failed_one_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched, pytest.raises(OSError, match="No space"):
+        patched.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left")))
+        write_file(tmp_path / "file", b"content")
+    assert list(tmp_path.iterdir()) == []
+    kept = [tmp_path / name for name in ("L1.csv", "L1.csv.tmp", f"L1.{16 * 'g'}.tmp")]
+    left = tmp_path / f"L1.csv.{secrets.token_hex(8)}.tmp"
+    for path in (*kept, left):
+        path.touch()
+    (tmp_path / f"L1.csv.{16 * '0'}.tmp").mkdir()  # not ours
+    remove_unfinished(tmp_path)
+    assert not left.exists()
+    assert all(path.exists() for path in kept)

@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from support.recordings import CAMERAS, make_bundle, write_recording
 
 from drivers import gvcp
 from pipeline.frames import BundleKind
+from service.commands import synthesize
 from service.commands.simulate import command
 from service.errors import UsageError
 
@@ -114,3 +116,18 @@ def test_wrong_usage(recording_path: Path, wrong: dict[str, Any]) -> None:
 def test_more_cameras_than_were_recorded(recording_path: Path) -> None:
     with pytest.raises(UsageError, match="has 4 cameras, not 99"):
         command(recording_path, cameras=99)
+
+
+def test_a_folder_for_temporary_files_that_leads_elsewhere_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(path: Path, **options: object) -> None:
+        (path / "rendered").mkdir(parents=True)
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(synthesize, "command", nothing)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / f"stonefall-{os.getuid()}").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match="nothing in it is trusted"):
+        command(bodies="stones", count=1)
+    assert list((tmp_path / "elsewhere").iterdir()) == []

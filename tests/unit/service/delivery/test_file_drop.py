@@ -3,6 +3,7 @@
 import asyncio
 import csv
 import json
+import os
 import threading
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -13,7 +14,7 @@ from support.eventually import soon
 from support.outcomes import add, measured, trigger
 
 from service.api.lot_reports import FilesFailedError, ReportRequest, lot_files
-from service.delivery.file_drop import FileDrop, LotFiles, due_lots, open_file_drop
+from service.delivery.file_drop import ANSWER_S, RETRY_S, FileDrop, LotFiles, due_lots, open_file_drop
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.language import Language
 from service.lots.lots import LotDefinition, assign, close_lot, open_lot, void_lot
@@ -179,14 +180,14 @@ def gone(folder: Path) -> None:
 
 
 def in_the_way(folder: Path) -> None:
-    """Have a folder where the temporary file of the lot would be: no right of the user gets past it."""
-    (folder / "L1-1.csv.tmp").mkdir()
+    """Have a folder where the file of the lot would be: no right of the user gets past it."""
+    (folder / "L1-1.csv").mkdir()
 
 
 def present(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
-    if (folder / "L1-1.csv.tmp").exists():
-        (folder / "L1-1.csv.tmp").rmdir()
+    if (folder / "L1-1.csv").exists():
+        (folder / "L1-1.csv").rmdir()
 
 
 @pytest.mark.parametrize(
@@ -207,16 +208,44 @@ async def test_a_folder_that_takes_nothing_is_told_and_made_up_for(
         await soon(lambda: drop.trouble is None)
 
 
+async def test_what_somebody_plants_in_the_folder_neither_leads_elsewhere_nor_stops_anything(
+    store: Store, session: int, folder: Path
+) -> None:
+    elsewhere = folder.parent / "elsewhere"
+    elsewhere.write_text("of the daemon")
+    (folder / "L1-1.csv.tmp").symlink_to(elsewhere)
+    (folder / "L1-1.csv").symlink_to(elsewhere)
+    os.mkfifo(folder / "L2-1.csv.tmp")
+    async with dropping(await drop_of(store, settings_of(folder)), Files(store)) as drop:
+        await closed(store, session, "L1")
+        await closed(store, session, "L2")
+        await soon(lambda: (folder / "L2-1.csv").is_file() or drop.trouble is not None)
+        assert drop.trouble is None
+    assert not (folder / "L1-1.csv").is_symlink()
+    assert elsewhere.read_text() == "of the daemon"
+
+
+async def test_what_a_killed_daemon_left_in_the_folder_goes(store: Store, session: int, folder: Path) -> None:
+    (folder / f"L1-1.csv.{16 * '0'}.tmp").touch()
+    async with dropping(await drop_of(store, settings_of(folder)), Files(store)):
+        await closed(store, session, "L1")
+        await until_there(folder, "L1-1.csv")
+
+
+def test_a_folder_that_takes_nothing_is_told_within_a_minute() -> None:
+    assert ANSWER_S + RETRY_S <= 60
+
+
 async def test_a_full_folder_is_told_and_made_up_for(
     store: Store, session: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(path: Path, content: bytes) -> int:
+    def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
     drop = await drop_of(store, settings_of(folder))
     async with dropping(drop, Files(store)):
         with monkeypatch.context() as patched:
-            patched.setattr(Path, "write_bytes", full)
+            patched.setattr(os, "fsync", full)
             await closed(store, session, "L1")
             await soon(lambda: drop.trouble == f"{folder}: No space left on device")
         await until_there(folder, "L1-1.csv")
