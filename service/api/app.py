@@ -1,11 +1,12 @@
 """The REST application, assembled from its routes."""
 
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.responses import HTMLResponse
 
-from service.api.auth import require
+from service.api.auth import has_right_key, require
 from service.api.body_limit import BodyLimit
 from service.api.context import ApiContext
 from service.api.control import Control
@@ -79,7 +80,7 @@ def create_app(
     app.add_middleware(GzippedJson, reading=reading)
     app.add_middleware(ForeignPages, settings=settings)
     app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
-    app.add_middleware(PacedRequests)
+    app.add_middleware(PacedRequests, is_known=partial(has_right_key, context=app.state.context))
     app.add_middleware(Piecewise)
     app.add_middleware(RequestIds)  # the outermost: every answer has one
     return app

@@ -110,6 +110,23 @@ async def asker_of(request: Request, context: Context, credentials: Credentials)
     )
 
 
+def has_right_key(request: Request, context: ApiContext) -> bool:
+    """Return whether whoever asks may ask for something, by key, session or place; nothing is noted, nobody refused."""
+    keys = context.keys
+    keys.refresh()
+    is_local = _is_from_this_machine(request)
+    if keys.is_empty:
+        return bool(_asker_without_keys(context, is_local).scopes)
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        key: Key | None = keys.find(token.strip())
+    elif (cookie := session_cookie(request)) is not None:
+        _, key = context.sessions.find(cookie, keys.named, time.time()) or (None, None)
+    else:
+        return is_local and context.settings.loopback_reads_without_key
+    return key is not None and _refusal(key) is None
+
+
 def checked_key(request: Request, context: ApiContext, token: str) -> Key:
     """Return the key of a token that somebody shows.
 

@@ -14,6 +14,7 @@ import h11
 from h11._receivebuffer import ReceiveBuffer
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from service.api.pace import give_up_turn
 from service.api.pieces import UNSENT
 from service.api.problems import RETRY_AFTER_S, Problem, problem_document
 from service.api.version import BASE
@@ -100,6 +101,11 @@ class Connection(H11Protocol):
             )
             self.flow.pause_reading()
             self.loop.call_later(len(data) * n_such / IN_VAIN_BYTES_S, self.flow.resume_reading)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self.cycle is not None:
+            give_up_turn(self.cycle.scope["state"])
+        super().connection_lost(exc)
 
     def on_response_complete(self) -> None:
         self._began_s = self.loop.time()

@@ -36,7 +36,7 @@ class KeyGuesses:
 
         A `key` that was right from there before never waits: others behind the same proxy may guess for ever.
         """
-        origin = _origin(host)
+        origin = origin_of(host)
         if key is not None and (origin, key) in self._right:
             return 0.0
         wrong = self._wrong.get(origin)
@@ -46,7 +46,7 @@ class KeyGuesses:
 
     def note_wrong(self, host: str, now_s: float) -> None:
         """Count a key that was looked at and is not ours."""
-        origin = _origin(host)
+        origin = origin_of(host)
         before = self._wrong.pop(origin, None)
         count = before.count if before is not None and now_s < before.last_s + PAUSE_S else 0
         self._wrong[origin] = WrongKeys(count + 1, now_s)
@@ -55,7 +55,7 @@ class KeyGuesses:
 
     def note_right(self, host: str, key: str) -> None:
         """Forget the wrong keys of this address, and remember the name of its right one."""
-        origin = _origin(host)
+        origin = origin_of(host)
         self._wrong.pop(origin, None)
         self._right[origin, key] = None
         self._right.move_to_end((origin, key))
@@ -63,7 +63,7 @@ class KeyGuesses:
             self._right.popitem(last=False)
 
 
-def _origin(host: str) -> str:
+def origin_of(host: str) -> str:
     """Return what is counted as one client: an address, or a network of IPv6."""
     address = address_of(host)
     if isinstance(address, IPv6Address):
