@@ -19,6 +19,7 @@ from service.addresses import host_of, is_loopback
 from service.api.context import ApiContext, Context
 from service.api.idempotency import begin_attempt
 from service.api.key_file import StoredKey
+from service.api.key_guesses import KeyGuesses
 from service.api.key_ring import KeyRing, note_keys
 from service.api.problems import Problem
 from service.api.session_cookies import require_own_page, session_cookie
@@ -133,25 +134,23 @@ def checked_key(request: Request, context: ApiContext, token: str) -> Key:
     Raises
     ------
     Problem
-        401: there is none, or it was revoked or has expired; 429: too many wrong ones came from there.
+        401: there is none, or it was revoked or has expired; 429: there is none, after too many others from there.
     """
     key = context.keys.find(token)
-    host, now_s, guesses = _host_of(request), time.monotonic(), context.guesses
-    if (pause_s := guesses.pause_s(host, None if key is None else key.name, now_s)) > 0:
-        wait_s = math.ceil(pause_s)
-        raise Problem(
-            429,
-            "too-many-attempts",
-            f"too many wrong keys came from {host}: try again in {wait_s} s",
-            retry_after_s=wait_s,
-        )
     if key is None:
-        guesses.note_wrong(host, now_s)
-        raise Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
+        raise _wrong_key(context.guesses, _host_of(request), time.monotonic())
     if (refusal := _refusal(key)) is not None:  # whose token it is, that is no guess
         raise Problem(401, "unauthorized", refusal, headers=INVALID_TOKEN)
-    guesses.note_right(host, key.name)
     return key
+
+
+def _wrong_key(guesses: KeyGuesses, host: str, now_s: float) -> Problem:
+    if (pause_s := guesses.pause_s(host, now_s)) > 0:
+        wait_s = math.ceil(pause_s)
+        detail = f"too many wrong keys came from {host}, and this is another: try again in {wait_s} s"
+        return Problem(429, "too-many-attempts", detail, retry_after_s=wait_s)
+    guesses.note_wrong(host, now_s)
+    return Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
 
 
 def who(request: Request) -> str:

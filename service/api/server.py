@@ -67,6 +67,10 @@ def server_config(app: FastAPI, settings: ApiSettings) -> uvicorn.Config:
         log_config=None,
         access_log=False,
         server_header=False,
+        proxy_headers=bool(
+            settings.trusted_proxies
+        ),  # uvicorn's default is to believe whoever is on loopback
+        forwarded_allow_ips=list(settings.trusted_proxies),
         http=Connection,
         ws="none",
         backlog=max(1, min(MAX_ACCEPTED_AT_ONCE, max_connections() // 4)),

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from ipaddress import ip_network
 
 from service.addresses import address_of, is_host, is_loopback
 
@@ -51,6 +52,7 @@ class ApiSettings:
     allowed_hosts: tuple[str, ...] = ()  # further names by which clients ask for this service
     keys: tuple[ApiKey, ...] = ()  # more of them are made by `stonefall keys`
     without_keys: WithoutKeys = WithoutKeys.NOTHING  # only this machine may write, whatever stands here
+    trusted_proxies: tuple[str, ...] = ()  # addresses and networks whose X-Forwarded-For says who asks
     loopback_reads_without_key: bool = False  # whoever sits at this machine may look, although there are keys
     max_body_bytes: int = 1_000_000
 
@@ -60,6 +62,11 @@ class ApiSettings:
         for name in self.allowed_hosts:
             if not is_host(name):
                 raise ValueError(f"allowed_hosts: must be names or addresses without a port, not {name!r}")
+        for proxy in self.trusted_proxies:
+            try:
+                ip_network(proxy)
+            except ValueError as err:
+                raise ValueError(f"trusted_proxies: {err}") from None
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be in 0..65535, not {self.port}")
         if self.max_body_bytes < 1024:

@@ -60,8 +60,8 @@ class Served:
 
 
 @asynccontextmanager
-async def served_by(app: FastAPI) -> AsyncIterator[Served]:
-    server = RestServer(server_config(app, ApiSettings()))
+async def served_by(app: FastAPI, settings: ApiSettings | None = None) -> AsyncIterator[Served]:
+    server = RestServer(server_config(app, settings or ApiSettings()))
     with listen("127.0.0.1", 0) as listener:
         async with AsyncExitStack() as clients:
             serving = asyncio.create_task(server.serve([listener]))

@@ -124,6 +124,7 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (MINIMAL + '[api]\nhost = ""', ["api: host must be an address or a host name, not ''"]),
         (MINIMAL + '[api]\nhost = "256.1.1.1"', ["api: host must be", "not '256.1.1.1'"]),
         (MINIMAL + '[api]\nallowed_hosts = ["a:80"]', ["api: allowed_hosts: must be", "not 'a:80'"]),
+        (MINIMAL + '[api]\ntrusted_proxies = ["proxy"]', ["api: trusted_proxies: ", "'proxy'"]),
         (MINIMAL + f"[api]\nkeys = {5000 * '['}{5000 * ']'}", ["is nested too deeply"]),
         (MINIMAL + f"x = {5000 * '{a = '}1{5000 * '}'}", ["is nested too deeply"]),
         (MINIMAL + f"x = {5000 * '9'}", ["Exceeds the limit"]),
