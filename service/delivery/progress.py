@@ -12,7 +12,10 @@ JITTER = 0.1
 """Share by which a pause is longer at most: endpoints that failed together are not tried together."""
 GIVE_UP_S = 24 * 3600.0
 """Time of pauses after which an endpoint is disabled; not by the clock, which may be set meanwhile."""
-MIN_PAUSE_S = 1.0
+MIN_PAUSE_S, MAX_ASKED_PAUSE_S = 1.0, 3600.0
+"""Pauses that an endpoint can ask for."""
+FAILING_S = 900.0
+"""Time after which somebody should know that an endpoint fails."""
 ASKS_TO_WAIT = (HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE)
 
 
@@ -46,6 +49,10 @@ class Progress:
         remaining = datetime.fromisoformat(self.next_attempt_at) - now
         return min(max(remaining.total_seconds(), 0.0), GIVE_UP_S)
 
+    def is_failing(self, now: datetime) -> bool:
+        """Return whether it has taken nothing for `FAILING_S`, by its pauses and not by a clock that may be set."""
+        return self.waited_s - self.pause_s(now) >= FAILING_S
+
 
 def next_progress(
     progress: Progress, event: int, answer: Answer, now: datetime, chance: float = 0.0
@@ -66,7 +73,7 @@ def next_progress(
         return replace(failed, disabled_at=at)
     pause_s = PAUSES_S[min(progress.attempts, len(PAUSES_S) - 1)] * (1 + JITTER * chance)
     if answer.retry_after_s is not None and answer.status in ASKS_TO_WAIT:
-        pause_s = max(answer.retry_after_s, MIN_PAUSE_S)
+        pause_s = min(max(answer.retry_after_s, MIN_PAUSE_S), MAX_ASKED_PAUSE_S)
     pause_s = min(pause_s, left_s)
     return replace(
         failed,

@@ -97,11 +97,11 @@ class Webhooks:
 
     @property
     def troubles(self) -> list[str]:
-        """Which endpoints are disabled, and why."""
+        """Which endpoints are disabled or have failed for long, and why."""
         return [
-            f"{name}: disabled since {told.progress.disabled_at}: {told.progress.last_problem}"
+            f"{name}: {trouble}"
             for name, told in self._told.items()
-            if told.progress is not None and told.progress.disabled_at is not None
+            if told.progress is not None and (trouble := _trouble(told.progress, self._now())) is not None
         ]
 
     async def run(self) -> None:
@@ -244,6 +244,14 @@ class Webhooks:
             duration_ms=answer.duration_ms,
         )
         return answer, delivery
+
+
+def _trouble(progress: Progress, now: datetime) -> str | None:
+    if progress.disabled_at is not None:
+        return f"disabled since {progress.disabled_at}: {progress.last_problem}"
+    if progress.is_failing(now):
+        return f"takes nothing since {progress.failing_since}: {progress.last_problem}"
+    return None
 
 
 async def _tls_of(endpoint: WebhookEndpoint, told: _Told) -> ssl.SSLContext | None:

@@ -53,6 +53,6 @@ class Facts:
     recording_trouble: str | None = None  # why a recording ended early
     left_out: int = 0  # results whose frames were not archived
     archive_trouble: str | None = None  # why frames were not archived lately
-    webhook_troubles: Sequence[str] = ()  # endpoints that are told nothing any more
+    webhook_troubles: Sequence[str] = ()  # endpoints that take nothing, or are told nothing any more
     file_drop_trouble: str | None = None  # why files of closed lots cannot be written
     configuration: ConfigurationState | None = None  # what became of its file

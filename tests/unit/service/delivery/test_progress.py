@@ -45,11 +45,11 @@ def test_one_that_is_gone_is_disabled_at_once() -> None:
 
 
 @pytest.mark.parametrize("status", [429, 503])
-def test_retry_after_is_honoured_within_the_day(status: int) -> None:
-    for asked_s, pause_s in ((40.0, 40.0), (0.0, 1.0), (-5.0, 1.0), (1e9, 86_400.0)):
+def test_retry_after_is_honoured_up_to_an_hour(status: int) -> None:
+    for asked_s, pause_s in ((40.0, 40.0), (0.0, 1.0), (-5.0, 1.0), (999_999_999.0, 3600.0)):
         answer = Answer(status=status, problem="busy", retry_after_s=asked_s)
         assert next_progress(Progress(after=3), 4, answer, NOW).pause_s(NOW) == pause_s
-    assert sum(pauses_until_disabled(Answer(status=status, problem="busy", retry_after_s=3600))) == 86_400
+    assert sum(pauses_until_disabled(Answer(status=status, problem="busy", retry_after_s=1e9))) == 86_400
     other = Answer(status=500, problem="HTTP 500", retry_after_s=40.0)
     assert next_progress(Progress(after=3), 4, other, NOW).pause_s(NOW) == 5
 
@@ -59,6 +59,20 @@ def test_a_clock_that_is_set_back_delays_by_a_day_at_most_and_one_set_forward_di
     assert failed.pause_s(NOW - timedelta(days=400)) == 86_400
     later = next_progress(failed, 4, REFUSED, NOW + timedelta(days=400))
     assert (later.disabled_at, later.pause_s(NOW + timedelta(days=400))) == (None, 300)
+
+
+@pytest.mark.parametrize("answer", [REFUSED, Answer(status=429, problem="busy", retry_after_s=1e9)])
+def test_failures_of_fifteen_minutes_are_told_and_no_shorter_ones(answer: Answer) -> None:
+    progress, now = Progress(after=3), NOW
+    for _ in range(240):
+        if progress.pause_s(now) == 0:
+            progress = next_progress(progress, 4, answer, now)
+        assert progress.is_failing(now) == (now - NOW >= timedelta(minutes=15))
+        now += timedelta(seconds=5)
+    assert progress.is_failing(NOW - timedelta(days=1)) is False  # the clock was set; the next attempt tells
+    assert not next_progress(progress, 4, TAKEN, now).is_failing(now)
+    assert not enabled(progress).is_failing(now)
+    assert not replayed(progress, 1).is_failing(now)
 
 
 def test_what_somebody_asks_for() -> None:

@@ -82,7 +82,7 @@ async def happen(store: Store, *types: EventType) -> None:
 
 
 async def until_disabled(webhooks: Webhooks) -> None:
-    await soon(lambda: bool(webhooks.troubles))
+    await soon(lambda: any("disabled" in each for each in webhooks.troubles))
 
 
 async def until_told(webhooks: Webhooks, after: int, name: str = "mes") -> None:
@@ -158,6 +158,33 @@ async def test_after_a_day_of_failures_it_is_disabled_until_somebody_enables_it(
     assert [each.document["data"]["seq"] for each in receiver.requests[8:]] == [None, 1, 2, 3]
     assert receiver.requests[8].document["type"] == "webhook.test"
     assert receiver.ids[9] == receiver.ids[0]
+
+
+async def test_fifteen_minutes_of_failures_are_told_while_it_is_still_tried(store: Store) -> None:
+    clock, pausing = Clock(), asyncio.Event()
+
+    async def wait(event: asyncio.Event, timeout_s: float) -> None:
+        if timeout_s < 900:
+            await clock.wait(event, timeout_s)
+        else:
+            pausing.set()
+            await event.wait()
+
+    async with Receiver([answer(500)] * 3) as receiver:
+        settings = WebhooksSettings(allowed_hosts=("127.0.0.1",), endpoints=(endpoint(receiver),))
+        await open_webhooks(store, settings)
+        webhooks = Webhooks(store, settings, now=clock.now, chance=lambda: 0.0, wait=wait)
+        async with telling(webhooks), asyncio.timeout(30):
+            await happen(store, EventType.LOT_OPENED)
+            await pausing.wait()
+            assert (sum(clock.pauses_s), webhooks.troubles) == (305, [])
+            clock.time += timedelta(seconds=900 - 305)
+            assert webhooks.troubles == [
+                "mes: takes nothing since 2026-03-01T00:00:00.000Z: HTTP 500 Internal Server Error"
+            ]
+            await webhooks.enable("mes", "somebody")
+            await until_told(webhooks, 1)
+            assert webhooks.troubles == []
 
 
 async def test_one_that_is_gone_is_told_nothing_more(store: Store) -> None:
