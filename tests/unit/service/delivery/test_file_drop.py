@@ -13,8 +13,9 @@ import pytest
 from support.eventually import soon
 from support.outcomes import add, measured, trigger
 
+from service.alarms.rules import load_rules
 from service.api.lot_reports import FilesFailedError, ReportRequest, lot_files
-from service.delivery.file_drop import ANSWER_S, RETRY_S, FileDrop, LotFiles, due_lots, open_file_drop
+from service.delivery.file_drop import ANSWER_S, FileDrop, LotFiles, due_lots, open_file_drop
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.language import Language
 from service.lots.lots import LotDefinition, assign, close_lot, open_lot, void_lot
@@ -233,7 +234,7 @@ async def test_what_a_killed_daemon_left_in_the_folder_goes(store: Store, sessio
 
 
 def test_a_folder_that_takes_nothing_is_told_within_a_minute() -> None:
-    assert ANSWER_S + RETRY_S <= 60
+    assert ANSWER_S + load_rules().by_check["file_drop"].on_delay_s < 60
 
 
 async def test_a_full_folder_is_told_and_made_up_for(
