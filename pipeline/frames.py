@@ -82,7 +82,7 @@ class GateCount:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trigger:
-    """The passing of one stone through the light gate, or an exposure of the empty rig for `BACKGROUND`."""
+    """The passing of a stone through the light gate, or an exposure of the empty rig for `BACKGROUND`."""
 
     sequence: int  # counted by the gate; a gap reveals lost triggers
     received_ns: int
@@ -93,6 +93,7 @@ class Trigger:
     name: str | None = None  # of the recorded bundle, in replay
     is_announced: bool = True  # by the gate; False: made up for frames that came without, `utc` still unknown
     gate_count: GateCount | None = None  # with this trigger; None: the gate has no counter of its own
+    n_stones: int = 1  # more: as many stones together, which only the gate's counter knows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -146,6 +146,12 @@ class SimulatedGate:
             self._plan(now_ns, self._port.unplug)
             self._plan(now_ns + round(seconds * 1e9), self._power_on)
 
+    def count_unheard(self, n_stones: int, seconds: float) -> None:
+        """Go on as if `n_stones` had fallen within `seconds` in which no host listened."""
+        with self._lock:
+            self._power_on_ns -= round(seconds * 1e9)
+            self._sequence = (self._sequence + n_stones) % SEQUENCES
+
     def _plug(self) -> None:
         if self._is_powered:
             self._port.plug()

@@ -49,10 +49,11 @@ class Stone:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnmeasuredStone:
-    """A stone that fell and has no measures: rejected or lost, for a reason."""
+    """A stone that fell and has no measures, or as many as `n_stones`: rejected or lost, for a reason."""
 
     fate: Fate
     reason: str
+    n_stones: int = 1
 
 
 MEASURES = tuple(item.name for item in fields(Stone) if item.name != "quality")
@@ -118,7 +119,7 @@ def lot_of(stones: Iterable[Stone | UnmeasuredStone]) -> Lot:
     rows = []
     for stone in stones:
         if isinstance(stone, UnmeasuredStone):
-            counts[stone.fate, stone.reason] += 1
+            counts[stone.fate, stone.reason] += stone.n_stones
         else:
             counts[Fate.MEASURED, stone.quality] += 1
             rows.append(astuple(stone)[: len(MEASURES)])

@@ -334,7 +334,11 @@ class Acquisition:
                 bundle = replace(bundle, trigger=next(recorded))
                 level = logging.DEBUG if self.gate.state is DeviceState.LOST else logging.WARNING
                 log.log(
-                    level, "stone without an announcement bundle=%s views=%d", bundle.name, len(bundle.frames)
+                    level,
+                    "stone without an announcement bundle=%s views=%d stones=%d",
+                    bundle.name,
+                    len(bundle.frames),
+                    bundle.trigger.n_stones,
                 )
             self.cameras.check_bundle(bundle)
             if self.gate.state is not DeviceState.LOST:
@@ -348,10 +352,7 @@ class Acquisition:
     async def _record(
         self, triggers: Sequence[Trigger], gate_count: GateCount | None = None
     ) -> list[Trigger]:
-        """Make triggers durable in one transaction, and return them with their names.
-
-        There may be thousands that the gate counted while it did not answer.
-        """
+        """Make triggers durable in one transaction, and return them with their names."""
         named = {str(trigger.name): trigger for trigger in map(self._with_name, triggers)}
         if named:
             await self._triggers.record_triggers(self._session, named, gate_count)

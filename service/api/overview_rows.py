@@ -81,7 +81,7 @@ def overview_rows(
     counts = outcome_counts(connection, known.counts)
     midnight = rfc3339(now.replace(hour=0, minute=0, second=0, microsecond=0))
     (n_minute,) = connection.execute(
-        # by the time of the result: a replay's stones fell long ago
+        # by the time of the result: a replay's stones fell long ago; many that are one result fell at no known time
         "SELECT count(*) FROM results JOIN listed USING (seq)"
         " WHERE json_extract(record, '$.recorded_at') >= ? AND listed.kind = ?",
         (rfc3339(now - RATE_OVER), BundleKind.PARTICLE),
@@ -167,7 +167,7 @@ def _todays_counts(connection: sqlite3.Connection, midnight: str, known: TodaysC
     place = "seq > ?" if known.up_to_seq else "+seq > ?"
     n = dict(known.n)
     for outcome, count in connection.execute(
-        f"SELECT outcome, count(*) FROM listed WHERE captured_at >= ? AND {place} GROUP BY outcome",  # noqa: S608 - one of two above
+        f"SELECT outcome, sum(n) FROM listed WHERE captured_at >= ? AND {place} GROUP BY outcome",  # noqa: S608 - one of two above
         (midnight, known.up_to_seq),
     ):
         n[outcome] = n.get(outcome, 0) + count

@@ -220,12 +220,13 @@ class BundleAssembler:
 
     def _unseen(self, unseen: list[Unseen]) -> list[FrameBundle]:
         """Return bundles without frames for triggers that only the gate's counter knows."""
-        self.counters.triggers += len(unseen)
-        self.counters.incomplete += len(unseen)
-        self.counters.unseen += len(unseen)
+        n_unseen = sum(trigger.n_stones for trigger in unseen)
+        self.counters.triggers += n_unseen
+        self.counters.incomplete += n_unseen
+        self.counters.unseen += n_unseen
         return [
             FrameBundle(
-                trigger=self._unannounced(trigger.reported_ns),
+                trigger=replace(self._unannounced(trigger.reported_ns), n_stones=trigger.n_stones),
                 frames={},
                 missing=dict.fromkeys(self._camera_ids, trigger.reason),
             )

@@ -10,6 +10,9 @@ from typing import NamedTuple
 from pipeline.frames import Trigger
 from service.bundling.window import MissingReason
 
+MAX_SINGLE = 100
+"""Most stones of a gap in the gate's counter that are told one by one; those of a longer one are told as a number."""
+
 
 class _Gap(NamedTuple):
     due_ns: int  # when all frames of its triggers have come
@@ -19,10 +22,11 @@ class _Gap(NamedTuple):
 
 
 class Unseen(NamedTuple):
-    """A trigger that only the gate's counter knows."""
+    """A trigger, or as many as `n_stones`, that only the gate's counter knows."""
 
     reported_ns: int
     reason: MissingReason
+    n_stones: int
 
 
 class MissedTriggers:
@@ -70,5 +74,9 @@ class MissedTriggers:
             gap = self._gaps.popleft()
             n_explained = min(len(self._orphans_ns), gap.n_triggers)
             del self._orphans_ns[:n_explained]
-            unseen += [Unseen(gap.received_ns, gap.reason)] * (gap.n_triggers - n_explained)
+            n_unseen = gap.n_triggers - n_explained
+            if n_unseen <= MAX_SINGLE:
+                unseen += [Unseen(gap.received_ns, gap.reason, 1)] * n_unseen
+            else:
+                unseen.append(Unseen(gap.received_ns, gap.reason, n_unseen))
         return unseen

@@ -38,7 +38,7 @@ from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.background_keeping import KeptBackground
 from service.processing.bundle_files import BundleFiles
-from service.processing.left_bundles import LeftBundle, take_over
+from service.processing.left_bundles import LeftBundle, bundles_in, take_over
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
 from service.processing.processing import Processing, ProcessingContext
@@ -177,6 +177,7 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         folder=folder,
         pool=pool,
         spool=spool,
+        left=left,
         quarantine=quarantine,
         recordings=recordings,
         archive=archive,
@@ -257,17 +258,25 @@ async def _begin_session(
 async def _take_over(
     store: Store, session: int, folder: Path, camera_ids: Sequence[CameraId], quarantine: Quarantine
 ) -> list[LeftBundle]:
-    """Create the spool of this session; return what a killed daemon left to measure, and record the rest as lost."""
-    open_triggers = await store.open_triggers()
+    """Create the spool of this session; return what a killed daemon left to measure, and record the first losses.
+
+    The others are recorded beside what falls now: there may be thousands, and nothing waits for them.
+    """
+    open_triggers = await store.open_triggers(await asyncio.to_thread(bundles_in, folder))
     left = await asyncio.to_thread(take_over, folder, session, open_triggers, camera_ids, quarantine)
-    lost = await store.lose_open(
+    lost = await lose_crashed(store, left)
+    if lost or left:
+        log.error("the daemon had crashed triggers_lost=%d bundles_to_measure=%d", lost, len(left))
+    return left
+
+
+async def lose_crashed(store: Store, left: Sequence[LeftBundle]) -> int:
+    """Record a step of what a killed daemon did not measure, but what is `left`, as lost; return of how many stones."""
+    return await store.lose_open(
         LossReason.CRASH,
         "the daemon ended before this bundle was measured",
         but={(bundle.session, bundle.name) for bundle in left},
     )
-    if lost or left:
-        log.error("the daemon had crashed triggers_lost=%d bundles_to_measure=%d", lost, len(left))
-    return left
 
 
 def _open_recordings(settings: Settings, store: Store, source: RecordingSource, session: int) -> Recordings:

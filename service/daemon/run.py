@@ -18,7 +18,7 @@ from service.api.reader_process import ReaderProcess, Reading
 from service.api.report_requests import files_maker
 from service.api.server import RestServer, listen, server_config
 from service.configuration.settings import Settings
-from service.daemon.build import build
+from service.daemon.build import build, lose_crashed
 from service.daemon.reloading import Configuration
 from service.daemon.running_daemon import Daemon
 from service.daemon.stopping import StopRequests
@@ -39,6 +39,8 @@ FULL_S = 2.0
 """Pause before the store is opened again while its disk is full."""
 HELD_S = 2.0
 """Last wait for a store that is held; triggers without an outcome then are lost, reason `crash`, at the next start."""
+LOST_EVERY_S = 0.5
+"""Pause between two steps of recording what a killed daemon left open: processor and disk are for what falls now."""
 ARCHIVE_S = 5.0
 """Longest wait for frames that are still to be archived, which no result needs."""
 
@@ -79,6 +81,7 @@ async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
                 _backing_up(daemon, tasks),
                 _retaining(daemon, tasks),
                 _delivering(daemon, reading, tasks),
+                _losing_crashed(daemon, tasks),
                 _processing(daemon, tasks, requests),
                 _remeasuring(daemon),
                 _calibrating(daemon, tasks),
@@ -209,6 +212,20 @@ async def _delivering(daemon: Daemon, reading: Reading, tasks: asyncio.TaskGroup
     yield
     telling.cancel()
     dropping.cancel()
+
+
+@asynccontextmanager
+async def _losing_crashed(daemon: Daemon, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    """Record what a killed daemon did not measure, a step at a time; the next start goes on with what is left."""
+
+    async def run() -> None:
+        while n_stones := await lose_crashed(daemon.store, daemon.left):
+            log.error("the daemon had crashed triggers_lost=%d", n_stones)
+            await asyncio.sleep(LOST_EVERY_S)
+
+    losing = tasks.create_task(run())
+    yield
+    losing.cancel()
 
 
 @asynccontextmanager

@@ -4,6 +4,7 @@ import logging
 import shutil
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.lots.shifts import LotsSettings
+from service.processing.left_bundles import LeftBundle
 from service.processing.processing import Processing
 from service.processing.quarantine import Quarantine
 from service.processing.segmenters import SegmenterPlan
@@ -83,6 +85,7 @@ class Daemon:
     folder: Path  # on tmpfs, of this session, for bundles and for the workers' files
     pool: WorkerPool
     spool: Spool
+    left: Sequence[LeftBundle]  # by a killed daemon, to be measured yet when this one began
     quarantine: Quarantine
     recordings: Recordings
     archive: RawArchive

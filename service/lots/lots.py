@@ -209,7 +209,7 @@ def _lots(
 ) -> list[LotRecord]:
     rows = connection.execute(
         "SELECT state, product, version, definition, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
-        " (SELECT count(*) FROM stones WHERE stones.lot = lots.lot)"
+        " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = lots.lot)"
         f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
         (*values, limit),
     )

@@ -23,7 +23,7 @@ def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
     """Return the stone of a record; whether a replay counts is for the caller: in a store of replays it does."""
     fate = Fate(record["outcome"])
     if fate is not Fate.MEASURED:
-        return UnmeasuredStone(fate=fate, reason=record["reason"])
+        return UnmeasuredStone(fate=fate, reason=record["reason"], n_stones=record.get("n_stones") or 1)
     size_sd_mm = SURFACES * (record["surface_sd_mm"] or 0.0)
     return Stone(
         **{name: record[name] for name in MEASURES if name not in DEVIATIONS},

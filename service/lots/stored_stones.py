@@ -18,6 +18,7 @@ COLUMNS = (
     "captured_at", "outcome", "reason", "quality", "volume_mm3", "sieve_size_mm", "max_feret_mm", "min_feret_mm",
     "length_mm", "width_mm", "thickness_mm", "volume_sd_percent", "surface_sd_mm", "calibration_id",
     "algorithm_version", "is_simulated", "is_replay", "body", "refinement_fallback",
+    "n_stones",
 )  # fmt: skip
 SIZES = itemgetter(*COLUMNS[4:11])
 BODY = itemgetter("body", "refinement_fallback")

@@ -12,14 +12,16 @@ killed meanwhile leaves either the old name or the new one.
 import logging
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Self
 
 from drivers.errors import RecordingError
+from drivers.files.bundle_file import read_header
 from drivers.files.recording import read_bundle
 from drivers.interfaces import FrameLossReason
-from pipeline.frames import BundleKind, CameraId, Trigger
+from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.processing.quarantine import Quarantine
 
 log = logging.getLogger(__name__)
@@ -92,6 +94,16 @@ def take_over(
     if not left:
         remove_backgrounds(own)
     return left
+
+
+def bundles_in(folder: Path) -> set[OpenTrigger]:
+    """Return session and name of the bundles that lie in `folder`, as far as their files can be read."""
+    found = set()
+    for path in folder.glob("*/*.tiff"):
+        with suppress(RecordingError, ValueError):
+            session = _Name.read(path.stem, int(path.parent.name)).session
+            found.add((session, FrameBundle(trigger=read_header(path).trigger, frames={}).name))
+    return found
 
 
 def is_left(path: Path) -> bool:

@@ -27,7 +27,7 @@ from service.results.fields import LossReason
 log = logging.getLogger(__name__)
 
 MAX_LOSSES = 50_000
-"""Most losses that wait for a store that is held, 0.5 kB each: three hours of stones. Later ones are only counted."""
+"""Most losses that wait for a store that is held, 0.5 kB each: three hours of stones. Later ones are one a reason."""
 RECENT_S = 60.0
 """Time for which a loss is reported as trouble."""
 
@@ -81,8 +81,7 @@ class Spool:
         self._archive = archive
         self._store_trouble = store_trouble
         self._n_losses = 0  # that wait for their outcome
-        self._last_counted: SpooledBundle | None = None
-        self._n_counted = 0  # losses beyond `MAX_LOSSES`
+        self._counted: dict[tuple[BundleKind, LossReason], SpooledBundle] = {}  # losses beyond `MAX_LOSSES`
         self._offered: asyncio.Queue[FrameBundle | SpooledBundle | None] = asyncio.Queue()
         self._ready: asyncio.Queue[SpooledBundle | None] = asyncio.Queue()
         self.max_bundles = max_bundles
@@ -106,7 +105,7 @@ class Spool:
     @property
     def n_waiting(self) -> int:
         """Bundles and losses that have no outcome yet."""
-        return self.n_queued + self._n_losses + self._n_counted
+        return self.n_queued + self._n_losses + sum(each.trigger.n_stones for each in self._counted.values())
 
     def offer(self, bundle: FrameBundle) -> None:
         """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""
@@ -155,20 +154,21 @@ class Spool:
 
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:
         lost = SpooledBundle(trigger=bundle.trigger, name=bundle.name, content=loss)
-        if self._n_losses < MAX_LOSSES:
+        if self._n_losses < MAX_LOSSES or self._store_trouble() is None:  # else its trigger has no row yet
             self._n_losses += 1
             self._offered.put_nowait(lost)
         elif not lost.is_background:
-            self._last_counted = lost
-            self._n_counted += 1
+            kind = bundle.trigger.kind, loss.reason
+            known = self._counted.get(kind)
+            n_stones = bundle.trigger.n_stones + (0 if known is None else known.trigger.n_stones)
+            self._counted[kind] = replace(lost, trigger=replace(bundle.trigger, n_stones=n_stones))
 
     def _offer_counted(self) -> None:
-        """Offer the losses that were only counted: each as the last one, under a name of its own."""
-        for number in range(self._n_counted):
-            assert self._last_counted is not None  # noqa: S101 - counted above
+        """Offer the losses that were only counted: those of one reason as the last of them, with their number."""
+        for lost in self._counted.values():
             self._n_losses += 1
-            self._offered.put_nowait(replace(self._last_counted, name=f"{self._last_counted.name}-{number}"))
-        self._n_counted = 0
+            self._offered.put_nowait(replace(lost, name=f"{lost.name}-counted"))
+        self._counted = {}
 
     async def _spooled(self, bundle: FrameBundle, thread: ThreadPoolExecutor) -> SpooledBundle:
         path = self._files.take()

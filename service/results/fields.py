@@ -151,6 +151,11 @@ class Result(BaseModel):
     bundle: str = Field(description="Name of the bundle of images")
     sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
     kind: Literal["particle", "ball"] = Field(description="What was exposed")
+    n_stones: int = Field(
+        default=1,
+        description="Stones that this outcome is of: 1, but for a loss of many together, of which only the light gate's"
+        " counter knows: add them up",
+    )
     captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
     time_is_doubtful: bool | None = Field(

@@ -95,6 +95,7 @@ def _base(trigger: Trigger, bundle: str, calibration_id: str, is_simulated: bool
         "bundle": bundle,
         "sequence": trigger.sequence,
         "kind": str(trigger.kind),
+        "n_stones": trigger.n_stones,
         "captured_at": trigger.utc,
         "calibration_id": calibration_id,
         "algorithm_version": ALGORITHM_VERSION,

@@ -10,6 +10,7 @@ LEAN = frozenset(
     {
         *ALWAYS,
         "revises",
+        "n_stones",
         "captured_at",
         "recorded_at",
         "time_is_doubtful",

@@ -22,7 +22,7 @@ def outcome_counts(connection: sqlite3.Connection, known: OutcomeCounts) -> Outc
         known = OutcomeCounts()
     n = Counter(known.n)
     for outcome, reason, quality, count in connection.execute(
-        "SELECT outcome, coalesce(reason, ''), coalesce(quality, ''), count(*) FROM listed WHERE seq > ?"
+        "SELECT outcome, coalesce(reason, ''), coalesce(quality, ''), sum(n) FROM listed WHERE seq > ?"
         " GROUP BY 1, 2, 3",
         (known.up_to_seq,),
     ):
@@ -32,5 +32,5 @@ def outcome_counts(connection: sqlite3.Connection, known: OutcomeCounts) -> Outc
             "SELECT outcome, reason, quality, n FROM removed_results"
         ):
             n[outcome, reason, quality] += count
-    (in_progress,) = connection.execute("SELECT count(*) FROM triggers WHERE state = 'open'").fetchone()
-    return OutcomeCounts(up_to_seq=last_seq, n=dict(n), in_progress=in_progress)
+    (in_progress,) = connection.execute("SELECT total(n) FROM triggers WHERE state = 'open'").fetchone()
+    return OutcomeCounts(up_to_seq=last_seq, n=dict(n), in_progress=int(in_progress))

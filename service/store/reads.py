@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,16 +85,22 @@ NON_CUBICAL = (
 """Whether a stone is longer than three times its thickness; null outside of the range of the shape index."""
 
 
-def open_triggers(connection: sqlite3.Connection, live_session: int | None) -> list[tuple[int, str]]:
-    """Return session and bundle of the open triggers of sessions other than `live_session`, in their order."""
-    return connection.execute(
-        "SELECT session, bundle FROM triggers WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
-        (live_session,),
-    ).fetchall()
+def open_triggers(
+    connection: sqlite3.Connection, live_session: int | None, among: Iterable[tuple[int, str]]
+) -> list[tuple[int, str]]:
+    """Return in their order the open triggers `among` some, by session and bundle, but those of `live_session`."""
+    found: list[tuple[int, int, str]] = []
+    for session, bundle in among:
+        found += connection.execute(
+            "SELECT trigger, session, bundle FROM triggers"
+            " WHERE session = ?1 AND bundle = ?2 AND state = 'open' AND session IS NOT ?3",
+            (session, bundle, live_session),
+        )
+    return [(session, bundle) for _, session, bundle in sorted(found)]
 
 
 def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
-    """Return the gate's count noted last, and the number of triggers recorded since; None if there is nothing to miss.
+    """Return the gate's count noted last, and the number of stones recorded since; None if there is nothing to miss.
 
     A session that noted none, not even that the gate was disarmed, has not heard of the gate.
     """
@@ -105,8 +112,8 @@ def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
         return None
     noted = json.loads(row[0])
     newest = noted.pop("trigger")
-    (n_since,) = connection.execute("SELECT count(*) FROM triggers WHERE trigger > ?", (newest,)).fetchone()
-    return GateCount(**noted), n_since
+    (n_since,) = connection.execute("SELECT total(n) FROM triggers WHERE trigger > ?", (newest,)).fetchone()
+    return GateCount(**noted), int(n_since)
 
 
 def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:
@@ -217,7 +224,7 @@ def accounting(connection: sqlite3.Connection, session: int | None) -> Accountin
     )  # and of those removed
     states = dict(
         connection.execute(
-            f"SELECT state, count(*) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
+            f"SELECT state, sum(n) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
             given,
         ).fetchall()
     )
@@ -226,7 +233,7 @@ def accounting(connection: sqlite3.Connection, session: int | None) -> Accountin
     qualities: dict[str, int] = {}
     n_removed = 0
     for outcome, reason, quality, count, removed in connection.execute(
-        f"SELECT outcome, reason, quality, count(*), 0 FROM listed WHERE {condition}"  # noqa: S608 - as above
+        f"SELECT outcome, reason, quality, sum(n), 0 FROM listed WHERE {condition}"  # noqa: S608 - as above
         " GROUP BY outcome, reason, quality UNION ALL"
         f" SELECT outcome, reason, quality, n, n FROM removed_results WHERE {condition}",
         given + given,

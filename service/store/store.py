@@ -8,7 +8,7 @@ import asyncio
 import logging
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -40,6 +40,8 @@ POLL_S = 0.05
 """Time between two looks at whether the disk refuses to write."""
 MAX_NOTES = 1000
 """Entries of the audit that wait for a disk that refuses to write; more are in the log alone."""
+MAX_LOST = 1000
+"""Triggers that are ended as lost in one transaction: results wait for it a tenth of a second at most."""
 READERS = 2
 """Queries at a time: those of a hundred clients do not slow down the measuring."""
 
@@ -246,15 +248,24 @@ class Store:
         """Return the newest copy of the database that was made by `back_up`, None if there is none."""
         return max(history.backups_in(self.dir), default=None)
 
-    async def open_triggers(self) -> list[tuple[int, str]]:
-        """Return session and bundle of every trigger that an earlier session left open, in their order."""
-        return await self.read(reads.open_triggers, self._session)
+    async def open_triggers(self, among: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
+        """Return which triggers `among` some (session and bundle) an earlier session left open, in their order."""
+        return await self.read(reads.open_triggers, self._session, among)
 
     async def lose_open(
-        self, reason: LossReason, detail: str, but: Collection[tuple[int, str]] = frozenset()
+        self,
+        reason: LossReason,
+        detail: str,
+        but: Collection[tuple[int, str]] = frozenset(),
+        most: int = MAX_LOST,
     ) -> int:
-        """End as `lost` every trigger that an earlier session left open, `but` some; return how many these were."""
-        return await self.write(writes.lose_open, self.particles_dir, self._session, reason, detail, but)
+        """End as `lost` triggers that an earlier session left open, `but` some; return of how many stones.
+
+        These are the first `most` of them; nothing is left when it returns 0.
+        """
+        return await self.write(
+            writes.lose_open, self.particles_dir, self._session, reason, detail, but, most
+        )
 
     async def accounting(self, session: int | None = None) -> Accounting:
         """Return the counts of one session, or of the whole history."""

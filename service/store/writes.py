@@ -98,7 +98,7 @@ def record_triggers(
     """Record triggers by the names of their bundles, without an outcome yet, and the gate's count at the last."""
     with transaction(connection):
         for bundle, trigger in triggers.items():
-            _record(connection, session, bundle, trigger.sequence, trigger.kind, trigger.utc)
+            _record(connection, session, bundle, trigger)
         if gate_count is not None:
             _note_gate_count(connection, session, asdict(gate_count))
 
@@ -152,26 +152,25 @@ def lose_open(
     live_session: int | None,
     reason: LossReason,
     detail: str,
-    but: Collection[tuple[int, str]] = frozenset(),
+    but: Collection[tuple[int, str]],
+    most: int,
 ) -> int:
-    """End as `lost` all open triggers of sessions other than `live_session`; return how many these were.
+    """End as `lost` the first `most` open triggers of sessions other than `live_session`; return of how many stones.
 
     `but` are left open, by session and bundle: they are measured yet.
     """
     with transaction(connection):
         rows = connection.execute(
-            "SELECT trigger, session, bundle, info, sequence, kind, captured_at"
+            "SELECT trigger, session, bundle, info, sequence, kind, captured_at, n"
             " FROM triggers JOIN sessions USING (session)"
-            " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger",
-            (live_session,),
+            " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger LIMIT ?",
+            (live_session, most + len(but)),
         ).fetchall()
-        lost = [row for row in rows if row[1:3] not in but]
-        for trigger, _, bundle, info_text, sequence, kind, captured_at in lost:
+        lost = [row for row in rows if row[1:3] not in but][:most]
+        for trigger, _, bundle, info_text, sequence, kind, captured_at, n_stones in lost:
             info = json.loads(info_text)
             record = lost_record(
-                Trigger(
-                    sequence=sequence, received_ns=0, device_ns=0, utc=captured_at, kind=BundleKind(kind)
-                ),
+                _trigger(sequence, BundleKind(kind), captured_at, n_stones),
                 bundle=bundle,
                 reason=reason,
                 detail=detail,
@@ -179,28 +178,33 @@ def lose_open(
                 is_simulated=info.get("is_simulated"),
             )
             _end(connection, particles_dir, trigger, record, {})
-    return len(lost)
+    return sum(n_stones for *_, n_stones in lost)
 
 
 def _record_late(connection: sqlite3.Connection, session: int, bundle: str, record: Mapping[str, Any]) -> int:
     if record.get("captured_at") is None:
         raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
-    kind = BundleKind(record["kind"])
-    return _record(connection, session, bundle, record["sequence"], kind, record["captured_at"])
+    kind, n_stones = BundleKind(record["kind"]), record.get("n_stones", 1)
+    return _record(
+        connection, session, bundle, _trigger(record["sequence"], kind, record["captured_at"], n_stones)
+    )
 
 
-def _record(
-    connection: sqlite3.Connection, session: int, bundle: str, sequence: int, kind: BundleKind, utc: str
-) -> int:
+def _trigger(sequence: int, kind: BundleKind, utc: str, n_stones: int) -> Trigger:
+    """Return a trigger as far as the database knows it."""
+    return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind, n_stones=n_stones)
+
+
+def _record(connection: sqlite3.Connection, session: int, bundle: str, trigger: Trigger) -> int:
     """Insert a trigger without an outcome and return its number."""
-    state = "background" if kind is BundleKind.BACKGROUND else "open"
-    (trigger,) = connection.execute(
-        "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state, lot)"
-        " VALUES (?1, ?2, ?3, ?4, ?5, ?6,"
+    state = "background" if trigger.kind is BundleKind.BACKGROUND else "open"
+    (number,) = connection.execute(
+        "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state, n, lot)"
+        " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7,"
         " iif(?4 = 'particle', (SELECT lot FROM lots WHERE state = 'open'), NULL)) RETURNING trigger",
-        (session, bundle, sequence, kind, rfc3339(utc), state),
+        (session, bundle, trigger.sequence, trigger.kind, rfc3339(trigger.utc), state, trigger.n_stones),
     ).fetchone()
-    return int(trigger)
+    return int(number)
 
 
 def _end(
@@ -210,8 +214,8 @@ def _end(
     record: Mapping[str, Any],
     files: Mapping[str, Path],
 ) -> int:
-    session, bundle, sequence, kind, captured_at, is_replay = connection.execute(
-        f"SELECT session, bundle, sequence, kind, captured_at, {IS_REPLAY}"  # noqa: S608 - a constant
+    session, bundle, sequence, kind, captured_at, n_stones, is_replay = connection.execute(
+        f"SELECT session, bundle, sequence, kind, captured_at, n, {IS_REPLAY}"  # noqa: S608 - a constant
         " FROM triggers JOIN sessions USING (session) WHERE trigger = ?",
         (trigger,),
     ).fetchone()
@@ -231,6 +235,7 @@ def _end(
         "bundle": bundle,
         "sequence": sequence,
         "kind": kind,
+        "n_stones": n_stones,
         "captured_at": captured_at,
         "recorded_at": recorded_at,
         "time_is_doubtful": is_of_unset_clock(min(captured_at, recorded_at)),

@@ -20,6 +20,7 @@ class Stretch:
     """What fell within a time."""
 
     n_stones: int
+    n_timed: int  # of these, all but stones that were counted together: when each fell is not known
     n_measured: int
     lot: Lot  # in the order of time; of many stones every so many
 
@@ -31,8 +32,9 @@ def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: 
     """
     rows, time = _rows_and_time(connection)
     within = f"FROM {rows} WHERE {time} >= ? AND {time} < ?"
-    n_stones, n_measured = connection.execute(
-        f"SELECT count(*), coalesce(sum(stones.outcome = 'measured'), 0) {within}",
+    n_stones, n_timed, n_measured = connection.execute(
+        "SELECT coalesce(sum(stones.n_stones), 0), coalesce(sum(stones.n_stones = 1), 0),"
+        f" coalesce(sum(stones.outcome = 'measured'), 0) {within}",
         (since, until),
     ).fetchone()
     measures = connection.execute(
@@ -40,18 +42,19 @@ def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: 
         f" AND stones.outcome = 'measured' AND stones.seq % ? = 0 ORDER BY {time}, stones.seq",
         (since, until, -(-n_measured // max_stones) or 1),
     ).fetchall()
-    return Stretch(n_stones=n_stones, n_measured=n_measured, lot=lot_of_columns(measures))
+    return Stretch(n_stones=n_stones, n_timed=n_timed, n_measured=n_measured, lot=lot_of_columns(measures))
 
 
 def times_of(connection: sqlite3.Connection, since: str, until: str) -> Values:
     """Return when stones fell from `since` to before `until`, whatever became of them, in seconds since 1970, rising.
 
-    To some tens of microseconds; of a replay when their results came.
+    To some tens of microseconds; of a replay when their results came. Stones that were counted together, at times that
+    are not known, are left out.
     """
     rows, time = _rows_and_time(connection)
     found = connection.execute(
         f"SELECT (julianday({time}) - 2440587.5) * 86400 FROM {rows}"  # noqa: S608 - constants
-        f" WHERE {time} >= ? AND {time} < ? ORDER BY {time}",
+        f" WHERE {time} >= ? AND {time} < ? AND stones.n_stones = 1 ORDER BY {time}",
         (since, until),
     )
     return np.fromiter((second for (second,) in found), float)

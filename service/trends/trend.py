@@ -37,7 +37,10 @@ class TrendBucket(Report):
     until: str = Field(description="End; of the last one it is now", json_schema_extra=TIME)
     n_stones: int = Field(description="Stones that fell, whatever became of them")
     measured: int = Field(description="Stones with a body and its measures")
-    stones_per_min: float = Field(description="Stones that fell, over the whole time of the bucket, 1/min")
+    stones_per_min: float = Field(
+        description="Stones that fell, over the whole time of the bucket, 1/min; those of which only the light gate's"
+        " counter knows, many in one result, are left out: when each of them fell is not known"
+    )
     d50_mm: Figure = Field(
         description="Size that half of the mass is smaller than, from the stones themselves, mm"
     )
@@ -122,7 +125,7 @@ def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: Me
         until=until,
         n_stones=found.n_stones,
         measured=found.n_measured,
-        stones_per_min=found.n_stones / (lasted / timedelta(minutes=1)),
+        stones_per_min=found.n_timed / (lasted / timedelta(minutes=1)),
         d50_mm=d50,
         flakiness_percent=flakiness,
         shape_percent=shape,

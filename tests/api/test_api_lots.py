@@ -1,5 +1,7 @@
 """Products, lots and their figures over REST."""
 
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,9 @@ from support.outcomes import add, rejected, trigger
 from support.rest import FakeControl, app_of, assert_problem, client_of, particle_files
 
 from pipeline.frames import BundleKind
+from service.api.overview_rows import Rows, overview_rows
 from service.api.settings import ApiKey, ApiSettings, Scope
+from service.results.record import lost_record
 from service.results.refinement import RUSH
 from service.store import Store
 
@@ -63,6 +67,33 @@ async def test_the_name_of_a_lot_is_safe_in_urls_shells_and_file_systems(client:
     answer = await client.post("/lots", json={"lot": "l-1.2_X", "product": "basalt-8-16"})
     assert_problem(answer, 409, "lot-conflict")
     assert "L-1.2_x" in answer.json()["detail"]
+
+
+@pytest.mark.usefixtures("product")
+async def test_stones_that_only_the_gate_counted_are_counted_everywhere(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    assert (await opened(client)).status_code == 201
+    await add(store, session, 1, stone(10.0))
+    gap = replace(trigger(2), n_stones=1_000_000)
+    await store.record_triggers(session, {"gap": gap})
+    record = lost_record(gap, bundle="gap", reason="down", detail="", calibration_id="0", is_simulated=True)
+    await store.finish(session, "gap", record)
+    figures = (await client.get("/lots/L1/gradation")).json()
+    assert (figures["triggers"], figures["measured"], figures["lost"]) == (1_000_001, 1, 1_000_000)
+    assert figures["unmeasured"]["by_reason"] == {"lost: down": 1_000_000}
+    assert (await client.get("/lots/L1")).json()["n_stones"] == 1_000_001
+    balance = (await client.get("/accounting")).json()
+    assert (balance["triggers"], balance["lost"], balance["by_reason"]) == (1_000_001, 10**6, {"down": 10**6})
+    assert (
+        'stonefall_stones_total{outcome="lost",quality="",reason="down"} 1e+06'
+        in (await client.get("/metrics")).text
+    )
+    rows = await store.read(overview_rows, session, datetime.now().astimezone(), True, Rows())
+    assert rows.accounting.lost == 1_000_000
+    assert rows.stones_per_min == 2  # when each of them fell is not known
+    items = (await client.get("/results?fields=n_stones,outcome")).json()["items"]
+    assert [(item["outcome"], item["n_stones"]) for item in items] == [("measured", 1), ("lost", 1_000_000)]
 
 
 @pytest.mark.usefixtures("product")

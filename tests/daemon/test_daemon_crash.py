@@ -1,5 +1,6 @@
 """The real process killed, its workers killed, its folder on tmpfs deleted: what it costs, and who is told."""
 
+import asyncio
 import os
 import shutil
 import signal
@@ -12,10 +13,13 @@ import pytest
 from support.daemon_process import DaemonProcess, descendants_of, is_running
 from support.eventually import eventually
 from support.left_in_spool import open_triggers, whole_bundles
+from support.outcomes import trigger
 from support.small_recording import write_small_recording
 
 from drivers.files.recording import read_bundle
 from pipeline.frames import CameraId
+from service.store import open_store
+from service.store.store import MAX_LOST
 
 LOOP = "loop = true\nspeed = 2.0"
 CAMERAS = tuple(CameraId(f"c{number:02d}") for number in range(1, 17))
@@ -78,6 +82,25 @@ def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
         stone = name.split("-", 1)[0]
         assert any(abs(twin["sieve_size_mm"] - seen["sieve_size_mm"]) < 0.05 for twin in twins), stone
     assert list((tmp_path / "spool").iterdir()) == []
+
+
+@pytest.mark.full
+def test_thousands_of_open_triggers_delay_no_start_and_each_is_lost(recording: Path, tmp_path: Path) -> None:
+    n_open = 2 * MAX_LOST + 1
+    asyncio.run(leave_open(tmp_path / "state", n_open))
+    with DaemonProcess(tmp_path, recording, rig=LOOP) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/accounting?session=2", lambda now: now["measured"] >= 1)
+        counts = daemon.wait_for("/accounting?session=1", lambda now: now["in_progress"] == 0)
+        assert (counts["triggers"], counts["by_reason"]) == (n_open, {"crash": n_open})
+        assert daemon.stop() == 0
+
+
+async def leave_open(state_dir: Path, n_open: int) -> None:
+    """Leave a store as a daemon does that is killed before these stones have their outcome."""
+    with open_store(state_dir) as store:
+        session = await store.begin_session({"is_replay": True, "is_simulated": True})
+        await store.record_triggers(session, {f"{number}": trigger(number) for number in range(n_open)})
 
 
 @pytest.mark.full

@@ -68,6 +68,41 @@ def test_after_a_kill_the_next_daemon_is_armed_and_misses_nothing(tmp_path: Path
             assert before.triggers + counts["triggers"] == live.last_seq()
 
 
+@pytest.mark.full
+def test_millions_that_the_gate_counted_alone_are_one_entry_and_delay_nothing(
+    tmp_path: Path, recording: Path
+) -> None:
+    many, hours = 10_000_000, 700
+    with simulated_rig(tmp_path, recording, number=6) as rig:
+        section = live_section(rig, tmp_path, recording, by_address=True, at_start=2)
+        with DaemonProcess(tmp_path, recording, rig=section) as daemon:
+            daemon.hear("READY=1")
+            live = LiveRig(rig, daemon)
+            live.wait_until_whole()
+            daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
+            live.measure_until_whole()
+            daemon.process.kill()
+            daemon.process.wait()
+        rig.gate.count_unheard(many, hours * 3600)  # while no daemon runs
+        with DaemonProcess(tmp_path, recording, rig=section) as daemon:
+            daemon.hear("READY=1")
+            live = LiveRig(rig, daemon)
+            live.wait_until_whole()
+            daemon.wait_for("/accounting", lambda now: now["by_reason"].get("down", 0) >= many)
+            live.measure_until_whole()
+            rig.gate.unplug()
+            eventually(lambda: live.acquisition()["gate"] == "lost", "the gate is lost")
+            rig.gate.count_unheard(many, hours * 3600)  # while its plug is pulled
+            rig.gate.plug()
+            counts = daemon.wait_for("/accounting", lambda now: now["by_reason"].get("no_frames", 0) >= many)
+            assert counts["is_balanced"]
+            live.measure_until_whole()
+            assert [each["n_stones"] for each in live.results(0) if each["n_stones"] > 1] == [many, many]
+            assert daemon.stop() == 0
+        every = accounting_in(tmp_path, 1).triggers + accounting_in(tmp_path, 2).triggers
+        assert every == 2 * many + rig.gate.counters.edges
+
+
 def whole_views(results: list[dict[str, Any]]) -> list[int]:
     return [len(result["views"]) for result in results if result["outcome"] == "measured"]
 

@@ -7,14 +7,15 @@ from drivers.errors import RecordingError
 from drivers.files.recording import read_bundle
 from drivers.interfaces import FrameLossReason
 from pipeline.frames import CameraId
-from service.store import reads
 from service.store.schema import connect_reader
 
 
 def open_triggers(folder: Path) -> list[tuple[int, str]]:
     """Return session and bundle of each trigger in the store of the daemon's folder that has no outcome."""
     with connect_reader(folder / "state/results.sqlite") as connection:
-        return reads.open_triggers(connection, None)
+        return connection.execute(
+            "SELECT session, bundle FROM triggers WHERE state = 'open' ORDER BY trigger"
+        ).fetchall()
 
 
 def whole_bundles(folder: Path, cameras: Sequence[CameraId]) -> set[tuple[int, str]]:

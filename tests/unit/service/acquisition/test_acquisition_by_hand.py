@@ -1,7 +1,5 @@
 """What is told late, in numbers or never, to an acquisition whose devices and clock are the test's."""
 
-import asyncio
-
 import numpy as np
 import pytest
 from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
@@ -107,16 +105,18 @@ async def test_what_held_a_rig_that_is_disarmed_holds_it_no_longer():
         assert acquisition.trouble is None
 
 
-async def test_what_only_the_counter_saw_is_recorded_at_once():
+@pytest.mark.parametrize(("count", "n_bundles"), [(100, 100), (10_000_000, 1)])
+async def test_what_only_the_counter_saw_is_recorded_at_once(count: int, n_bundles: int):
     bench = HandBench()
-    async with armed(bench):
+    async with armed(bench) as acquisition:
         assert bench.gate.sink is not None
-        bench.gate.sink.deliver(TriggersLost(received_ns=bench.now_ns, count=500, reason="gap"))
-        await asyncio.sleep(0.1)
+        bench.gate.sink.deliver(TriggersLost(received_ns=bench.now_ns, count=count, reason="gap"))
+        await bench.until(lambda: acquisition.counters.triggers_lost == count)
         bench.now_ns += 10 * DELAY_NS
-        await bench.until(lambda: len(bench.bundles) == 500)
+        await bench.until(lambda: len(bench.bundles) == n_bundles)
     assert bench.n_records == 1
-    assert len({name for kind, name in bench.told if kind == "trigger"}) == 500
+    assert len({name for kind, name in bench.told if kind == "trigger"}) == n_bundles
+    assert sum(bundle.trigger.n_stones for bundle in bench.bundles) == count
 
 
 async def test_the_gates_count_is_noted_when_everything_before_it_is_recorded():

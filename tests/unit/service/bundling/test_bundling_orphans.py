@@ -17,6 +17,7 @@ from support.bundling import (
 
 from drivers.interfaces import TriggersLost
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
+from service.bundling.missed_triggers import MAX_SINGLE
 from service.bundling.parameters import BundlingParameters
 
 
@@ -161,3 +162,25 @@ def test_a_flood_of_late_frames_makes_no_stone_of_its_own() -> None:
     assert feed_all(assembler, late) + assembler.advance(5000 * MS) == []
     assert [assembler.counters.cameras[camera].late for camera in CAMERAS] == [1, 1, 1]
     assert assembler.counters.orphans == 0
+
+
+def test_a_long_gap_is_one_bundle_with_a_number_and_a_short_one_a_bundle_for_each_stone() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    for count, n_bundles in ((10_000_000, 1), (MAX_SINGLE, MAX_SINGLE), (MAX_SINGLE + 1, 1)):
+        feed_all(assembler, [TriggersLost(received_ns=0, count=count, reason="gap", while_down=True)])
+        bundles = assembler.advance(1000 * MS)
+        assert len(bundles) == n_bundles
+        assert sum(bundle.trigger.n_stones for bundle in bundles) == count
+        assert {reason for bundle in bundles for reason in bundle.missing.values()} == {"down"}
+    total = 10_000_000 + 2 * MAX_SINGLE + 1
+    counters = assembler.counters
+    assert (counters.triggers, counters.incomplete, counters.unseen) == (total, total, total)
+
+
+def test_orphans_explain_some_stones_of_a_long_gap() -> None:
+    assembler = BundleAssembler(CAMERAS, PARAMETERS)
+    feed_all(assembler, [frame(camera, 0, DELAY_NS) for camera in CAMERAS])
+    (orphan,) = assembler.advance(1000 * MS)
+    feed_all(assembler, [TriggersLost(received_ns=1000 * MS, count=1001, reason="gap")])
+    (rest,) = assembler.advance(2000 * MS)
+    assert (orphan.trigger.n_stones, rest.trigger.n_stones) == (1, 1000)

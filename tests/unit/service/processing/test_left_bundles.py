@@ -8,7 +8,7 @@ import pytest
 from drivers.files.bundle_file import overwrite_bundle
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.processing.left_bundles import MAX_DEATHS, LeftBundle, job_folder, take_over
+from service.processing.left_bundles import MAX_DEATHS, LeftBundle, bundles_in, job_folder, take_over
 from service.processing.quarantine import MAX_BUNDLES, Quarantine
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))
@@ -55,6 +55,7 @@ def test_bundles_of_open_triggers_are_taken_over_in_their_order(spool: Spool) ->
     spool.write(4, 1, "b")
     spool.write(4, 3, "measured")
     spool.write(4, 4, "empty rig", BundleKind.BACKGROUND)
+    assert bundles_in(spool.folder) == {(4, name) for name in ("a", "b", "measured", "empty rig")}
     assert spool.take_over(5, (3, "b"), (4, "a"), (4, "never written"), (4, "b")) == [(4, "a"), (4, "b")]
     assert spool.names(5) == ["left-4-0-00000001.tiff", "left-4-0-00000002.tiff"]
     assert [bundle.trigger.sequence for bundle in spool.left] == [2, 1]
@@ -65,6 +66,7 @@ def test_what_is_left_of_several_sessions_keeps_its_session(spool: Spool) -> Non
     spool.write(4, 1, "a")
     assert spool.take_over(5, (4, "a")) == [(4, "a")]
     spool.write(5, 1, "a")
+    assert bundles_in(spool.folder) == {(4, "a"), (5, "a")}
     assert spool.take_over(6, (4, "a"), (5, "a")) == [(4, "a"), (5, "a")]
     assert spool.names(6) == ["left-4-0-00000001.tiff", "left-5-0-00000001.tiff"]
     assert spool.take_over(7, (5, "a")) == [(5, "a")]

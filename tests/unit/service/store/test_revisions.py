@@ -180,7 +180,8 @@ async def test_stones_of_an_earlier_schema_tell_their_bodies_as_far_as_their_rec
             INSERT INTO sessions SELECT * FROM today.sessions;
             INSERT INTO products SELECT * FROM today.products;
             INSERT INTO lots SELECT * FROM today.lots;
-            INSERT INTO triggers SELECT * FROM today.triggers;
+            INSERT INTO triggers
+                SELECT trigger, session, bundle, sequence, kind, captured_at, state, lot FROM today.triggers;
             INSERT INTO results (seq, id, trigger, session, record)
                 SELECT seq, id, trigger, session, record FROM today.results;
             INSERT INTO revisions SELECT * FROM today.revisions;

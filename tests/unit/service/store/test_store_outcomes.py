@@ -4,6 +4,8 @@ import asyncio
 import sqlite3
 import threading
 from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 
@@ -16,9 +18,12 @@ from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, GateCount, rfc3339
 from service.errors import StoreError
 from service.lots.stored_stones import stones_between
-from service.results.fields import Result
+from service.results.fields import LossReason, Result
+from service.results.record import lost_record
 from service.results.version import ALGORITHM_VERSION
 from service.store import ParticleFilter, Store, open_store, writes
+from service.store.outcome_counts import OutcomeCounts, outcome_counts
+from service.store.retention import RetentionLimits, remove_results
 from service.store.writes import NOTE_EVERY
 
 
@@ -113,11 +118,12 @@ async def test_triggers_that_are_measured_yet_stay_open(state_dir: Path) -> None
         await store.record_triggers(old, {name: trigger(1) for name in ("b", "a", "c")})
         new = await store.begin_session({})
         await store.record_triggers(new, {"a": trigger(1)})
-        assert await store.open_triggers() == [(old, "b"), (old, "a"), (old, "c")]
+        left = [(old, "a"), (old, "b"), (old, "gone"), (new, "a")]
+        assert await store.open_triggers(left) == [(old, "b"), (old, "a")]
         assert await store.lose_open("crash", "killed", but={(old, "a")}) == 2
-        assert await store.open_triggers() == [(old, "a")]
+        assert await store.open_triggers(left) == [(old, "a")]
         await store.finish(old, "a", measured())
-        assert await store.open_triggers() == []
+        assert await store.open_triggers(left) == []
         counts = await store.accounting(old)
         assert (counts.measured, counts.lost) == (1, 2)
 
@@ -379,3 +385,77 @@ async def test_results_by_a_clock_that_was_not_set_are_marked_and_stay_so(
     with closing(open_store(state_dir)) as store:
         records = (await store.results_after(0, 10)).items
         assert [record["time_is_doubtful"] for record in records] == [True, False]
+
+
+MANY = 10_000_000
+
+
+def lost_together(n_stones: int) -> dict[str, object]:
+    """Return the record of stones that the gate counted while no daemon ran."""
+    return lost_record(
+        replace(trigger(7), n_stones=n_stones),
+        bundle="gap",
+        reason=LossReason.DOWN,
+        detail="",
+        calibration_id="0123",
+        is_simulated=True,
+    )
+
+
+async def balance(store: Store) -> tuple[int, int, int]:
+    """Return how many triggers there are, how many of them were lost and are open, wherever it is said."""
+    counts = await store.accounting()
+    assert counts.is_balanced
+    assert counts.by_reason.get("down", 0) == counts.lost
+    outcomes = await store.read(outcome_counts, OutcomeCounts())
+    assert (sum(outcomes.n.values()), outcomes.in_progress) == (counts.lost, counts.in_progress)
+    return counts.triggers, counts.lost, counts.in_progress
+
+
+async def test_one_entry_with_a_number_counts_as_so_many_stones(store: Store, session: int) -> None:
+    await store.record_triggers(session, {"gap": replace(trigger(7), n_stones=MANY)})
+    assert await balance(store) == (MANY, 0, MANY)
+    await store.finish(session, "gap", lost_together(MANY))
+    assert await balance(store) == (MANY, MANY, 0)
+    (entry,) = (await store.results_after(0, 10)).items
+    assert (entry["seq"], entry["outcome"], entry["n_stones"]) == (1, "lost", MANY)
+    assert Result.model_validate(entry, strict=True).n_stones == MANY
+    await store.finish(session, "late", {**lost_together(3), "bundle": "late"})  # without a row of its own
+    assert await balance(store) == (MANY + 3, MANY + 3, 0)
+    stones = await store.read(stones_between, "2000", "3000")
+    assert sum(each.n_stones for each in stones.stones) == MANY + 3
+
+
+async def test_a_removed_entry_with_a_number_is_still_counted(store: Store, session: int) -> None:
+    for sequence in (1, 2):
+        await store.record_triggers(session, {f"{sequence}": replace(trigger(sequence), n_stones=MANY)})
+        await store.finish(session, f"{sequence}", lost_together(MANY))
+    await store.write(remove_results, RetentionLimits(results_days=1), datetime(2027, 1, 1, tzinfo=UTC))
+    assert len((await store.results_after(0, 10)).items) == 1
+    assert await balance(store) == (2 * MANY, 2 * MANY, 0)
+
+
+async def test_a_kill_before_its_outcome_loses_none_of_its_stones(state_dir: Path) -> None:
+    count = GateCount(gate="a,b,1", sequence=7, device_us=7)
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        session = await store.begin_session({})
+        await store.record_triggers(session, {"1": trigger(1)}, count)
+        await store.record_triggers(session, {"gap": replace(trigger(7), n_stones=MANY)})
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        await store.begin_session({})
+        assert await store.gate_count() == (count, MANY)  # the gate's count from there on is known to be lost
+        assert await store.lose_open(LossReason.CRASH, "killed") == MANY + 1
+        counts = await store.accounting()
+    assert (counts.triggers, counts.lost, counts.by_reason) == (MANY + 1, MANY + 1, {"crash": MANY + 1})
+
+
+async def test_open_triggers_are_lost_in_steps_of_which_each_is_whole(state_dir: Path) -> None:
+    with await asyncio.to_thread(open_store, state_dir) as store:
+        old = await store.begin_session({})
+        await store.record_triggers(old, {str(number): trigger(1) for number in range(9)})
+        await store.begin_session({})
+        lost = [await store.lose_open("crash", "killed", but={(old, "1"), (old, "8")}, most=3) for _ in "123"]
+        assert lost == [3, 3, 1]
+        items = (await store.results_after(0, 10)).items
+        assert [item["bundle"] for item in items] == ["0", "2", "3", "4", "5", "6", "7"]
+        assert (await store.accounting()).in_progress == 2
