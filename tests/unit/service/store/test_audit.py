@@ -4,6 +4,7 @@ import sqlite3
 from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 from support.configurations import REPLAY
@@ -21,9 +22,13 @@ def tamper(state_dir: Path, statement: str) -> None:
     with closing(sqlite3.connect(state_dir / "results.sqlite")) as other:
         with pytest.raises(sqlite3.IntegrityError, match="never edited"):
             other.execute(statement)
-        other.execute("DROP TRIGGER audit_is_not_edited")
-        other.execute("DROP TRIGGER audit_is_not_deleted")
+        guards = "FROM sqlite_schema WHERE name IN ('audit_is_not_edited', 'audit_is_not_deleted')"
+        there = other.execute(f"SELECT name, sql {guards}").fetchall()
+        for name, _ in there:
+            other.execute(f"DROP TRIGGER {name}")
         other.execute(statement)
+        for _, creation in there:
+            other.execute(creation)
         other.commit()
 
 
@@ -90,7 +95,7 @@ async def test_tokens_in_the_audit_of_an_old_store_go_and_its_chain_says_what_it
     tmp_path: Path, statement: str | None, broken_at: int | None
 ) -> None:
     with closing(old_store(tmp_path, 12)) as old:
-        old.execute("INSERT INTO store (one, instance_id) VALUES (1, 'an-old-history')")
+        old.execute("INSERT INTO store (one, instance_id) VALUES (1, ?)", (str(UUID(int=1)),))
         for token in ("the-first", "another"):
             audit.note(old, "key mes", "lot opened", "L1", after={"remark": "http://wiki/a/b"})
             facts = {"webhooks.endpoints": [{"url": f"https://mes/hook/{token}?token={token}"}]}

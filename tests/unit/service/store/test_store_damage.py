@@ -73,7 +73,7 @@ async def start_and_serve(state_dir: Path) -> list[str]:
     with await asyncio.to_thread(open_store, state_dir) as store:
         async with asyncio.timeout(30):  # a store that is held waits
             session = await store.begin_session(INFO)
-            await store.open_triggers()
+            await store.open_triggers([])
             await store.lose_open(LossReason.CRASH, "the daemon ended")
             await store.gate_count()
             await open_alarms(store, EventLog(store))
