@@ -20,7 +20,7 @@ from drivers.gates.firing import FiringGate
 from drivers.gates.gpio import GpioGate, GpioGateSettings
 from drivers.gates.modem_line import ModemLineGate, ModemLineSettings
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
-from drivers.interfaces import Camera, LightGate
+from drivers.interfaces import Camera, CameraProcessStatus, LightGate
 from drivers.replay.belt import Pace, ReplayBelt
 from drivers.replay.camera import ReplayCamera
 from drivers.replay.gate import ReplayGate
@@ -67,6 +67,8 @@ class Devices:
     """Whether the images are synthetic."""
     close: Callable[[], None] = lambda: None
     """To be called at the end, when all devices are closed; may take as long as a camera takes to close."""
+    camera_process: Callable[[], CameraProcessStatus] = CameraProcessStatus
+    """How the process is that the library of the cameras runs in, if there is one; never blocks."""
 
 
 def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
@@ -108,7 +110,13 @@ def _live_devices(backend: AravisBackend) -> Devices:
             gate = FiringGate(gate, SoftwareTrigger([camera.software_trigger for camera in cameras.values()]))
         case ActionKeys() as keys:
             gate = FiringGate(gate, ActionTrigger(keys, backend.interfaces))
-    return Devices(cameras=cameras, gate=gate, is_simulated=is_simulated, close=process.close)
+    return Devices(
+        cameras=cameras,
+        gate=gate,
+        is_simulated=is_simulated,
+        close=process.close,
+        camera_process=process.status,
+    )
 
 
 def build_gate(device: GateDevice) -> LightGate:

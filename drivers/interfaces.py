@@ -131,6 +131,26 @@ class CameraVitals:
     warnings: tuple[str, ...] = ()  # what works but needs attention, with the remedy
 
 
+class ProcessState(StrEnum):
+    """How the process is that the library of the cameras runs in."""
+
+    RUNNING = "running"
+    """It sends its heartbeat, or there is none."""
+    SILENT = "silent"
+    """It has missed heartbeats: no image comes, and it is replaced unless it sends one soon."""
+    REPLACED = "replaced"
+    """It ended, or hung and was killed, within the last minute."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraProcessStatus:
+    """The state of the process of the cameras; a rig without one has always this state."""
+
+    state: ProcessState = ProcessState.RUNNING
+    replaced: int = 0  # since the daemon started
+    trouble: str | None = None  # what is wrong, or was within the last minute
+
+
 class EventSink(Protocol):
     """Receiver of the events of any number of devices."""
 

@@ -200,9 +200,9 @@ class Health:
     reasons: tuple[str, ...] = ()
     """Why it is not ready, or not `good`."""
     checks: Mapping[str, HealthCheck]
-    """By name: `camera:c01`, `cameras`, `gate`, `trigger_line`, `progress`, `loop`, `queue`, `workers`, `background`,
-    `segmentation`, `calibration`, `drops`, `clock`, `store`, `disk`, `disk_days`, `retention`, `backup`, `keys`,
-    `archive`, `recording`, `rig`, `optics`, `refinement`."""
+    """By name: `camera:c01`, `cameras`, `camera_process`, `gate`, `trigger_line`, `progress`, `loop`, `queue`,
+    `workers`, `background`, `segmentation`, `calibration`, `drops`, `clock`, `store`, `disk`, `disk_days`,
+    `retention`, `backup`, `keys`, `archive`, `recording`, `rig`, `optics`, `refinement`."""
     gate_ne107: Ne107 = Ne107.GOOD
     rig_ne107: Ne107 = Ne107.GOOD
 

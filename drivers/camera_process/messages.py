@@ -14,6 +14,8 @@ from pipeline.frames import CameraId
 
 MAX_BYTES = 1 << 16
 """Of a message; the longest is an error with a traceback."""
+HEARTBEAT_S = 0.25
+"""Interval between two heartbeats of the process."""
 Address = tuple[str, int]
 """IPv4 address and UDP port."""
 
@@ -82,6 +84,11 @@ class Delivered:
     event: DeviceEvent
 
 
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """From the process, all the time: it runs."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlotsFree:
     """To the process: nobody looks at these images any more."""
@@ -89,7 +96,7 @@ class SlotsFree:
     slots: Sequence[tuple[CameraId, int, int]]  # with the number of the memory
 
 
-Message = Call | Opened | Reply | FrameHere | Delivered | SlotsFree
+Message = Call | Opened | Reply | FrameHere | Delivered | Heartbeat | SlotsFree
 
 
 def connection() -> tuple[socket.socket, socket.socket]:

@@ -1,6 +1,7 @@
 """The daemon's end of the process that the cameras' library runs in."""
 
 import logging
+import select
 import signal
 import socket
 import subprocess
@@ -20,6 +21,8 @@ from drivers.camera_process.messages import (
     Delivered,
     Doing,
     FrameHere,
+    Heartbeat,
+    Message,
     Opened,
     Reply,
     SlotsFree,
@@ -29,7 +32,7 @@ from drivers.camera_process.messages import (
 )
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError, LossCause
-from drivers.interfaces import CameraLost, CameraVitals
+from drivers.interfaces import CameraLost, CameraProcessStatus, CameraVitals, ProcessState
 from drivers.outlet import Outlet
 from pipeline.frames import CameraId, Frame
 
@@ -37,11 +40,44 @@ log = logging.getLogger(__name__)
 
 CALL_S = 20.0
 """Longest call; to close a dead camera takes 8 s. A process that takes longer hangs, and is killed."""
+SILENT_S = 0.7
+"""Age of the latest heartbeat from which health names the process: three triggers without an image take longer."""
+HUNG_S = 2.0
+"""Time without a heartbeat after which the process hangs, and is killed; the next one is started at once."""
+LISTEN_S = 0.1
+"""Longest wait for a message; one that took longer was the daemon's or the host's, which stood still."""
+RECENT_S = 60.0
+"""Time for which a process that was replaced is reported."""
 SERVER = "drivers.camera_process.server"
 STABLE_S = 10.0
 """A process that lived shorter is not replaced before a camera is opened: its callers wait longer each time."""
 
 Result = CameraVitals | None
+
+
+class Pulse:
+    """The heartbeats of one process, from its first one on."""
+
+    def __init__(self) -> None:
+        self._heard_s: float | None = None  # when the latest came
+        self._waited_s = 0.0  # for the next one
+
+    def beat(self, now_s: float) -> None:
+        """Take a heartbeat."""
+        self._heard_s, self._waited_s = now_s, 0.0
+
+    def wait(self, waited_s: float) -> None:
+        """Take the time that was waited for a message: a host that stood still says nothing of the process."""
+        self._waited_s += min(waited_s, LISTEN_S)
+
+    def is_silent(self, now_s: float) -> bool:
+        """Return whether images may be missing because the process does not run."""
+        return self._heard_s is not None and now_s - self._heard_s > SILENT_S
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the process hangs, and is to be killed."""
+        return self._heard_s is not None and self._waited_s > HUNG_S
 
 
 class CameraProcess:
@@ -56,11 +92,28 @@ class CameraProcess:
         self._found: dict[CameraId, gvcp.DiscoveredCamera] = {}  # the last time
         self._life: _Life | None = None
         self._is_closed = False
+        self._pulse = Pulse()  # of the process that sent the latest heartbeat
+        self._n_replaced = 0
+        self._last_end: tuple[str, float] | None = None  # of a process that ended by itself: why, and when
 
     @property
     def pid(self) -> int | None:
         """Number of the process, None while there is none."""
         return None if (life := self._life) is None else life.process.pid
+
+    def status(self) -> CameraProcessStatus:
+        """Return how the process is; never blocks."""
+        now_s, ended = time.monotonic(), self._last_end
+        if self._pulse.is_silent(now_s) and not self._is_closed:
+            state, trouble = (
+                ProcessState.SILENT,
+                "the process of the cameras sends no heartbeat: no image comes",
+            )
+        elif ended is not None and now_s - ended[1] < RECENT_S:
+            state, trouble = ProcessState.REPLACED, ended[0]
+        else:
+            return CameraProcessStatus(replaced=self._n_replaced)
+        return CameraProcessStatus(state=state, replaced=self._n_replaced, trouble=trouble)
 
     def register(self, camera: CameraId, outlet: Outlet) -> None:
         """Deliver a camera's events there."""
@@ -112,7 +165,7 @@ class CameraProcess:
 
     def _listen(self, life: "_Life") -> None:
         """Take what the process says until it ends, then start another one."""
-        while (received := receive(life.end)) is not None:
+        while (received := life.next()) is not None:
             message, files = received
             match message:
                 case FrameHere():
@@ -125,12 +178,19 @@ class CameraProcess:
                         self._found[camera] = found
                 case Reply():
                     life.reply(message)
+                case Heartbeat():
+                    life.pulse.beat(time.monotonic())
+                    self._pulse = life.pulse
             life.return_slots()
         exit_code = life.process.wait()
         lived_s = time.monotonic() - life.started_s
         reason = f"the process of the cameras ended ({_name(exit_code)})"
+        if life.has_hung:
+            reason = f"the process of the cameras hung, without a heartbeat for {HUNG_S:g} s, and was killed"
         if not self._is_closed:
             log.error("%s after_s=%.1f", reason, lived_s)
+            self._n_replaced += 1
+            self._last_end = reason, time.monotonic()
             gvcp.release_control([found.address for found in self._found.values()], [*life.sockets])
         with self._lock:
             self._life = None
@@ -158,13 +218,29 @@ class _Life:
         self.process = process
         self.end = end
         self.started_s = time.monotonic()
+        self.pulse = Pulse()
+        self.has_hung = False
         self.sockets: set[Address] = set()
         self._calls: dict[int, tuple[CameraId, Future[Result]]] = {}
         self._n_calls = 0
         self._memory: dict[CameraId, tuple[int, FilledSlots]] = {}
         self._freed: deque[tuple[CameraId, int, int]] = deque()
+        self._arrival = select.poll()
+        self._arrival.register(end, select.POLLIN)
         self.listener = threading.Thread(target=listen, args=(self,), name="cameras", daemon=True)
         self.listener.start()
+
+    def next(self) -> tuple[Message, list[int]] | None:
+        """Return the next message of the process, None when it has ended; kill one that hangs."""
+        has_arrived = False
+        while not has_arrived:
+            began_s = time.monotonic()
+            has_arrived = bool(self._arrival.poll(1000 * LISTEN_S))
+            self.pulse.wait(time.monotonic() - began_s)
+            if self.pulse.is_lost and not self.has_hung:
+                self.has_hung = True
+                self.process.kill()
+        return receive(self.end)
 
     def call(
         self, settings: GigeCameraSettings, doing: Doing, last: gvcp.DiscoveredCamera | None

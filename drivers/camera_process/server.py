@@ -7,6 +7,8 @@ closes all cameras, so that whoever comes next need not wait until their heartbe
 import signal
 import socket
 import sys
+import threading
+import time
 import traceback
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -14,10 +16,12 @@ from pathlib import Path
 
 from drivers.camera_process.frame_memory import MAX_HELD, ON_THE_WAY, SlotsToFill
 from drivers.camera_process.messages import (
+    HEARTBEAT_S,
     Call,
     Delivered,
     Doing,
     FrameHere,
+    Heartbeat,
     Opened,
     Reply,
     SlotsFree,
@@ -50,6 +54,7 @@ def main() -> None:
 def serve(end: socket.socket) -> None:
     """Do what is called for over this end of a connection until the other one is closed; then close all cameras."""
     cameras: dict[CameraId, ServedCamera] = {}
+    threading.Thread(target=beat, args=(end,), name="heartbeat", daemon=True).start()
     with ThreadPoolExecutor(MAX_CALLS, "call") as calls:
         while (received := receive(end)) is not None:
             match received[0]:
@@ -62,6 +67,14 @@ def serve(end: socket.socket) -> None:
                         cameras[name].free(memory, slot)
         for camera in cameras.values():
             calls.submit(camera.device.close)
+
+
+def beat(end: socket.socket) -> None:
+    """Send heartbeats as long as this process runs and the daemon is there, also while cameras are being closed."""
+    with suppress(OSError):
+        while True:
+            send(end, Heartbeat())
+            time.sleep(HEARTBEAT_S)
 
 
 class ServedCamera:

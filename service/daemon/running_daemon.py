@@ -178,6 +178,7 @@ class Daemon:
             acquisition=self.acquisition.status(),
             blind_triggers=self.acquisition.cameras.blind_triggers,
             cameras=self.cameras(),
+            camera_process=self.devices.camera_process(),
             common_cause=self.acquisition.cameras.common_cause,
             views=self.settings.views,
             waiting=self.spool.n_queued,

@@ -6,6 +6,7 @@ than specified has a check that names it.
 
 from collections.abc import Callable, Mapping
 
+from drivers.interfaces import ProcessState
 from service.health.device_words import gate_ne107, rig_ne107
 from service.health.facts import Facts
 from service.health.optical_watch import Severity
@@ -110,9 +111,22 @@ def _gate(facts: Facts) -> HealthCheck:
     )
 
 
+def _camera_process(facts: Facts) -> HealthCheck:
+    process = facts.camera_process
+    return HealthCheck(
+        status=CheckStatus.of(
+            warn=process.state is ProcessState.REPLACED, fail=process.state is ProcessState.SILENT
+        ),
+        observed_value=process.replaced,
+        observed_unit="replaced",
+        detail=process.trouble,
+    )
+
+
 def _trigger_line(facts: Facts) -> HealthCheck:
+    """Check that triggers have images; while the process of the cameras is silent, that is the reason for none."""
     n_blind = facts.blind_triggers
-    is_broken = n_blind >= BLIND_TRIGGERS
+    is_broken = n_blind >= BLIND_TRIGGERS and facts.camera_process.state is not ProcessState.SILENT
     problem = f"{n_blind} triggers in a row without any image: look at the line from gate to cameras"
     return HealthCheck(
         status=CheckStatus.of(fail=is_broken),
@@ -288,6 +302,7 @@ def _trouble(trouble: str | None) -> HealthCheck:
 CHECKS: Mapping[str, Callable[[Facts], HealthCheck]] = {
     "cameras": _all_cameras,
     "gate": _gate,
+    "camera_process": _camera_process,
     "trigger_line": _trigger_line,
     "loop": _loop,
     "clock": _clock,

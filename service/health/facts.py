@@ -1,8 +1,9 @@
 """What health is assessed from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from drivers.interfaces import CameraProcessStatus
 from pipeline.views.quality import ViewsParameters
 from service.health.optical_watch import OpticalFinding
 from service.health.refinement_watch import RefinementTrend
@@ -18,6 +19,7 @@ class Facts:
     acquisition: AcquisitionStatus
     cameras: Sequence[CameraStatus]
     common_cause: str | None = None  # why all cameras are lost
+    camera_process: CameraProcessStatus = field(default_factory=CameraProcessStatus)
     blind_triggers: int  # in a row, without any image
     views: ViewsParameters  # how many cameras make which quality
 

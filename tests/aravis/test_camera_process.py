@@ -7,6 +7,7 @@ import sys
 import textwrap
 import threading
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from drivers.camera_process.frame_memory import MAX_HELD, ON_THE_WAY
 from drivers.camera_process.process import CameraProcess
 from drivers.cameras.aravis import AravisCamera
 from drivers.errors import CameraUnavailableError, LossCause
-from drivers.interfaces import CameraLost
+from drivers.interfaces import CameraLost, CameraProcessStatus, ProcessState
 from pipeline.frames import Frame
 
 
@@ -111,6 +112,34 @@ def test_one_that_hangs_is_killed(
     monkeypatch.undo()
     camera.close()
     camera.open()
+
+
+def test_one_that_hangs_is_replaced_although_nothing_is_called_for(
+    rig: GigeRig, process: CameraProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sinks = armed(rig)
+    hung = process.pid
+    assert hung is not None
+    eventually(lambda: process.status() == CameraProcessStatus())
+    monkeypatch.setattr(camera_process, "HUNG_S", inf)
+    os.kill(hung, signal.SIGSTOP)
+    eventually(lambda: process.status().state is ProcessState.SILENT)
+    assert process.status().trouble == "the process of the cameras sends no heartbeat: no image comes"
+    monkeypatch.undo()
+    for sink in sinks:
+        lost = sink.next()
+        assert isinstance(lost, CameraLost)
+        assert (lost.cause, lost.reason) == (
+            LossCause.PROCESS_ENDED,
+            "the process of the cameras hung, without a heartbeat for 2 s, and was killed",
+        )
+    for camera in rig.cameras.values():
+        camera.close()
+        camera.open()
+    assert process.pid != hung
+    status = process.status()
+    assert (status.state, status.replaced) == (ProcessState.REPLACED, 1)
+    assert status.trouble == lost.reason
 
 
 def test_images_are_not_copied_unless_many_are_held(rig: GigeRig) -> None:

@@ -179,6 +179,30 @@ def test_c3_the_process_of_the_cameras_dies_and_only_stones_meanwhile_have_no_im
 
 
 @pytest.mark.full
+def test_c3_a_process_of_the_cameras_that_hangs_is_named_and_replaced(live: LiveRig):
+    pid, before = live.daemon.camera_pid(), live.status("c01")["recoveries"]
+    event = live.daemon.get("/events?after=0&limit=1")["last_seq"]
+    seq = live.last_seq()
+    os.kill(pid, signal.SIGSTOP)
+    while live.status("c01")["recoveries"] == before:
+        live.fall(1)
+    live.wait_until_whole(30)
+    assert live.daemon.camera_pid() != pid
+    assert "hung, without a heartbeat for 2 s, and was killed" in live.status("c01")["last_error"]
+    replaced = live.daemon.check("camera_process", lambda now: now["status"] == "warn")
+    assert replaced["observed_value"] >= 1
+    live.daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
+    assert views(live.measure(2)) == [16, 16]
+    assert live.accounting()["is_balanced"]
+    lost = [result for result in live.results(seq) if result["outcome"] == "lost"]
+    assert {result["reason"] for result in lost} == {"no_frames"}
+    events = live.daemon.get(f"/events?after={event}&limit=1000")["items"]
+    raised = {each["subject"] for each in events if each["type"] == "alarm.raised"}
+    assert "camera_process" in raised
+    assert "trigger_line" not in raised
+
+
+@pytest.mark.full
 def test_c4_a_frame_that_comes_a_period_late_is_in_no_other_bundle(live: LiveRig):
     before = live.status("c09")
     live.camera("c09").faults.late_ms = 270.0

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import pytest
 
+from drivers.interfaces import CameraProcessStatus, ProcessState
 from pipeline.frames import CameraId
 from pipeline.views.quality import ViewsParameters
 from service.health.assessment import assess
@@ -64,6 +65,7 @@ def test_a_healthy_rig_is_good_and_ready_and_names_every_part():
     assert (health.ne107, health.ready, health.reasons) == (Ne107.GOOD, True, ())
     checks = {
         "cameras",
+        "camera_process",
         "trigger_line",
         "loop",
         "clock",
@@ -142,6 +144,21 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             Ne107.FAILURE,
             False,
             "trigger_line: 3 triggers in a row without any image: look at the line from gate to cameras",
+        ),
+        (
+            {
+                "blind_triggers": 3,
+                "camera_process": CameraProcessStatus(state=ProcessState.SILENT, trouble="hangs"),
+            },
+            Ne107.FAILURE,
+            False,
+            "camera_process: hangs",
+        ),
+        (
+            {"camera_process": CameraProcessStatus(state=ProcessState.REPLACED, replaced=1, trouble="hung")},
+            Ne107.MAINTENANCE_REQUIRED,
+            True,
+            "camera_process: hung",
         ),
         (
             {"loop_ms": 300.0},
