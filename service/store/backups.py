@@ -62,10 +62,14 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
 
 
 def prune(state_dir: Path, keep: int, made: Path) -> None:
-    """Remove all copies but `keep`: the one just `made`, whatever the clock says, and the newest others."""
+    """Remove all copies but `keep`: the one just `made`, whatever the clock says, and the newest others.
+
+    What a backup that was killed has left goes too.
+    """
     others = [path for path in reversed(history.backups_in(state_dir)) if path != made]
-    for path in others[keep - 1 :]:
-        path.unlink()
+    unfinished = (state_dir / history.BACKUPS).glob("results-*.sqlite.tmp*")
+    for path in (*others[keep - 1 :], *unfinished):
+        path.unlink(missing_ok=True)
 
 
 def restore(source: Path, state_dir: Path, *, any_audit: bool = False) -> str:

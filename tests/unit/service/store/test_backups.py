@@ -65,8 +65,11 @@ async def test_the_newest_backups_are_kept(store: Store, session: int, state_dir
     for name in ("results-20200101T000000Z.sqlite", "results-20200102T000000Z.sqlite"):
         (state_dir / "backups").mkdir(exist_ok=True)
         (state_dir / "backups" / name).touch()
+    for end in ("", "-wal"):  # of one that was killed
+        (state_dir / "backups" / f"results-20200103T000000Z.sqlite.tmp{end}").touch()
     made = await store.back_up(keep=2)
     assert [path.name for path in backups_in(state_dir)] == ["results-20200102T000000Z.sqlite", made.name]
+    assert backups_in(state_dir) == sorted((state_dir / "backups").iterdir())
     assert store.last_backup() == made
 
 
