@@ -111,6 +111,15 @@ class Connection(H11Protocol):
         self._began_s = self.loop.time()
         super().on_response_complete()
 
+    def send_400_response(self, msg: str) -> None:
+        """Refuse a request that cannot be read to its end; what answers it already must not answer as well."""
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            super().send_400_response(msg)
+        else:  # its answer was begun
+            self.transport.close()
+        if self.cycle is not None:
+            self.cycle.disconnected = True
+
     def resume_writing(self) -> None:
         self._read_all_s = self.loop.time()
         super().resume_writing()

@@ -256,3 +256,13 @@ async def test_a_real_server_stops_at_once_under_a_long_poll(
 async def test_a_head_that_a_proxy_may_read_otherwise_is_refused(served: Served, head: bytes) -> None:
     client = await served.connect(head)
     assert (await client.reader.readline()).startswith(b"HTTP/1.1 400")
+
+
+async def test_a_request_with_a_body_that_cannot_be_read_is_answered_once(
+    served: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    client = await served.connect(LIVE[:-2] + b"Transfer-Encoding: chunked\r\n\r\n-1\r\n\r\n")
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 400")
+    assert b"HTTP/1.1" not in await client.rest()
+    await served.until(lambda: not served.connections)
+    assert "Traceback" not in caplog.text
