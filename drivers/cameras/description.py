@@ -8,6 +8,7 @@ import re
 import socket
 import struct
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from ipaddress import IPv4Address
@@ -19,6 +20,8 @@ ANSWER_S = 0.2
 """Time-out of one request."""
 N_ATTEMPTS = 5
 """How often a request is sent before the camera counts as gone."""
+MAX_XML_BYTES = 16 << 20
+"""Of the file in the camera, and of what is zipped in it; those of cameras have some megabytes at most."""
 
 _MAX_BYTES = 536
 """Largest number of bytes of memory in an acknowledgement of 576 bytes."""
@@ -45,8 +48,9 @@ def genicam_xml(address: str) -> str:
             for url in urls:
                 if match := _LOCAL.match(url):
                     name, start, n_bytes = match[1], int(match[2], 16), int(match[3], 16)
+                    _require_size(n_bytes)
                     return _unzipped(name, _read_memory(control, start, n_bytes))
-        except (OSError, zipfile.BadZipFile, UnicodeDecodeError) as err:
+        except (OSError, ValueError, LookupError, zipfile.BadZipFile, zlib.error, struct.error) as err:
             problem = f"does not give its GenICam XML: {err or 'no answer'}"
             raise CameraUnavailableError(camera, problem) from err
     raise CameraUnavailableError(
@@ -57,8 +61,15 @@ def genicam_xml(address: str) -> str:
 def _unzipped(name: str, content: bytes) -> str:
     if name.lower().endswith(".zip"):
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            content = archive.read(archive.namelist()[0])
+            name = archive.namelist()[0]
+            _require_size(archive.getinfo(name).file_size)  # no more is unzipped
+            content = archive.read(name)
     return content.decode().rstrip("\0")
+
+
+def _require_size(n_bytes: int) -> None:
+    if n_bytes > MAX_XML_BYTES:
+        raise ValueError(f"it would have {n_bytes} bytes, more than {MAX_XML_BYTES}")
 
 
 def _read_memory(control: socket.socket, start: int, n_bytes: int) -> bytes:

@@ -23,6 +23,8 @@ from drivers.errors import RecordingError
 BLOCK = 4096
 """Alignment in bytes of direct writes (O_DIRECT); a device that needs a larger one refuses them."""
 CREATING = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+MAX_JSON_BYTES = 64 << 20
+"""Of a file that `read_json` parses, which takes ten times as much memory; none of ours has a tenth of it."""
 UNFOUND = re.compile(r".+\.[0-9a-f]{16}\.tmp", re.DOTALL)
 """Names under which `write_file` writes; nobody can have anything there before."""
 
@@ -157,10 +159,14 @@ def read_json(path: Path) -> Any:
     Raises
     ------
     RecordingError
-        The file cannot be read, or is not JSON.
+        The file cannot be read, is not JSON, or is larger than any of ours.
     """
     try:
-        return json.loads(path.read_bytes())
+        with path.open("rb") as file:
+            content = file.read(MAX_JSON_BYTES + 1)
+        if len(content) > MAX_JSON_BYTES:
+            raise RecordingError(path, f"has more than {MAX_JSON_BYTES} bytes")
+        return json.loads(content)
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
     except (ValueError, RecursionError) as err:

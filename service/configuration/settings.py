@@ -35,6 +35,9 @@ from service.recording.recordings import RecordingsSettings
 from service.store import KEEP_RAW
 from service.store.retention import RetentionLimits
 
+MAX_BYTES = 1_000_000
+"""Of the file."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkersSettings:
@@ -132,7 +135,11 @@ def load_settings(path: Path) -> Settings:
         The file cannot be read or has wrong fields; names the file and each of them.
     """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise SettingsError(f"{path}: has more than {MAX_BYTES} bytes")
+        document = tomllib.loads(content.decode())
     except OSError as err:
         raise SettingsError(f"{path}: {err.strerror}") from err
     except ValueError as err:  # neither text nor TOML, or a number beyond all bounds

@@ -266,3 +266,10 @@ async def test_a_request_with_a_body_that_cannot_be_read_is_answered_once(
     assert b"HTTP/1.1" not in await client.rest()
     await served.until(lambda: not served.connections)
     assert "Traceback" not in caplog.text
+
+
+async def test_a_head_without_an_end_is_refused(served: Served) -> None:
+    client = await served.connect(LIVE[:-2] + b"X-More: " + 100_000 * b"a")
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 400")
+    client.writer.close()
+    await served.until(lambda: not served.connections)

@@ -9,6 +9,7 @@ import typer
 from support.gige import INTERFACE, NET, design, place, powered, serial, settings_for
 from typer.testing import CliRunner, Result
 
+from drivers.cameras import description
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.description import genicam_xml
 from drivers.errors import CameraUnavailableError
@@ -62,6 +63,18 @@ def test_a_zipped_description_of_a_camera_in_use() -> None:
         simulated.faults.clear()
         assert simulated.controller == owner
         camera.close()
+
+
+@pytest.mark.parametrize(("is_zipped", "limit"), [(False, 100), (True, 100), (True, 6000)])
+def test_a_description_without_bounds_is_not_read(
+    monkeypatch: pytest.MonkeyPatch, is_zipped: bool, limit: int
+) -> None:
+    monkeypatch.setattr(description, "MAX_XML_BYTES", limit)
+    with (
+        powered(design(4, has_zipped_xml=is_zipped)),
+        pytest.raises(CameraUnavailableError, match=f"more than {limit}"),
+    ):
+        genicam_xml(f"{NET}.4")
 
 
 @pytest.mark.parametrize("arguments", [("--xml", "somewhere"), ("--interface", "eth0")])

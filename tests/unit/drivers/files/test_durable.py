@@ -9,7 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from drivers.files.durable import BLOCK, copy_past_cache, remove_unfinished, replacing, unfinished, write_file
+from drivers.errors import RecordingError
+from drivers.files import durable
+from drivers.files.durable import (
+    BLOCK,
+    copy_past_cache,
+    read_json,
+    remove_unfinished,
+    replacing,
+    unfinished,
+    write_file,
+)
 
 SIZES = [1, BLOCK - 1, BLOCK, BLOCK + 1, 300 * BLOCK + 77]
 
@@ -118,3 +128,15 @@ def test_a_killed_process_leaves_a_file_that_goes_and_a_failed_one_none(
     remove_unfinished(tmp_path)
     assert not left.exists()
     assert all(path.exists() for path in kept)
+
+
+def test_a_document_larger_than_any_of_ours_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(durable, "MAX_JSON_BYTES", 100)
+    path = tmp_path / "document.json"
+    path.write_text('"' + 98 * "a" + '"')
+    assert read_json(path) == 98 * "a"
+    path.write_text('"' + 99 * "a" + '"')
+    with pytest.raises(RecordingError, match="more than 100 bytes"):
+        read_json(path)
