@@ -23,7 +23,7 @@ from support.daemon_process import DaemonProcess
 
 from screens.conftest import DIM
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 MAX_PAINT_MS = 10_000
 """Ten times what is asked for: no test depends on how fast the machine is."""
 MAX_DELAY_MS = 10_000

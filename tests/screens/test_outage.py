@@ -9,7 +9,7 @@ from playwright.sync_api import Route, expect
 from support.browser import Watched, origin_of, until
 from support.daemon_process import DaemonProcess, free_port
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 REFUSED = re.compile(
     "ERR_CONNECTION_REFUSED|ERR_CONNECTION_RESET|ERR_INCOMPLETE|ERR_EMPTY_RESPONSE|ERR_TIMED_OUT"
 )

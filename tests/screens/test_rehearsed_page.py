@@ -14,7 +14,7 @@ from support.eventually import eventually
 
 from service.rehearsal.rehearsed_daemon import is_free
 
-PATIENCE_MS = 120_000
+PATIENCE_MS = 300_000
 
 
 @pytest.mark.full  # a rehearsal takes half a minute and more

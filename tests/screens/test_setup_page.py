@@ -15,7 +15,7 @@ from support.eventually import eventually
 from support.live_rig import LiveRig, live_rig
 from support.small_recording import write_ball_recording
 
-PATIENCE_MS = 120_000
+PATIENCE_MS = 300_000
 N_BALLS = 10
 BALL_MM = 10.0
 EXCHANGED = {"c05": "c07", "c07": "c05"}

@@ -13,7 +13,7 @@ from service.api.key_file import create_key
 from service.api.settings import Scope
 
 REFUSED = re.compile("status of 401")
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from support.extents import first_quick
 from screens.conftest import N_STONES
 from service import screens
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 SLOW_RENDERER = re.compile("GPU stall due to ReadPixels")
 """What the browser says of its own way to draw without a graphics card."""
 NEEDS_THREE = pytest.mark.skipif(

@@ -27,7 +27,7 @@ N_FLOOD = 400
 """Connections of a flood that ask and are gone."""
 N_PAGES = 20
 """Clients that reload the operator's page, and how often each does."""
-PATIENCE_S = 100.0
+PATIENCE_S = 300.0
 HEAD = b"GET /api/v1/health/live HTTP/1.1\r\nHost: localhost\r\n"
 RAW = (
     b"",

@@ -167,7 +167,7 @@ class DaemonProcess:
     def _ask(self, path: str, method: str = "GET", body: str | None = None) -> dict[str, Any]:
         """Return the answer, a refusal as well."""
         url = urlsplit(self.url(path))
-        connection = HTTPConnection(url.netloc, timeout=20)
+        connection = HTTPConnection(url.netloc, timeout=PATIENCE_S)
         with closing(connection):
             headers = {"Content-Type": "application/json"} if body else {}
             connection.request(method, f"{url.path}?{url.query}", body, headers)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Awaitable, Callable
 from inspect import isawaitable
 
-PATIENCE_S = 100.0
+PATIENCE_S = 300.0
 """Longest wait; nothing takes as long unless the machine is busy with other things."""
 
 

@@ -11,7 +11,7 @@ from service.api.connections import Connection, drop_hindering
 from service.api.server import RestServer, listen, server_config
 from service.api.settings import ApiSettings
 
-PATIENCE_S = 30.0
+PATIENCE_S = 300.0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
-from itertools import pairwise
+from itertools import count, pairwise
 from multiprocessing import util
 from pathlib import Path
 from typing import Any
@@ -127,6 +127,7 @@ class _Server:
             env=os.environ | one_thread,
         )
         self._asking = threading.Lock()
+        self._numbers = count()
         atexit.register(self._process.communicate)  # its input ends, and with it the server
 
     def ask(self, request: Mapping[str, Any]) -> int:
@@ -134,9 +135,13 @@ class _Server:
         assert asked is not None
         assert answered is not None
         with self._asking:
-            asked.write(json.dumps(request) + "\n")
+            number = next(self._numbers)
+            asked.write(json.dumps({**request, "number": number}) + "\n")
             asked.flush()
-            return int(answered.readline())
+            while True:  # before it may come what a test did not wait for that was ended meanwhile
+                of_number, answer = map(int, answered.readline().split())
+                if of_number == number:
+                    return answer
 
 
 _server = cache(_Server)
@@ -152,7 +157,7 @@ def _serve() -> bool:
         elif (answer := os.fork()) == 0:
             _exchange(request)
             return True
-        sys.stdout.write(f"{answer}\n")
+        sys.stdout.write(f"{request['number']} {answer}\n")
         sys.stdout.flush()
     return False
 
