@@ -68,7 +68,7 @@ class Devices:
     close: Callable[[], None] = lambda: None
     """To be called at the end, when all devices are closed; may take as long as a camera takes to close."""
     camera_process: Callable[[], CameraProcessStatus] = CameraProcessStatus
-    """How the process is that the library of the cameras runs in, if there is one; never blocks."""
+    """State of the process that the cameras' library runs in, if there is one; never blocks."""
 
 
 def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:

@@ -71,7 +71,7 @@ class Pulse:
         self._waited_s += min(waited_s, LISTEN_S)
 
     def is_silent(self, now_s: float) -> bool:
-        """Return whether images may be missing because the process does not run."""
+        """Return whether no heartbeat came for longer than `SILENT_S`, so that images may be missing."""
         return self._heard_s is not None and now_s - self._heard_s > SILENT_S
 
     @property
@@ -102,7 +102,7 @@ class CameraProcess:
         return None if (life := self._life) is None else life.process.pid
 
     def status(self) -> CameraProcessStatus:
-        """Return how the process is; never blocks."""
+        """Return the state of the process; never blocks."""
         now_s, ended = time.monotonic(), self._last_end
         if self._pulse.is_silent(now_s) and not self._is_closed:
             state, trouble = (

@@ -21,7 +21,7 @@ ANSWER_S = 0.2
 N_ATTEMPTS = 5
 """How often a request is sent before the camera counts as gone."""
 MAX_XML_BYTES = 16 << 20
-"""Of the file in the camera, and of what is zipped in it; those of cameras have some megabytes at most."""
+"""Largest description, zipped and unzipped; those of cameras have some megabytes at most."""
 
 _MAX_BYTES = 536
 """Largest number of bytes of memory in an acknowledgement of 576 bytes."""

@@ -24,9 +24,9 @@ BLOCK = 4096
 """Alignment in bytes of direct writes (O_DIRECT); a device that needs a larger one refuses them."""
 CREATING = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 MAX_JSON_BYTES = 64 << 20
-"""Of a file that `read_json` parses, which takes ten times as much memory; none of ours has a tenth of it."""
+"""Largest file that `read_json` parses, which takes ten times as much memory; ours have less than a tenth."""
 UNFOUND = re.compile(r".+\.[0-9a-f]{16}\.tmp", re.DOTALL)
-"""Names under which `write_file` writes; nobody can have anything there before."""
+"""Pattern of the temporary names of `write_file`, which cannot be foretold."""
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from drivers.files.times import utc_now
 from service.addresses import host_of, is_loopback
+from service.api.clients import host_of_client
 from service.api.context import ApiContext, Context
 from service.api.idempotency import begin_attempt
 from service.api.key_file import StoredKey
@@ -112,7 +113,7 @@ async def asker_of(request: Request, context: Context, credentials: Credentials)
 
 
 def has_right_key(request: Request, context: ApiContext) -> bool:
-    """Return whether whoever asks may ask for something, by key, session or place; nothing is noted, nobody refused."""
+    """Return whether the key, the session or the origin of a request has any scope; nothing is counted or refused."""
     keys = context.keys
     keys.refresh()
     is_local = _is_from_this_machine(request)
@@ -138,7 +139,7 @@ def checked_key(request: Request, context: ApiContext, token: str) -> Key:
     """
     key = context.keys.find(token)
     if key is None:
-        raise _wrong_key(context.guesses, _host_of(request), time.monotonic())
+        raise _wrong_key(context.guesses, host_of_client(request), time.monotonic())
     if (refusal := _refusal(key)) is not None:  # whose token it is, that is no guess
         raise Problem(401, "unauthorized", refusal, headers=INVALID_TOKEN)
     return key
@@ -210,12 +211,7 @@ def _is_from_this_machine(request: Request) -> bool:
     """
     is_forwarded = any(name in request.headers for name in FORWARDED)
     return (
-        is_loopback(_host_of(request))
+        is_loopback(host_of_client(request))
         and is_loopback(host_of(request.headers.get("host", "")))
         and not is_forwarded
     )
-
-
-def _host_of(request: Request) -> str:
-    """Return the address of the client, empty when the server does not know it."""
-    return "" if request.client is None else request.client.host

@@ -1,10 +1,9 @@
-"""Bound how many wrong keys an address can try; a right one is not asked about, whoever else guesses from there."""
+"""The limit of wrong keys from one address; right keys are never refused."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from ipaddress import IPv6Address, ip_network
 
-from service.addresses import address_of
+from service.api.clients import origin_of
 
 MAX_WRONG = 10
 """Wrong keys in a row after which an address must wait."""
@@ -12,8 +11,6 @@ PAUSE_S = 60.0
 """From the last of them until it may try again; what it tries meanwhile does not count."""
 MAX_REMEMBERED = 1024
 """Addresses; the one that was seen least recently is forgotten."""
-IPV6_NETWORK_BITS = 64
-"""An IPv6 host can choose among the addresses of its network."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +28,7 @@ class KeyGuesses:
         self._wrong: OrderedDict[str, WrongKeys] = OrderedDict()
 
     def pause_s(self, host: str, now_s: float) -> float:
-        """Return how long who shows a wrong key must wait until that counts as another guess, 0 if it does now."""
+        """Return the remaining pause of an address, s; 0 when its next wrong key counts as a guess."""
         wrong = self._wrong.get(origin_of(host))
         if wrong is None or wrong.count < MAX_WRONG:
             return 0.0
@@ -45,11 +42,3 @@ class KeyGuesses:
         self._wrong[origin] = WrongKeys(count + 1, now_s)
         if len(self._wrong) > MAX_REMEMBERED:
             self._wrong.popitem(last=False)
-
-
-def origin_of(host: str) -> str:
-    """Return what is counted as one client: an address, or a network of IPv6."""
-    address = address_of(host)
-    if isinstance(address, IPv6Address):
-        return str(ip_network((address, IPV6_NETWORK_BITS), strict=False))
-    return host if address is None else str(address)

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 from fastapi import Request
 
+from service.api.clients import host_of_client, origin_of
 from service.api.connections import max_connections
 from service.api.problems import Problem
 
@@ -22,7 +23,7 @@ class OpenStreams:
         An eighth of them is left to other addresses; all may have the same one behind a proxy.
         """
         most = max(1, max_connections() // 4)
-        n_own = self._open[_address(request)]
+        n_own = self._open[origin_of(host_of_client(request))]
         if self._open.total() >= most or n_own >= most - most // 8:
             raise Problem(
                 503,
@@ -33,14 +34,10 @@ class OpenStreams:
     @contextmanager
     def one_more(self, request: Request) -> Iterator[None]:
         """Count one stream within the block."""
-        address = _address(request)
+        address = origin_of(host_of_client(request))
         self._open[address] += 1
         try:
             yield
         finally:
             self._open[address] -= 1
             self._open = +self._open  # without addresses that have none
-
-
-def _address(request: Request) -> str:
-    return "" if request.client is None else request.client.host

@@ -14,7 +14,7 @@ from typing import Any
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.key_guesses import origin_of
+from service.api.clients import host_of_client, origin_of
 from service.api.problems import Problem, problem_response
 
 RATE_HZ = 100.0
@@ -22,7 +22,7 @@ RATE_HZ = 100.0
 BURST = 40
 """Turns that are given at once after a quiet time: a page with all its pictures does not wait."""
 MAX_WAITING = 256
-"""Requests that wait for their turn; of more the last one is refused, of whoever has most of them waiting."""
+"""Longest queue; beyond it the newest request of the client with most of them is refused."""
 TURN = "turn"
 """Where the state of a request has its turn."""
 
@@ -72,7 +72,7 @@ class Turns:
         self.n_waiting = 0
 
     def ask(self, client: str, *, is_known: bool) -> Waiting:
-        """Return what becomes of a request, as soon as that is clear."""
+        """Queue a request; the result is its turn, a refusal, or that its client is gone."""
         queues = self._known if is_known else self._strangers
         if self.n_waiting >= MAX_WAITING:
             self._refuse_one(queues, client)
@@ -96,7 +96,7 @@ class Turns:
             queues.pop(client, None)
 
     def _refuse_one(self, queues: Queues, client: str) -> None:
-        """Refuse the last one of whoever has most waiting, strangers before others, unless the asking client has."""
+        """Refuse the newest request of the client with most, strangers first, unless the asking client has more."""
         others = self._strangers or self._known if queues is self._known else self._strangers
         if not others:
             return
@@ -120,7 +120,7 @@ class Turns:
         self._go_on()
 
     def _give(self) -> None:
-        """Give a turn to the first of the client whose turn it is; nobody needs it when all have left."""
+        """Give the turn to the oldest request of the next client; it is unused when the queues are empty."""
         for queues in self._order:
             if queues:
                 client = next(iter(queues))
@@ -161,7 +161,7 @@ class PacedRequests:
         request, state = Request(scope), scope.setdefault("state", {})
         if state.get(TURN) is Turn.GONE:
             return Turn.GONE
-        client = origin_of("" if request.client is None else request.client.host)
+        client = origin_of(host_of_client(request))
         is_known = self._is_known(request)
         waiting = state[TURN] = self._turns.ask(client, is_known=is_known)
         try:

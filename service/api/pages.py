@@ -114,7 +114,7 @@ def window_figures_json(
 
 
 def sievings_json(connection: sqlite3.Connection, lot: str) -> bytes:
-    """Return what laboratories found in a lot."""
+    """Return the sievings of a lot as JSON."""
     return json.dumps({"items": [sieving_document(each) for each in sievings(connection, lot)]}).encode()
 
 

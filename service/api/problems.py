@@ -85,8 +85,9 @@ WAIT = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
 """Statuses that always say when to come again."""
 RETRY_AFTER_S = 5
 MOST_ERRORS = 100
+"""Most wrong fields that an answer names."""
 MOST_CHARACTERS = 500
-"""Of the name of a wrong field, and of what is wrong with it: both may repeat what was sent."""
+"""Longest name and longest message of a wrong field: both may repeat the request."""
 
 
 class FieldError(BaseModel):

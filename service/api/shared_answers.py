@@ -23,7 +23,7 @@ class SharedAnswers:
         return await asyncio.shield(answer)  # others may wait for it
 
     async def _made(self, question: Hashable, make: Callable[[], Coroutine[Any, Any, T]], keep_s: float) -> T:
-        """Return what `make` returns, and forget it before anybody could get a task that is done."""
+        """Make the answer and remove it, or plan that, within its task: a done one is awaited without yielding."""
         try:
             answer = await make()
         except BaseException:

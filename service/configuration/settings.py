@@ -36,7 +36,7 @@ from service.store import KEEP_RAW
 from service.store.retention import RetentionLimits
 
 MAX_BYTES = 1_000_000
-"""Of the file."""
+"""Largest configuration file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,7 +44,7 @@ from service.results.record import optics_record, result_record
 from service.results.refinement import RUSH
 
 NICENESS = 10
-"""Of the workers, above that of the daemon."""
+"""Niceness of the workers above that of the daemon (nice(2))."""
 MESH, COMPACT_MESH, SILHOUETTES = RESULT_FILES = ("mesh.ply", "mesh.sfmesh", "silhouettes.tiff")
 """Files of a result; a worker that crashed may have left others."""
 GC_THRESHOLD = 20_000

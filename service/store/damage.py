@@ -71,7 +71,7 @@ def find_damage(
             )
     except MemoryError:  # of this machine
         raise
-    except Exception as err:
+    except Exception as err:  # whatever a damaged database makes of the check
         if getattr(err, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
             log.info("only a part of the database was checked file=%s", path)
             return None

@@ -11,7 +11,7 @@ from support.rest import FakeControl, app_of, client_of
 from service.store import Store
 
 HELD_S = 0.1
-"""Of processor time at a megabyte, on the reference machine."""
+"""Longest hold of the event loop by a request of a megabyte, processor seconds of the reference machine."""
 
 
 @pytest.fixture

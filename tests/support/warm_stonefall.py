@@ -28,7 +28,7 @@ PR_SET_PDEATHSIG = 1
 
 
 MOST_HELD_S = 1.0
-"""Of processor time, in which an event loop must get on: one that spins takes five."""
+"""Longest callback of an event loop, processor seconds; a coroutine that spun took five."""
 HELD = "held the event loop for"
 
 
