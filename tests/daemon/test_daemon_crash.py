@@ -22,13 +22,14 @@ from service.store import open_store
 from service.store.store import MAX_LOST
 
 LOOP = "loop = true\nspeed = 2.0"
+N_STONES = 6
 CAMERAS = tuple(CameraId(f"c{number:02d}") for number in range(1, 17))
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("crash") / "recording"
-    write_small_recording(path, n_stones=6)
+    write_small_recording(path, n_stones=N_STONES)
     return path
 
 
@@ -68,6 +69,7 @@ def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
         kill(daemon)
     with DaemonProcess(tmp_path, recording) as daemon:
         daemon.hear("READY=1")
+        daemon.wait_for("/accounting?session=3", lambda now: now["triggers"] == N_STONES)
         daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
         results = outcome_of(daemon.results())
         assert daemon.stop() == 0
@@ -190,7 +192,7 @@ def test_overload_loses_the_newest_whole_is_named_and_ends_by_itself(recording: 
         assert "stones lost since the start (2 bundles were waiting)" in check["detail"]
         results = daemon.results()
         lost = [result["reason"] == "queue_full" for result in results]
-        first = lost.index(True)
+        first = lost.index(True, [result["outcome"] for result in results].index("measured"))
         assert accounting["is_balanced"]
         assert accounting["triggers"] == len(outcome_of(results)) == len(lost)
         # those that were there before the spool was full are measured, and those after it had room again
