@@ -6,6 +6,7 @@
     ├── SettingsError       a configuration file; names the file and every wrong field
     ├── StoreError          the result store cannot be opened, or a write is wrong; a disk that refuses only holds it
     ├── VolumeModelError    coefficients of the volume correction; names the file and the field
+    ├── TooManyError        as many of a thing are stored as there may be
     ├── StandardsError      tables of sieves and specifications; names the file and every wrong field
     └── UsageError          a command's arguments contradict each other or the files they name
 
@@ -23,6 +24,14 @@ class SettingsError(ServiceError):
 
 class StoreError(ServiceError):
     """The result store cannot be opened, or a write did not become durable."""
+
+
+class TooManyError(ServiceError):
+    """As many `things` are stored as there may be; says which of them must go, or what to do instead."""
+
+    def __init__(self, things: str, detail: str) -> None:
+        super().__init__(detail)
+        self.things = things
 
 
 class VolumeModelError(ServiceError):

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
+from drivers.files.bounded import read_bounded
 
 BLOCK = 4096
 """Alignment in bytes of direct writes (O_DIRECT); a device that needs a larger one refuses them."""
@@ -162,11 +163,7 @@ def read_json(path: Path) -> Any:
         The file cannot be read, is not JSON, or is larger than any of ours.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_JSON_BYTES + 1)
-        if len(content) > MAX_JSON_BYTES:
-            raise RecordingError(path, f"has more than {MAX_JSON_BYTES} bytes")
-        return json.loads(content)
+        return json.loads(read_bounded(path, MAX_JSON_BYTES))
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
     except (ValueError, RecursionError) as err:

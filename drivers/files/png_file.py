@@ -6,7 +6,11 @@ import imagecodecs
 import numpy as np
 
 from drivers.errors import RecordingError
+from drivers.files.bounded import read_bounded
 from pipeline.frames import Image
+
+MAX_PNG_BYTES = 64 << 20
+"""Largest file that is decoded; an image of a camera has a fiftieth."""
 
 
 def read_png(path: Path, size_px: tuple[int, int]) -> Image:
@@ -18,7 +22,7 @@ def read_png(path: Path, size_px: tuple[int, int]) -> Image:
         The file cannot be read, is no sound PNG, is not 8-bit grey or has another size.
     """
     try:
-        image = imagecodecs.png_decode(path.read_bytes())
+        image = imagecodecs.png_decode(read_bounded(path, MAX_PNG_BYTES))
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
     except (imagecodecs.PngError, ValueError, MemoryError) as err:

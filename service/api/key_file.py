@@ -18,6 +18,7 @@ from typing import Literal
 
 from pydantic import TypeAdapter, ValidationError
 
+from drivers.files.bounded import read_bounded
 from drivers.files.durable import replacing
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
@@ -77,20 +78,11 @@ ADAPTER = TypeAdapter(KeyFile)
 def read_keys(path: Path) -> tuple[StoredKey, ...]:
     """Return the keys of the file, none if there is no file; raise `KeyFileError` if it is damaged."""
     try:
-        with path.open("rb") as file:
-            return parse_keys(path, file.read(MAX_BYTES + 1))
+        return ADAPTER.validate_json(read_bounded(path, MAX_BYTES)).keys
     except FileNotFoundError:
         return ()
     except OSError as err:
         raise KeyFileError(f"{path}: {err.strerror}") from err
-
-
-def parse_keys(path: Path, content: bytes) -> tuple[StoredKey, ...]:
-    """Return the keys of a file's content; raise `KeyFileError` if that is damaged."""
-    if len(content) > MAX_BYTES:
-        raise KeyFileError(f"{path}: is larger than {MAX_BYTES} bytes")
-    try:
-        return ADAPTER.validate_json(content).keys
     except ValidationError as err:
         error = err.errors(include_input=False)[0]
         field = ".".join(map(str, error["loc"]))

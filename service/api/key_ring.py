@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.api.key_file import KEYS, MAX_BYTES, KeyFileError, StoredKey, parse_keys, sha256_of
+from service.api.key_file import KEYS, KeyFileError, StoredKey, read_keys, sha256_of
 from service.api.settings import ApiKey
 from service.store import audit
 from service.store.schema import transaction
@@ -56,7 +56,7 @@ class KeyRing:
             if isinstance(version, str):
                 raise KeyFileError(f"{self._path}: {version}")
             if version is not None:
-                self.stored = self._read()
+                self.stored = read_keys(self._path)
         except KeyFileError as err:
             self.trouble = f"{err}: its keys are not accepted; mend it, or remove it and create them anew"
             log.error("keys: %s", self.trouble)
@@ -75,14 +75,6 @@ class KeyRing:
         """Return all keys of a name, those that were revoked or have expired among them."""
         known: list[ApiKey | StoredKey] = [*self._configured, *self.stored]
         return [key for key in known if key.name == name]
-
-    def _read(self) -> tuple[StoredKey, ...]:
-        try:
-            with self._path.open("rb") as file:
-                self._version = _version_of(os.fstat(file.fileno()))  # it may have been replaced since
-                return parse_keys(self._path, file.read(MAX_BYTES + 1))
-        except OSError as err:
-            raise KeyFileError(f"{self._path}: {err.strerror}") from err
 
 
 def note_keys(connection: sqlite3.Connection, keys: Sequence[StoredKey]) -> None:

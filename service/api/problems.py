@@ -16,7 +16,7 @@ from service.alarms.machine import AlarmConflictError
 from service.api.reader_process import BusyError
 from service.api.request_ids import HEADER, request_id_of
 from service.calibration.states import CalibrationConflictError
-from service.errors import StoreError
+from service.errors import StoreError, TooManyError
 from service.lots.lots import LotConflictError
 from service.lots.stored_stones import UnknownChoiceError
 from service.lots.yardsticks import UnknownYardstickError
@@ -61,6 +61,8 @@ TITLES = {
     "too-many-attempts": "Too many wrong keys",
     "too-many-keys": "Too many idempotency keys",
     "too-many-consumers": "Too many consumers",
+    "too-many-products": "Too many products",
+    "too-many-sievings": "Too many sievings",
     "too-many-connections": "Too many requests at a time",
     "transition-conflict": "The acquisition cannot change to this state now",
     "unauthorized": "A valid key is needed",
@@ -176,6 +178,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(CalibrationConflictError, _handle_calibration)
     app.add_exception_handler(LotConflictError, _handle_lot)
     app.add_exception_handler(AlarmConflictError, _handle_alarm)
+    app.add_exception_handler(TooManyError, _handle_too_many)
     app.add_exception_handler(UnknownYardstickError, _handle_unknown)
     app.add_exception_handler(UnknownChoiceError, _handle_unknown)
     app.add_exception_handler(StoreError, _handle_store)
@@ -263,6 +266,11 @@ async def _handle_lot(request: Request, error: Exception) -> JSONResponse:
 
 async def _handle_alarm(request: Request, error: Exception) -> JSONResponse:
     return problem_response(request, Problem(409, "alarm-conflict", str(error)))
+
+
+async def _handle_too_many(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, TooManyError)  # noqa: S101 - as above
+    return problem_response(request, Problem(409, f"too-many-{error.things}", str(error)))
 
 
 async def _handle_unknown(request: Request, error: Exception) -> JSONResponse:

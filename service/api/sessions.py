@@ -147,7 +147,7 @@ class Sessions:
         return self._content
 
     def _read(self) -> SessionsFile:
-        descriptor = os.open(self._folder / FILE, os.O_RDONLY | os.O_NOFOLLOW)
+        descriptor = os.open(self._folder / FILE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         with os.fdopen(descriptor, "rb") as file:
             if stat.S_IMODE(os.fstat(descriptor).st_mode) & 0o077:
                 raise ValueError("others could read it")

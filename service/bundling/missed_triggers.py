@@ -12,6 +12,8 @@ from service.bundling.window import MissingReason
 
 MAX_SINGLE = 100
 """Most stones of a gap in the gate's counter that are told one by one; those of a longer one are told as a number."""
+MAX_ORPHANS = 1000
+"""Most orphans whose times are kept, until the gate speaks again; of those before them their number is."""
 
 
 class _Gap(NamedTuple):
@@ -36,7 +38,8 @@ class MissedTriggers:
         """`tolerance_ns`: largest error of an orphan's time, which is derived from its frames."""
         self._tolerance_ns = tolerance_ns
         self._gaps: deque[_Gap] = deque()
-        self._orphans_ns: list[int] = []  # not yet explained by a gap or an announcement
+        self._orphans_ns: list[int] = []  # not yet explained by a gap or an announcement, the newest
+        self._n_earlier_orphans = 0  # and how many before them, too long ago to be announced
         self._last_announced = 0
 
     def has_orphan_of(self, trigger: Trigger) -> bool:
@@ -53,10 +56,14 @@ class MissedTriggers:
         earlier_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns < at_ns - self._tolerance_ns]
         later_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns > at_ns + self._tolerance_ns]
         self._orphans_ns = later_ns if is_next else earlier_ns + later_ns
+        self._n_earlier_orphans = 0 if is_next else self._n_earlier_orphans
 
     def note_orphan(self, received_ns: int) -> None:
         """Register frames that got a trigger of their own, at this time."""
         self._orphans_ns.append(received_ns)
+        if len(self._orphans_ns) > MAX_ORPHANS:
+            del self._orphans_ns[0]
+            self._n_earlier_orphans += 1
 
     @property
     def has_gap(self) -> bool:
@@ -72,8 +79,10 @@ class MissedTriggers:
         unseen: list[Unseen] = []
         while self._gaps and (now_ns is None or now_ns >= self._gaps[0].due_ns):
             gap = self._gaps.popleft()
-            n_explained = min(len(self._orphans_ns), gap.n_triggers)
-            del self._orphans_ns[:n_explained]
+            n_earlier = min(self._n_earlier_orphans, gap.n_triggers)
+            n_explained = n_earlier + min(len(self._orphans_ns), gap.n_triggers - n_earlier)
+            self._n_earlier_orphans -= n_earlier
+            del self._orphans_ns[: n_explained - n_earlier]
             n_unseen = gap.n_triggers - n_explained
             if n_unseen <= MAX_SINGLE:
                 unseen += [Unseen(gap.received_ns, gap.reason, 1)] * n_unseen

@@ -12,6 +12,7 @@ from tempfile import TemporaryFile
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from drivers.files.bounded import read_bounded
 from pipeline.carving import CarvingParameters
 from pipeline.particle import BodyParameters, PipelineParameters
 from pipeline.uncertainty import QualityParameters
@@ -135,11 +136,7 @@ def load_settings(path: Path) -> Settings:
         The file cannot be read or has wrong fields; names the file and each of them.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise SettingsError(f"{path}: has more than {MAX_BYTES} bytes")
-        document = tomllib.loads(content.decode())
+        document = tomllib.loads(read_bounded(path, MAX_BYTES).decode())
     except OSError as err:
         raise SettingsError(f"{path}: {err.strerror}") from err
     except ValueError as err:  # neither text nor TOML, or a number beyond all bounds

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.files.bounded import read_bounded
 from drivers.files.durable import write_file
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.particle import MeasuringParameters
@@ -11,6 +12,7 @@ from service.configured_paths import ConfiguredPath
 from service.errors import VolumeModelError
 
 FORMAT = "stonefall-volume/1"
+MAX_BYTES = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +49,7 @@ def read_volume_model(path: Path) -> VolumeModel:
         The file cannot be read or has a wrong field; names both.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_bounded(path, MAX_BYTES))
     except OSError as err:
         raise VolumeModelError(f"{path}: {err.strerror}") from err
     except (ValueError, RecursionError) as err:

@@ -12,6 +12,7 @@ from urllib.parse import SplitResult, urlsplit
 
 from pydantic import SecretStr
 
+from drivers.files.bounded import read_bounded
 from service.addresses import address_of, is_host
 from service.configured_paths import ConfiguredPath
 from service.delivery.signatures import key_of
@@ -23,6 +24,7 @@ PORTS = {"http": 80, "https": 443}
 MAX_URL = 2000
 MAX_ENDPOINTS = 16
 MAX_SECRETS = 2
+MAX_SECRET_BYTES = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +73,7 @@ class WebhookEndpoint:
         keys = [key_of(secret.get_secret_value()) for secret in self.secrets]
         for path in self.secret_files:
             try:
-                keys.append(key_of(path.read_text(encoding="ascii").strip()))
+                keys.append(key_of(read_bounded(path, MAX_SECRET_BYTES).decode("ascii").strip()))
             except OSError as err:
                 raise ValueError(f"secret_files: {path}: {err.strerror}") from err
             except ValueError as err:

@@ -10,12 +10,14 @@ from typing import Any
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import Form, SievedLot, SizeMapping, Study, study
 from pipeline.gradation.stones import lot_of
-from service.errors import ServiceError
+from service.errors import ServiceError, TooManyError
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
 from service.store import audit
 from service.store.schema import transaction
 
+MAX_SIEVINGS = 100
+"""Of a lot; they are one list, without pages."""
 MOST_SIEVES = 100
 """In one table or request; a stored one may be older than this limit."""
 PAN = frozenset({"pan", "boden", "0"})
@@ -140,9 +142,18 @@ def _words(line: str) -> list[str]:
 
 
 def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:
-    """Store a sieving of a lot."""
+    """Store a sieving of a lot.
+
+    Raises
+    ------
+    TooManyError
+        The lot has `MAX_SIEVINGS` already.
+    """
     document = asdict(sieving)
     with transaction(connection):
+        (n,) = connection.execute("SELECT count(*) FROM sievings WHERE lot = ?", (lot,)).fetchone()
+        if n >= MAX_SIEVINGS:
+            raise TooManyError("sievings", f"lot {lot} has {MAX_SIEVINGS} sievings already")
         number, at = connection.execute(
             "INSERT INTO sievings (lot, at, document) VALUES (?, ?, ?) RETURNING sieving, at",
             (lot, utc_now(), json.dumps(document)),

@@ -7,8 +7,12 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from drivers.files.times import utc_now
+from service.errors import TooManyError
 from service.store import audit
 from service.store.schema import transaction
+
+MAX_PRODUCTS = 1000
+"""They are one list, without pages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +52,20 @@ class Product:
 def save_product(
     connection: sqlite3.Connection, product: str, definition: ProductDefinition, who: str
 ) -> Product:
-    """Make a new version of a product, if it is another one than the newest; return the newest."""
+    """Make a new version of a product, if it is another one than the newest; return the newest.
+
+    Raises
+    ------
+    TooManyError
+        There are `MAX_PRODUCTS` others already.
+    """
     with transaction(connection):
         newest = _newest(connection, product)
         if newest is not None and newest.definition == definition:
             return newest
+        (n,) = connection.execute("SELECT count(DISTINCT product) FROM products").fetchone()
+        if newest is None and n >= MAX_PRODUCTS:
+            raise TooManyError("products", f"there are {MAX_PRODUCTS} products: change one of them")
         version = 1 if newest is None else newest.version + 1
         saved = Product(product=product, version=version, created_at=utc_now(), definition=definition)
         connection.execute(

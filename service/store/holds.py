@@ -5,15 +5,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.errors import ServiceError
+from service.errors import ServiceError, TooManyError
 from service.store import audit
 from service.store.schema import transaction
 
 MAX_CONSUMERS = 100
-
-
-class TooManyConsumersError(ServiceError):
-    """There are `MAX_CONSUMERS` already."""
 
 
 class CursorError(ServiceError):
@@ -64,7 +60,8 @@ def park(connection: sqlite3.Connection, name: str, after: int) -> Consumer:
     ------
     CursorError
         The feed is not there yet, or no longer.
-    TooManyConsumersError
+    TooManyError
+        There are `MAX_CONSUMERS` already.
     """
     with transaction(connection):
         first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
@@ -73,7 +70,7 @@ def park(connection: sqlite3.Connection, name: str, after: int) -> Consumer:
         connection.execute("INSERT OR REPLACE INTO consumers VALUES (?, ?, ?)", (name, after, utc_now()))
         (n,) = connection.execute("SELECT count(*) FROM consumers").fetchone()
         if n > MAX_CONSUMERS:
-            raise TooManyConsumersError(f"there are {MAX_CONSUMERS} consumers: delete one of them")
+            raise TooManyError("consumers", f"there are {MAX_CONSUMERS} consumers: delete one of them")
     return next(consumer for consumer in consumers(connection) if consumer.name == name)
 
 

@@ -15,6 +15,7 @@ from support.rest import FakeControl, app_of, assert_problem, client_of, particl
 from pipeline.frames import BundleKind
 from service.api.overview_rows import Rows, overview_rows
 from service.api.settings import ApiKey, ApiSettings, Scope
+from service.lots import laboratory, products
 from service.results.record import lost_record
 from service.results.refinement import RUSH
 from service.store import Store
@@ -330,3 +331,21 @@ async def test_the_report_comes_in_every_format_and_language(
     )
     assert_problem(await client.get("/lots/L9/report.pdf"), 404, "unknown-lot")
     assert_problem(await client.get("/lots/L1/report.pdf?specification=none"), 422, "invalid-request")
+
+
+@pytest.mark.usefixtures("product")
+async def test_products_and_sievings_of_a_lot_have_a_bound(
+    client: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(products, "MAX_PRODUCTS", 1)
+    monkeypatch.setattr(laboratory, "MAX_SIEVINGS", 1)
+    assert_problem(await client.put("/products/other", json=PRODUCT), 409, "too-many-products")
+    changed = await client.put("/products/basalt-8-16", json={**PRODUCT, "title": "changed"})
+    assert changed.json()["version"] == 2
+    for lot in ("L1", "L2"):
+        await opened(client, lot)
+        for _ in range(2):
+            answer = await client.post(f"/lots/{lot}/sieving", json={"retained_g": {"8": 1.0}})
+        assert_problem(answer, 409, "too-many-sievings")
+        assert len((await client.get(f"/lots/{lot}/sieving")).json()["items"]) == 1
+        await client.post(f"/lots/{lot}/close", json={})

@@ -18,6 +18,7 @@ from support.browser import (
     watched_page,
 )
 from support.daemon_process import DaemonProcess
+from support.eventually import eventually
 from support.extents import first_quick
 
 from screens.conftest import N_STONES
@@ -33,10 +34,11 @@ NEEDS_THREE = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def replay(tmp_path_factory: pytest.TempPathFactory, recording: Path) -> Iterator[DaemonProcess]:
-    """A daemon that has played a recording to its end: no more stones fall."""
+    """A daemon that has played a recording to its end and kept all frames: no more stones fall."""
     with DaemonProcess(tmp_path_factory.mktemp("daemon"), recording) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda counts: counts["measured"] == N_STONES)
+        eventually(lambda: len(list(daemon.folder.glob("state/**/bundle.tiff"))) == N_STONES)
         yield daemon
         assert daemon.process.poll() is None, daemon.log
 

@@ -15,7 +15,7 @@ from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
 from service.ids import ID
 from service.results.fields import TIME
-from service.store.holds import Consumer, CursorError, TooManyConsumersError, consumers, forget, park
+from service.store.holds import Consumer, CursorError, consumers, forget, park
 
 router = APIRouter(prefix="/consumers", tags=["results"])
 
@@ -99,8 +99,6 @@ async def park_cursor(
     except CursorError as err:
         status, slug = (409, "cursor-ahead") if err.is_ahead else (410, "cursor-expired")
         raise Problem(status, slug, str(err), **err.ends) from err
-    except TooManyConsumersError as err:
-        raise Problem(409, "too-many-consumers", str(err)) from err
     response.headers["ETag"] = _tag(parked)
     return asdict(parked)
 

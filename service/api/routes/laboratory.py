@@ -162,7 +162,7 @@ class RepeatabilityDocument(BaseModel):
     status_code=201,
     response_model=SievingDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(404, 422),
+    responses=problem_responses(404, 409, 422),
 )
 async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> dict[str, Any]:
     """Store what a laboratory found in a portion of a lot, to be shown beside the instrument's curve."""

@@ -146,7 +146,7 @@ async def standards() -> dict[str, Any]:
     "/{product}",
     response_model=ProductVersion,
     dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=problem_responses(412, 422),
+    responses=problem_responses(409, 412, 422),
 )
 async def put_product(
     context: Context,

@@ -1,5 +1,7 @@
 """Frames without a trigger and triggers without frames: orphans, strays, gaps of the gate."""
 
+import sys
+
 from support.bundling import (
     CAMERAS,
     DELAY_NS,
@@ -17,7 +19,7 @@ from support.bundling import (
 
 from drivers.interfaces import TriggersLost
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
-from service.bundling.missed_triggers import MAX_SINGLE
+from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, MissedTriggers
 from service.bundling.parameters import BundlingParameters
 
 
@@ -184,3 +186,22 @@ def test_orphans_explain_some_stones_of_a_long_gap() -> None:
     feed_all(assembler, [TriggersLost(received_ns=1000 * MS, count=1001, reason="gap")])
     (rest,) = assembler.advance(2000 * MS)
     assert (orphan.trigger.n_stones, rest.trigger.n_stones) == (1, 1000)
+
+
+def test_orphans_without_number_are_a_number_and_explain_what_the_gate_tells_late() -> None:
+    """A gate that is silent for a day keeps a thousand times in memory, and its count still adds up."""
+    missed = MissedTriggers(tolerance_ns=10 * MS)
+    n_orphans = 3 * MAX_ORPHANS
+    for number in range(n_orphans):
+        missed.note_orphan(number * 1000 * MS)
+    assert sys.getsizeof(missed._orphans_ns) < 10 * MAX_ORPHANS
+    late = trigger(2, (n_orphans - 1) * 1000 * MS)
+    assert missed.has_orphan_of(late)
+    missed.note_gap(n_orphans - 500, 0, due_ns=1, reason="gap")
+    assert missed.take_unseen(1) == []
+    missed.note_gap(700, 0, due_ns=1, reason="gap")
+    assert [each.n_stones for each in missed.take_unseen(1)] == [700 - 500]
+    missed.note_orphan(0)
+    missed.note_announced(trigger(1, 1000 * MS))
+    missed.note_gap(1, 0, due_ns=1, reason="gap")
+    assert len(missed.take_unseen(1)) == 1  # the gate missed nothing before the one that it announced

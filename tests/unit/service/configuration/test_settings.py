@@ -149,11 +149,6 @@ def test_a_missing_or_binary_file_is_refused(tmp_path: Path):
         load_settings(tmp_path / "binary.toml")
 
 
-def test_an_endless_file_is_refused():
-    with pytest.raises(SettingsError, match="/dev/zero: has more than 1000000 bytes"):
-        load_settings(Path("/dev/zero"))
-
-
 def own_store(tmp_path: Path) -> str:
     return MINIMAL.replace("/var/lib/somewhere", str(tmp_path / "store"))
 

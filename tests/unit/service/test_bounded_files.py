@@ -1,0 +1,54 @@
+"""Files that others write have a bound: one without an end, or one that nobody writes to, is refused with its name."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import RecordingError
+from drivers.files.bounded import read_bounded
+from drivers.files.durable import read_json
+from drivers.files.png_file import read_png
+from service.api.key_file import KeyFileError, read_keys
+from service.configuration.settings import load_settings
+from service.configuration.volume_models import read_volume_model
+from service.delivery.settings import WebhookEndpoint
+from service.errors import SettingsError, VolumeModelError
+
+
+def secret_of(path: Path) -> list[bytes]:
+    return WebhookEndpoint(name="mes", url="https://mes/", secret_files=(path,)).keys()
+
+
+READERS = [
+    (load_settings, SettingsError),
+    (read_json, RecordingError),
+    (lambda path: read_png(path, (1280, 1024)), RecordingError),
+    (read_keys, KeyFileError),
+    (read_volume_model, VolumeModelError),
+    (secret_of, ValueError),
+]
+
+
+@pytest.mark.parametrize(("read", "error"), READERS)
+def test_a_file_without_an_end_is_refused(read: Callable[[Path], Any], error: type[Exception]) -> None:
+    with pytest.raises(error, match=r"/dev/zero: .*has more than \d+ bytes"):
+        read(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize(("read", "error"), READERS[1:])
+def test_nobody_waits_for_who_writes_to_a_pipe(
+    tmp_path: Path, read: Callable[[Path], Any], error: type[Exception]
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(error, match="pipe: "):
+        read(tmp_path / "pipe")
+
+
+def test_a_file_of_the_largest_size_is_read_whole(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    assert read_bounded(tmp_path / "file", 3) == b"abc"
+    with pytest.raises(OSError, match="has more than 2 bytes"):
+        read_bounded(tmp_path / "file", 2)
