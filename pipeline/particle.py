@@ -16,7 +16,7 @@ from pipeline.measuring.angularity import gradient_angularity
 from pipeline.measuring.hull_bias import sphere_hull_excess
 from pipeline.measuring.shape import NO_POINTS
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
-from pipeline.meshing import Mesher, ParticleMesh, mesh_hull
+from pipeline.meshing import MeshingParameters, ParticleMesh, mesh_hull
 from pipeline.refinement import Refinement, photo_views, refine_body, vertex_greys
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
@@ -76,7 +76,7 @@ class PipelineParameters:
     quality: QualityParameters = field(default_factory=QualityParameters)
     consistency: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     carving: CarvingParameters = field(default_factory=CarvingParameters)
-    mesher: Mesher = Mesher.LEAVES
+    meshing: MeshingParameters = field(default_factory=MeshingParameters)
     body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
 
@@ -109,7 +109,7 @@ class ParticleMeasurement:
     volume_mm3: float
     """The corrected volume; mass and equivalent diameter follow from it."""
     volume_model: str
-    """Id of the correction."""
+    """Id of the correction: that of the model; `sphere`, by which a hull is larger than a sphere; or `none`."""
     volume_estimate_mm3: float | None
     """Volume of the estimated body's mesh, if it was estimated; the correction depends on its ratio to the hull's."""
     angularity: float | None
@@ -220,7 +220,7 @@ def measure_bundle(
                 consistency,
                 angularity,
                 rig.length_sd_percent,
-                parameters.measuring,
+                parameters,
             )
         except (MeshError, ValueError, ArithmeticError) as err:
             raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
@@ -274,7 +274,7 @@ def _body(
     on_stage("carve")
     if hull.touches_border:
         raise RejectedError(RejectReason.CLIPPED, "the body leaves the carved volume")
-    mesh = mesh_hull(hull, parameters.mesher)
+    mesh = mesh_hull(hull, parameters.meshing.mesher)
     on_stage("mesh")
     if mesh is None:
         raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
@@ -304,7 +304,7 @@ def _measure(
     consistency: Consistency,
     angularity: float | None,
     length_sd_percent: float | None,
-    parameters: MeasuringParameters,
+    parameters: PipelineParameters,
 ) -> ParticleMeasurement:
     """Measure the body, and how far it may be from the truth.
 
@@ -318,15 +318,17 @@ def _measure(
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
     around_mm = NO_POINTS if mesh is hull_mesh else hull_mesh.vertices_mm
     shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm, around_mm)
-    if estimate is None or estimate.fallback is not None:  # corrected by the least excess that any hull has
+    if estimate is None or estimate.fallback is not None:
         body: BodyKind = "hull"
-        volume_model = "sphere"
         hull = HullMeasurement(volume_mm3=shape.volume_mm3, surface_area_mm2=shape.surface_area_mm2)
-        volume_mm3 = hull.volume_mm3 / _sphere_excess(shape, views)
+        volume_mm3, volume_model = hull.volume_mm3, "none"
+        if parameters.carving.bounds_by_edges:  # corrected by the least excess that any hull has
+            volume_mm3, volume_model = volume_mm3 / _sphere_excess(shape, views), "sphere"
     else:
-        body, volume_model = "estimate", parameters.volume_model.id
+        model = parameters.measuring.volume_model
+        body, volume_model = "estimate", model.id
         hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
-        volume_mm3 = parameters.volume_model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
+        volume_mm3 = model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
         if refinement is not None and refinement.fallback is None:
             body = "photo"  # what pixels show is corrected by nothing that other bodies have on average
             hidden = volume_mm3 / estimate.volume_mm3
@@ -343,7 +345,7 @@ def _measure(
         relief_mm=0.0 if refinement is None else refinement.relief_mm,
         length_sd_percent=length_sd_percent,
     )
-    density = parameters.density_g_cm3
+    density = parameters.measuring.density_g_cm3
     return ParticleMeasurement(
         body=body,
         supported_share=None if refinement is None else supported_share,

@@ -24,14 +24,35 @@ import numpy as np
 import scipy  # imports its submodules on use
 
 from pipeline.arrays import Floats, PointsMM, PointsUV, Values
-from pipeline.calibration.drops import BallDrop
-from pipeline.frames import CameraId
+from pipeline.calibration.drops import BallDrop, BallView
+from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.document import decompose_projection
+from pipeline.segmentation import Segmenter, Silhouette, segment_all
+from pipeline.segmentation.silhouette import INSIDE
 
 MIN_DROPS = 6
 """Two observations each for the eleven degrees of freedom of P."""
+
+
+def observe_centroids(bundle: FrameBundle, masks: Segmenter, diameter_mm: float | None) -> BallDrop:
+    """Return the ball of one exposure by the centroids of its masks, in all views that show one."""
+    found = segment_all(bundle.frames, {}, masks).values()
+    views = {each.camera: _view_of(each) for each in found if each.is_usable}
+    refused = {each.camera: f"no ball in its mask: {each.status}" for each in found if not each.is_usable}
+    return BallDrop(
+        name=bundle.name, diameter_mm=diameter_mm, views=views, refused={**bundle.missing, **refused}
+    )
+
+
+def _view_of(silhouette: Silhouette) -> BallView:
+    rows, columns = np.nonzero(silhouette.labels == INSIDE)
+    center_uv = np.array([columns.mean(), rows.mean()]) + silhouette.offset_uv
+    radius_px = float(np.sqrt(len(rows) / np.pi))
+    distances = np.linalg.norm(silhouette.outline_uv - center_uv, axis=1) - radius_px
+    rms_px = float(np.sqrt(np.mean(distances**2)))
+    return BallView(outline_uv=silhouette.outline_uv, center_uv=center_uv, radius_px=radius_px, rms_px=rms_px)
 
 
 def ball_points_mm(drops: Sequence[BallDrop], rig: RigCalibration) -> PointsMM:

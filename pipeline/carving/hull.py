@@ -8,6 +8,9 @@ import numpy as np
 from pipeline.arrays import Singles, Vector
 from pipeline.carving.octree import LEAF, Blocks
 
+N_VIEWS = 16
+"""Views that `CarvingParameters.isolevel` counts on: those of the paper's rig."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarvingParameters:
@@ -17,6 +20,7 @@ class CarvingParameters:
     n: int = 256  # samples an edge
     field: Literal["sub_voxel", "view_count"] = "sub_voxel"
     max_disagreeing_views: int = 0  # views that may exclude a voxel without carving it
+    isolevel: float = 15.5  # of `view_count`, by 16 views, from 15 to 16; by fewer as far below their number
 
     def __post_init__(self) -> None:
         if self.n % LEAF or not 16 <= self.n <= 1024:
@@ -25,6 +29,13 @@ class CarvingParameters:
             raise ValueError("size_mm must be between 0 and 1000")
         if self.max_disagreeing_views < 0:
             raise ValueError("max_disagreeing_views must not be negative")
+        if not N_VIEWS - 1 <= self.isolevel < N_VIEWS:
+            raise ValueError(f"isolevel must be from {N_VIEWS - 1} to less than {N_VIEWS}")
+
+    @property
+    def bounds_by_edges(self) -> bool:
+        """Whether the hull ends where the edges of all silhouettes do: what its excess is derived for."""
+        return self.field == "sub_voxel" and self.max_disagreeing_views == 0
 
     @property
     def pitch_mm(self) -> float:

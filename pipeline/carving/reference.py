@@ -5,7 +5,7 @@ import scipy  # its submodules are imported when they are first used
 from numpy.typing import NDArray
 
 from pipeline.arrays import PointsMM, Values
-from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
+from pipeline.carving.hull import N_VIEWS, CarvingParameters, VisualHull, all_leaves
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.segmentation.silhouette import FINE_PX, MARGIN_PX, UNKNOWN, Silhouette
 from pipeline.views.prepared import PreparedViews
@@ -19,7 +19,7 @@ def carve_every_voxel(views: PreparedViews, parameters: CarvingParameters) -> Vi
     points_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm, indexing="ij"), axis=-1).reshape(-1, 3)
     if parameters.field == "view_count":
         values = np.sum([_contains(*view, points_mm) for view in pairs], axis=0)
-        level, outside = len(views) - n_overruled - 0.5, 0.0
+        level, outside = len(views) - n_overruled - (N_VIEWS - parameters.isolevel), 0.0
     else:
         values = np.sort([_distance_mm(*view, points_mm) for view in pairs], axis=0)[n_overruled]
         level, outside = 0.0, -parameters.pitch_mm

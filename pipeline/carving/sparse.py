@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Singles
-from pipeline.carving.hull import CarvingParameters, VisualHull
+from pipeline.carving.hull import N_VIEWS, CarvingParameters, VisualHull
 from pipeline.carving.octree import LEAF, Octree, build_octree, centers_of
 from pipeline.carving.pinholes import OCTANTS, Pinholes, pinholes_of
 from pipeline.carving.samples import (
@@ -43,7 +43,11 @@ def carve(views: PreparedViews, parameters: CarvingParameters) -> VisualHull:
     octree = build_octree(views, pinholes, n, parameters.size_mm, n_overruled)
     if parameters.field == "view_count":
         values = _counts(views, pinholes, octree, parameters)
-        level, inside, outside = len(views) - n_overruled - 0.5, float(len(views)), 0.0
+        level, inside, outside = (
+            len(views) - n_overruled - (N_VIEWS - parameters.isolevel),
+            float(len(views)),
+            0.0,
+        )
     else:
         values = _distances_mm(views, pinholes, octree, parameters)
         level, inside, outside = 0.0, 2 * pitch_mm, -pitch_mm

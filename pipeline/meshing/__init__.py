@@ -1,5 +1,5 @@
 """The surface of the visual hull as a closed triangle mesh."""
 
-from pipeline.meshing.surface import Mesher, ParticleMesh, mesh_hull, warm_up
+from pipeline.meshing.surface import Mesher, MeshingParameters, ParticleMesh, mesh_hull, warm_up
 
-__all__ = ["Mesher", "ParticleMesh", "mesh_hull", "warm_up"]
+__all__ = ["Mesher", "MeshingParameters", "ParticleMesh", "mesh_hull", "warm_up"]

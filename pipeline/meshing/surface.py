@@ -13,12 +13,21 @@ from pipeline.meshing.cubes import march
 
 
 class Mesher(StrEnum):
-    """Implementation of marching cubes; the words are those of `stonefall measure --mesher`."""
+    """Implementation of marching cubes; the words are those of configuration and `stonefall measure --mesher`."""
 
-    LEAVES = "leaves"
-    """Our own, over the octree's leaves."""
+    OWN = "own"
+    """Over the octree's leaves."""
     SKIMAGE = "skimage"
     """scikit-image's over the whole field, the reference: slower, and it holds the GIL."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshingParameters:
+    """How the field becomes a mesh."""
+
+    mesher: Mesher = (
+        Mesher.OWN
+    )  # or "skimage": scikit-image's, slower, which all threads of a worker wait for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +38,7 @@ class ParticleMesh:
     faces: Faces
 
 
-def mesh_hull(hull: VisualHull, mesher: Mesher = Mesher.LEAVES) -> ParticleMesh | None:
+def mesh_hull(hull: VisualHull, mesher: Mesher = Mesher.OWN) -> ParticleMesh | None:
     """Return the largest connected surface of the hull, in mm, or `None` if the hull is empty.
 
     Where the hull reaches the border of the grid (`hull.touches_border`) the surface is closed along it.

@@ -24,8 +24,9 @@ from pipeline.segmentation.outline_bands import BandImages, band_shares
 from pipeline.segmentation.silhouette import MARGIN_PX, MAX_STEP_PX, OUTSIDE, UNKNOWN, Silhouette, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter, ComparedView
 
-SegmenterKind = Literal["auto", "background", "onnx"]
-"""The segmenter that is asked first; `auto`: background comparison, and the network where that is in doubt."""
+SegmenterKind = Literal["auto", "background", "onnx", "mask"]
+"""The segmenter that is asked first; `auto`: background comparison, and the network where that is in doubt; `mask`: a
+U2-Net whose mask alone is the silhouette, as in the paper."""
 
 FRAME_BLOCKS = 4
 """Edge, in blocks of 4 px, of the blocks in which a view without a silhouette is looked at."""

@@ -15,6 +15,7 @@ from pipeline.calibration.ball_fit import fit_ball
 from pipeline.calibration.ball_sizes import apparent_diameter_mm
 from pipeline.frames import BundleKind, CameraId
 from pipeline.rig.cameras import RigCalibration
+from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.views.epipolar_tangency import epipolar_tangents, tangency_scores_px
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
 from service.calibration.drops import observe_drop, refusal_of, solve_drops
@@ -78,7 +79,7 @@ def observe(job: ObserveJob) -> ObservedDrop:
         rig = worker.rig_in(job.rig_file)
         background = worker.background_at(job.background_path)
         # never the network, whose training an edge must not depend on: views without comparison are left out
-        segmenter = worker.segmenter.classical
+        segmenter = BackgroundSegmenter(worker.context.parameters.segmentation)
         drop = observe_drop(bundle, background, segmenter, job.kind)
         if job.kind is BundleKind.BALL:
             drop = _with_nearest_diameter(drop, job.diameters_mm, rig)

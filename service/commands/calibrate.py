@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -30,15 +31,18 @@ from pipeline.calibration import (
     CalibrationError,
 )
 from pipeline.calibration.coverage import coverage
+from pipeline.calibration.paper import observe_centroids
 from pipeline.calibration.self_calibration import StoneCalibration
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background
+from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.calibration.drops import observe_drop, solve_drops
 from service.calibration.plan import BALL_DIAMETERS_MM, Method
 from service.commands.calibration_report import print_ball_report, print_stone_report
 from service.errors import UsageError
+from service.models.networks import load_model
 
 
 def command(
@@ -61,6 +65,13 @@ def command(
             " from any stones."
         ),
     ] = Method.BUNDLE,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="With --method paper: U2-Net whose masks show the ball, by the name of a fetched model or the path of"
+            " an ONNX file; without it drops are compared with the empty rig."
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Write the rig even if it should not be used.")
     ] = False,
@@ -77,6 +88,8 @@ def command(
         raise typer.BadParameter(
             "method stones cannot tell the scale; leave this option out", param_hint="--ball-diameter-mm"
         )
+    if model is not None and method is not Method.PAPER:
+        raise typer.BadParameter("only --method paper takes a network's masks", param_hint="--model")
     if out.is_dir():
         raise UsageError(f"--out {out} is a folder; name a file")
     threadpool_limits(1)  # on matrices as small as these, threads only wait for one another
@@ -84,16 +97,14 @@ def command(
     start = read_rig(initial)
     require_rig_of(source, start, initial)
     unreadable = [str(error) for error in source.unreadable]
-    # never the network, whose training an edge must not depend on: views without comparison are left out
-    background, segmenter = _learn_background(source, unreadable), BackgroundSegmenter()
     kind = BundleKind.PARTICLE if method is Method.STONES else BundleKind.BALL
-    drops = _observed(
-        source,
-        _drop_headers(source, kind),
-        lambda bundle: observe_drop(bundle, background, segmenter, kind),
-        workers,
-        unreadable,
-    )
+    observe: Callable[[FrameBundle], BallDrop]
+    if model is not None:
+        observe = partial(observe_centroids, masks=MaskSegmenter(load_model(model)), diameter_mm=None)
+    else:  # never the network, whose training an edge must not depend on: views without comparison are left out
+        background = _learn_background(source, unreadable)
+        observe = partial(observe_drop, background=background, segmenter=BackgroundSegmenter(), kind=kind)
+    drops = _observed(source, _drop_headers(source, kind), observe, workers, unreadable)
     try:
         solved = solve_drops(
             drops,

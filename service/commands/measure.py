@@ -23,7 +23,8 @@ from drivers.files.rig_file import read_rig
 from pipeline.gradation.curve import PERCENTS
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.sieves import ALL_SIZES
-from pipeline.meshing import Mesher
+from pipeline.meshing import Mesher, MeshingParameters
+from pipeline.paper import PAPER
 from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from service.commands.lots import curve_table
@@ -45,6 +46,8 @@ from service.results.fields import Outcome
 
 GRADATION, CURVE = "gradation.json", "gradation.svg"
 SIEVE_SET = "stonefall"
+PAPERS_MODEL = "u2netp"
+"""Network of `--method paper` unless another one is named; the paper used the larger U2-Net."""
 
 
 class SegmenterName(StrEnum):
@@ -53,6 +56,14 @@ class SegmenterName(StrEnum):
     AUTO = "auto"
     BACKGROUND = "background"
     ONNX = "onnx"
+    MASK = "mask"
+
+
+class MethodName(StrEnum):
+    """Method as a whole."""
+
+    OURS = "ours"
+    PAPER = "paper"
 
 
 class BodyName(StrEnum):
@@ -82,7 +93,8 @@ def command(
     segmenter: Annotated[
         SegmenterName | None,
         typer.Option(
-            help="Segmenter; default: as configured, else auto (onnx where background is in doubt)."
+            help="Segmenter; default: as configured, else auto (onnx where background is in doubt). mask: a U2-Net's"
+            " mask is the silhouette, as in the paper."
         ),
     ] = None,
     model: Annotated[
@@ -112,11 +124,25 @@ def command(
         ),
     ] = None,
     mesher: Annotated[
-        Mesher,
+        Mesher | None,
         typer.Option(
-            help="leaves: marching cubes over the cut leaves; skimage: scikit-image's, the reference."
+            help="own: marching cubes over the cut leaves; skimage: scikit-image's, the reference. Default: as"
+            " configured, else own."
         ),
-    ] = Mesher.LEAVES,
+    ] = None,
+    method: Annotated[
+        MethodName,
+        typer.Option(
+            help="paper: the method of the paper as a whole (masks of a U2-Net, voxels counted, scikit-image, no "
+            "correction); the rig is then that of `stonefall calibrate --method paper`."
+        ),
+    ] = MethodName.OURS,
+    isolevel: Annotated[
+        float | None,
+        typer.Option(
+            help="Level of the surface in the count of 16 views, from 15 to less than 16; default: 15.5."
+        ),
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes that measure.")] = os.cpu_count()
     or 1,
     executor: Executor = None,
@@ -135,7 +161,17 @@ def command(
     settings = load_settings(config) if config else None
     parameters = settings.pipeline if settings else PipelineParameters()
     segmentation = settings.segmentation if settings else SegmentationSettings()
-    parameters = replace(parameters, mesher=mesher)
+    if method is MethodName.PAPER:
+        if config is not None:
+            raise UsageError("--method paper has parameters of its own; leave --config out")
+        parameters, segmentation = PAPER, SegmentationSettings(segmenter="mask", model=PAPERS_MODEL)
+    if mesher is not None:
+        parameters = replace(parameters, meshing=MeshingParameters(mesher=mesher))
+    if isolevel is not None:
+        try:
+            parameters = replace(parameters, carving=replace(parameters.carving, isolevel=isolevel))
+        except ValueError as err:
+            raise typer.BadParameter(str(err), param_hint="--isolevel") from err
     if body is not None:
         parameters = replace(parameters, body=replace(parameters.body, kind=body.value))
     if texture is not None:
@@ -199,7 +235,8 @@ def _segmenter_plan(
     plan = plan_segmenter(
         replace(configured, segmenter=wanted, model=configured.model if model is None else model)
     )
-    if plan.trouble is not None and (segmenter is SegmenterName.ONNX or model is not None):
+    is_needed = wanted == "mask" or segmenter is SegmenterName.ONNX or model is not None
+    if plan.trouble is not None and is_needed:
         raise UsageError(plan.trouble)
     if plan.warning is not None:
         typer.echo(f"stonefall: {plan.warning}", err=True)

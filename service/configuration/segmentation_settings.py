@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator, ValidationInfo
 
 from pipeline.errors import ModelError
+from pipeline.segmentation.network import NetworkKind
 from pipeline.segmentation.onnx_runtime import onnxruntime
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.segmentation.subtraction import SegmentationParameters
@@ -44,8 +45,10 @@ class SegmentationSettings(SegmentationParameters):
 def plan_segmenter(settings: SegmentationSettings) -> SegmenterPlan:
     """Read the model and try it; the plan says why it cannot be used."""
     try:
-        load_model(settings.model)
+        network = load_model(settings.model)
         model = read_model(settings.model)
+        if settings.segmenter == "mask" and network.kind is not NetworkKind.U2NET:
+            raise ModelError(f"segmenter mask needs a U2-Net as model, which {network.name} is not")
     except ModelError as err:
         return SegmenterPlan(wanted=settings.segmenter, trouble=str(err))
     built_in = onnxruntime.get_available_providers()

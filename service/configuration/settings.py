@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from drivers.files.bounded import read_bounded
 from pipeline.carving import CarvingParameters
+from pipeline.meshing import MeshingParameters
 from pipeline.particle import BodyParameters, PipelineParameters
 from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
@@ -103,6 +104,7 @@ class Settings(BaseModel):
     consistency: ConsistencyParameters = ConsistencyParameters()
     optics: OpticalParameters = OpticalParameters()
     carving: CarvingParameters = CarvingParameters()
+    meshing: MeshingParameters = MeshingParameters()
     body: BodyParameters = BodyParameters()
     measuring: MeasuringSettings = MeasuringSettings()
     verification: VerificationParameters = VerificationParameters()
@@ -120,7 +122,7 @@ class Settings(BaseModel):
             **{
                 part.name: getattr(self, part.name)
                 for part in fields(PipelineParameters)
-                if part.name not in ("segmentation", "mesher", "measuring")
+                if part.name not in ("segmentation", "measuring")
             },
             segmentation=self.segmentation.parameters,
             measuring=self.measuring.parameters,

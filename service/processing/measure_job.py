@@ -30,6 +30,7 @@ from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background as learn
+from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.optics import observe_all
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.silhouette import FoundBy
@@ -119,7 +120,7 @@ class Worker:
     """State of a worker process: what its jobs share, and what it caches from one to the next."""
 
     context: WorkerContext
-    segmenter: ChoosingSegmenter
+    segmenter: ChoosingSegmenter | MaskSegmenter
     background_path: Path | None = None
     background: BackgroundModel | None = None
     rig_file: RigFile | None = None

@@ -13,7 +13,8 @@ from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import segmenter_choice
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.network import available_providers, load_network
+from pipeline.segmentation.mask_segmenter import MaskSegmenter
+from pipeline.segmentation.network import Network, available_providers, load_network
 from pipeline.segmentation.network_segmenter import NetworkSegmenter
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, SegmenterKind
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
@@ -41,14 +42,23 @@ CLASSICAL = SegmenterPlan()
 """The plan without a network: only the comparison with the background."""
 
 
-def build_segmenter(plan: SegmenterPlan, parameters: SegmentationParameters) -> ChoosingSegmenter:
+def build_segmenter(
+    plan: SegmenterPlan, parameters: SegmentationParameters
+) -> ChoosingSegmenter | MaskSegmenter:
     """Return the segmenter of a plan; without the network if this process cannot load it."""
+    network, wanted = _network(plan), plan.wanted
+    if wanted == "mask":
+        if network is not None:
+            return MaskSegmenter(network)
+        wanted = "auto"  # each result then says what is missing
     return ChoosingSegmenter(
-        classical=BackgroundSegmenter(parameters), network=_network(plan, parameters), wanted=plan.wanted
+        classical=BackgroundSegmenter(parameters),
+        network=None if network is None else NetworkSegmenter(network, parameters),
+        wanted=wanted,
     )
 
 
-def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> NetworkSegmenter | None:
+def _network(plan: SegmenterPlan) -> Network | None:
     if plan.model is None:
         return None
     try:
@@ -58,17 +68,18 @@ def _network(plan: SegmenterPlan, parameters: SegmentationParameters) -> Network
         return None
     if network.fallback is not None:
         log.warning("segmentation: %s", network.fallback)
-    return NetworkSegmenter(network, parameters)
+    return network
 
 
-def warm_up(segmenter: ChoosingSegmenter) -> None:
+def warm_up(segmenter: ChoosingSegmenter | MaskSegmenter) -> None:
     """Compile and allocate what segmentation needs, by segmenting squares, so that the first stone need not wait."""
     segmenter_choice.warm_up()
-    if segmenter.network is None:
+    asked = segmenter if isinstance(segmenter, MaskSegmenter) else segmenter.network
+    if asked is None:
         return
     wall = np.full((256, 320), 200, np.float32)
     image = wall.astype(np.uint8)
     image[100:150, 140:190] = 60
     frame = Frame(camera=CameraId("warm-up"), image=image, frame_id=0, device_ns=0, received_ns=0)
     background = {frame.camera: CameraBackground(mean=wall, n_frames=1)}
-    _ = segmenter.network(frame, background).fine_px
+    _ = asked(frame, background).fine_px

@@ -197,7 +197,8 @@ class Result(BaseModel):
         "Why the estimate was not refined although `[body] kind` is `photo`; null when it was, or need not be"
     )
     volume_mm3: Number = _measured(
-        "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull), mm³"
+        "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull, or not at all:"
+        " see `volume_model`), mm³"
     )
     volume_sd_percent: Number = _measured(
         "Standard deviation of `volume_mm3`, %, dents that no silhouette shows included"
@@ -207,7 +208,9 @@ class Result(BaseModel):
     volume_estimate_mm3: Number = _measured(
         "Volume of the estimated body's mesh, mm³; null when nothing is estimated"
     )
-    volume_model: Text = _measured("Id of the coefficients that `volume_mm3` is corrected with")
+    volume_model: Text = _measured(
+        "Id of the coefficients that `volume_mm3` is corrected with; `sphere`: as a sphere's hull; `none`: it is not"
+    )
     surface_area_mm2: Number = _measured("Surface area of the mesh, mm²")
     length_mm: Number = _measured("Greatest dimension (ASTM D4791 length), mm")
     width_mm: Number = _measured("Greatest dimension at right angles to the length (ASTM D4791 width), mm")

@@ -1,4 +1,4 @@
 """The version of the algorithm, which every result names."""
 
-ALGORITHM_VERSION = "16"
+ALGORITHM_VERSION = "17"
 """Version of the algorithm, raised by every change that may change a result."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from support.measuring_here import measuring_here
+from support.networks import darkness_network
 from support.rendered import recording_of
 from support.small_recording import thumbnail_rig, write_small_recording
 from typer.testing import CliRunner
@@ -343,3 +344,23 @@ def test_report_names_dropped_views(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     assert "c02 empty" in " ".join(printed.split())
     assert "1 bundles = 1 measured + 0 rejected + 0 lost" in printed
+
+
+@pytest.mark.full
+def test_the_papers_method_as_a_whole(recording: Path, tmp_path: Path) -> None:
+    """With a network that finds what is dark: masks, counted voxels, scikit-image, and nothing corrected."""
+    model = tmp_path / "darkness.onnx"
+    model.write_bytes(darkness_network())
+    whole = ("--method", "paper", "--model", model, "--workers", 1)
+    run(recording, "--out", tmp_path / "whole", *whole)
+    for record in records(tmp_path / "whole"):
+        assert (record["body"], record["volume_model"], record["dropped_views"]) == ("hull", "none", {})
+        assert set(record["segmenters"].values()) == {"u2net"}
+        assert record["quality"] != "good"
+        assert record["volume_mm3"] == record["volume_raw_mm3"]
+        assert record["equivalent_diameter_mm"] == pytest.approx(15.0, abs=0.3)
+    run(recording, "--out", tmp_path / "inner", *whole, "--isolevel", 15.9)
+    for inner, outer in zip(records(tmp_path / "inner"), records(tmp_path / "whole"), strict=True):
+        assert inner["volume_mm3"] < outer["volume_mm3"]
+    wrong = [str(each) for each in ("measure", recording, "--out", tmp_path, *whole, "--isolevel", 16)]
+    assert "isolevel must be from 15 to less than 16" in CliRunner().invoke(APP, wrong).output

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.networks import difference_network
+from support.networks import darkness_network, difference_network
 
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segmenter_choice
@@ -48,7 +48,9 @@ def test_the_section_holds_the_pipeline_s_parameters_and_which_segmenter(load: L
     assert settings.segmentation.model == str(tmp_path / "nets/mine.onnx")
     assert load('model = "nets/mine"').segmentation.model == str(tmp_path / "nets/mine")
     assert load('model = "u2netp"').segmentation.model == "u2netp"
-    with pytest.raises(SettingsError, match=r"segmentation\.segmenter: .*'auto', 'background' or 'onnx'"):
+    with pytest.raises(
+        SettingsError, match=r"segmentation\.segmenter: .*'auto', 'background', 'onnx' or 'mask'"
+    ):
         load('segmenter = "best"')
     with pytest.raises(SettingsError, match="min_contrast must be between 0 and 1"):
         load("min_contrast = 2")
@@ -105,6 +107,18 @@ def test_without_a_network_the_comparison_alone_is_made_ready(monkeypatch: pytes
     )
     warm_up(build_segmenter(CLASSICAL, PARAMETERS))
     assert called
+
+
+def test_a_mask_decides_alone_and_its_absence_is_said_with_each_view(load: Load, tmp_path: Path):
+    plan = SegmenterPlan(wanted="mask", model=darkness_network())
+    segmenter = build_segmenter(plan, PARAMETERS)
+    warm_up(segmenter)
+    assert segmenter(stone(), {}).found_by == "u2net"
+    without = build_segmenter(SegmenterPlan(wanted="mask", trouble="no file"), PARAMETERS)
+    assert without(stone(), {}).fallback == "no background yet; no model"
+    (tmp_path / "ours.onnx").write_bytes(difference_network())
+    refused = plan_segmenter(load(f'segmenter = "mask"\nmodel = "{tmp_path}/ours.onnx"').segmentation)
+    assert "segmenter mask needs a U2-Net as model" in (refused.trouble or "")
 
 
 def test_a_plan_becomes_the_segmenter_it_says():
