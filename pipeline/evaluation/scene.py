@@ -57,11 +57,16 @@ def build_scene(
     return Scene(seed=seed, simulated=simulated, background=background)
 
 
-def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
-    """Return what the cameras see of the ball's drop number `number`, segmented."""
+def photograph_drop(scene: Scene, number: int, diameter_mm: float) -> FrameBundle:
+    """Return what the cameras see of the ball's drop number `number`."""
     rng = stream(scene.seed, BALL, number)
     placed = drop_across(ball(diameter_mm), scene.true_rig, rng)
-    bundle = scene.photograph(placed, rng, f"ball-{number}")
+    return scene.photograph(placed, rng, f"ball-{number}")
+
+
+def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
+    """Return the same drop as `photograph_drop`, segmented."""
+    bundle = photograph_drop(scene, number, diameter_mm)
     return observe_ball(bundle, scene.background, BackgroundSegmenter(), diameter_mm)
 
 

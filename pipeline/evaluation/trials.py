@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,9 +17,10 @@ from pipeline.evaluation.surface_distances import Surface, SurfaceDistances, sur
 from pipeline.frames import FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.meshing import ParticleMesh, mesh_hull
+from pipeline.paper import PAPER, paper_at
 from pipeline.particle import BodyParameters, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
-from pipeline.segmentation import SilhouetteSet, segment_all
+from pipeline.segmentation import Segmenter, SilhouetteSet, segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
 from pipeline.synthesis.bundles import stream
@@ -27,12 +29,27 @@ from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from pipeline.views.prepared import prepare_views
 
-Method = Literal["paper's field", "hull", "estimate", "photo", "exact hull"]
+Method = Literal[
+    "paper's method",
+    "paper's method, 15.1",
+    "paper's method, 15.9",
+    "paper's field",
+    "hull",
+    "estimate",
+    "photo",
+    "exact hull",
+]
 METHODS: tuple[Method, ...] = ("paper's field", "hull", "estimate", "photo")
-"""What is measured: the paper's carving, ours, and the body that the whole chain returns by default.
+"""What is measured of our silhouettes: the paper's carving, ours, and the body that the chain returns by default.
 
 The exact hull is not measured but computed from the body: the lower bound of the other hulls' errors.
 """
+ISOLEVELS: Mapping[Method, float] = {
+    "paper's method": PAPER.carving.isolevel,
+    "paper's method, 15.1": 15.1,
+    "paper's method, 15.9": 15.9,
+}
+"""The paper's whole method, of a network's masks, and where in its field the surface lies."""
 STANDARDS: Mapping[str, Callable[[], Body]] = {"sphere": sphere, "cylinder": cylinder, "cube": cube}
 SIZES_MM = (10.0, 36.0)
 """Greatest diameters of random bodies."""
@@ -88,17 +105,26 @@ def try_body(
     scene: Scene,
     rigs: Mapping[str, tuple[RigCalibration, Sequence[Method]]],
     on_measured: Callable[[Trial, Measured, trimesh.Trimesh], None] = lambda trial, measured, truth: None,
+    masks: Segmenter | None = None,
+    on_stage: Callable[[str, str], None] = lambda method, stage: None,
 ) -> list[Trial]:
     """Render a body in its random pose `number`, and measure it with every rig by each of its methods.
 
     Measurements are brought to the true rig's frame by the one rigid motion between the two rigs, not body by body.
     If the body is star-shaped, the exact hull in the same pose, seen by the true rig, comes first.
-    `on_measured` is called for each trial that gave a body, with the measured and the true surface.
+    `on_measured` is called for each trial that gave a body, with the measured and the true surface. `masks` are the
+    silhouettes of the paper's whole method, which needs them. `on_stage` is told each method's stages as they end.
     """
     rng = _stream(scene.seed, body.name, number, 1)
     placed = tumble(body, scene.true_rig, rng)
     bundle = scene.photograph(placed, rng, body.name)
-    silhouettes = segment_all(bundle.frames, scene.background, BackgroundSegmenter())
+    on_stage("", "")
+    silhouettes = {"": segment_all(bundle.frames, scene.background, BackgroundSegmenter())}
+    on_stage("photo", "segment")
+    if masks is not None:
+        masked = segment_all(bundle.frames, scene.background, masks)
+        on_stage("paper's method", "segment")
+        silhouettes |= dict.fromkeys(ISOLEVELS, masked)
     truth = Surface(placed.world_mesh)
     shape = measure_shape(truth.mesh.vertices, truth.mesh.faces)
 
@@ -118,7 +144,9 @@ def try_body(
     for name, (rig, methods) in rigs.items():
         motion = rig_error(rig, scene.true_rig)
         for method in methods:
-            measured = _measure(bundle, silhouettes, rig, method)
+            on_stage("", "")
+            of_method = silhouettes.get(method, silhouettes[""])
+            measured = _measure(bundle, of_method, rig, method, partial(on_stage, method))
             if isinstance(measured, Measured):
                 vertices_mm = measured.mesh.vertices @ motion.R.T + motion.t_mm
                 mesh = trimesh.Trimesh(vertices_mm, measured.mesh.faces, process=False)
@@ -128,17 +156,20 @@ def try_body(
 
 
 def _measure(
-    bundle: FrameBundle, silhouettes: SilhouetteSet, rig: RigCalibration, method: Method
+    bundle: FrameBundle,
+    silhouettes: SilhouetteSet,
+    rig: RigCalibration,
+    method: Method,
+    on_stage: Callable[[str], None],
 ) -> Measured | str:
     """Measure the body with one method; return why there is none if that fails."""
-    if method in ("estimate", "photo"):
+    chains = {name: paper_at(isolevel) for name, isolevel in ISOLEVELS.items()}
+    for kind in ("estimate", "photo"):
+        chains[kind] = PipelineParameters(body=BodyParameters(kind, texture=False))
+    if method in chains:
         # the whole chain but for the segmentation, which is done
         result = measure_bundle(
-            bundle,
-            rig,
-            {},
-            lambda frame, _: silhouettes[frame.camera],
-            PipelineParameters(body=BodyParameters(method, texture=False)),
+            bundle, rig, {}, lambda frame, _: silhouettes[frame.camera], chains[method], on_stage
         )
         if result.mesh is None or result.measurement is None:
             return str(result.rejection)

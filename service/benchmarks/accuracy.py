@@ -5,6 +5,7 @@ Images and results follow from the seed alone, whatever the number of processes.
 
 import multiprocessing
 import os
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -20,16 +21,21 @@ import numpy as np
 import trimesh
 from threadpoolctl import threadpool_limits
 
-from pipeline.calibration import BallDrop, CalibrationReport, calibrate
+from pipeline.calibration import BallDrop, CalibrationReport, calibrate, observe_ball
+from pipeline.calibration.paper import observe_centroids
 from pipeline.errors import CalibrationError
 from pipeline.evaluation.distance_picture import distance_picture
-from pipeline.evaluation.scene import Scene, build_scene, drop_ball
+from pipeline.evaluation.scene import Scene, build_scene, photograph_drop
 from pipeline.evaluation.surface_distances import Surface
 from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_body, try_body
+from pipeline.frames import Image
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
+from pipeline.segmentation.mask_segmenter import MaskSegmenter
+from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import Body, Looks
 from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
+from service.models.networks import load_model
 
 RigName = Literal["true", "paper", "ours"]
 RIGS: tuple[RigName, ...] = ("true", "paper", "ours")
@@ -53,6 +59,9 @@ class BenchPlan:
     methods: Mapping[RigName, tuple[Method, ...]] = field(
         default_factory=lambda: dict.fromkeys(RIGS, METHODS)
     )
+    model: str | None = (
+        None  # of a U2-Net, whose masks then are the silhouettes of the paper's calibration and method
+    )
     pictures: Path | None = None  # folder for pictures of each body's first pose
 
 
@@ -63,6 +72,10 @@ class BenchResult:
     trials: tuple[Trial, ...]
     reports: Mapping[RigName, CalibrationReport]
     refused: Mapping[RigName, str]
+    stages_ms: Mapping[tuple[str, str], Sequence[float]] = field(default_factory=dict)
+    """Processor time by method and stage, for each body."""
+    paper_drops: tuple[BallDrop, ...] = ()  # as the paper's calibration sees them
+    first_view: Image | None = None  # first camera's, of the first drop, if there are to be pictures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,12 +133,12 @@ def run_accuracy_bench(
         n_processes or os.cpu_count(), mp_context=context, initializer=_use_one_thread
     ) as pool:
         try:
-            dropped = [pool.submit(_drop, plan.seed, plan.lens, number) for number in range(n_drops)]
+            dropped = [pool.submit(_drop, plan, number, calibrations) for number in range(n_drops)]
             finished(dropped)
             drops = [future.result() for future in dropped]
             solved = {
-                rig: pool.submit(_calibrate, drops[:count], method)
-                for rig, (method, count) in calibrations.items()
+                rig: pool.submit(_calibrate, [drop[rig] for drop in drops if rig in drop], method)
+                for rig, (method, _) in calibrations.items()
             }
             finished(solved.values())
             outcomes = {rig: future.result() for rig, future in solved.items()}
@@ -142,14 +155,27 @@ def run_accuracy_bench(
                 for number in range(n_poses)
             ]
             finished(tried)
+            first_view = pool.submit(_first_view, plan).result() if plan.pictures and n_drops else None
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+    stages_ms: dict[tuple[str, str], list[float]] = {}
+    for future in tried:
+        for stage, ms in future.result()[1].items():
+            stages_ms.setdefault(stage, []).append(ms)
     return BenchResult(
-        trials=tuple(trial for future in tried for trial in future.result()),
+        trials=tuple(trial for future in tried for trial in future.result()[0]),
         reports=reports,
         refused={rig: reason for rig, reason in outcomes.items() if isinstance(reason, str)},
+        stages_ms=stages_ms,
+        paper_drops=tuple(drop["paper"] for drop in drops if "paper" in drop),
+        first_view=first_view,
     )
+
+
+def picture_name(body: str, rig: str, method: str) -> str:
+    """Return the name of the file with the picture of a body's first pose."""
+    return f"{body}-{rig}-{method}.png".replace(" ", "-").translate(str.maketrans("", "", "',"))
 
 
 def summarize(trials: Sequence[Trial], body: str | None = None) -> list[Summary]:
@@ -211,8 +237,27 @@ def _scene(seed: int, lens: LensPreset) -> Scene:
     return build_scene(seed, exposure=LENS_PRESETS[lens])
 
 
-def _drop(seed: int, lens: LensPreset, number: int) -> BallDrop:
-    return drop_ball(_scene(seed, lens), number, BALL_DIAMETER_MM)
+@cache
+def _masks(model: str) -> MaskSegmenter:
+    return MaskSegmenter(load_model(model))
+
+
+def _drop(
+    plan: BenchPlan, number: int, calibrations: Mapping[RigName, tuple[str, int]]
+) -> dict[RigName, BallDrop]:
+    """Return the drop as each calibration that uses it sees it."""
+    scene = _scene(plan.seed, plan.lens)
+    bundle = photograph_drop(scene, number, BALL_DIAMETER_MM)
+    compared = observe_ball(bundle, scene.background, BackgroundSegmenter(), BALL_DIAMETER_MM)
+    drops = {rig: compared for rig, (_, count) in calibrations.items() if number < count}
+    if plan.model is not None and "paper" in drops:
+        drops["paper"] = observe_centroids(bundle, _masks(plan.model), BALL_DIAMETER_MM)
+    return drops
+
+
+def _first_view(plan: BenchPlan) -> Image:
+    frames = photograph_drop(_scene(plan.seed, plan.lens), 0, BALL_DIAMETER_MM).frames
+    return next(iter(frames.values())).image
 
 
 def _calibrate(drops: Sequence[BallDrop], method: Literal["paper", "bundle"]) -> CalibrationReport | str:
@@ -223,7 +268,10 @@ def _calibrate(drops: Sequence[BallDrop], method: Literal["paper", "bundle"]) ->
         return str(err)
 
 
-def _try(plan: BenchPlan, name: str, number: int, rigs: Mapping[RigName, RigCalibration]) -> list[Trial]:
+def _try(
+    plan: BenchPlan, name: str, number: int, rigs: Mapping[RigName, RigCalibration]
+) -> tuple[list[Trial], dict[tuple[str, str], float]]:
+    """Return the trials of a body, and the processor time of each method's stages in ms."""
     body = plan.own_bodies.get(name) or random_body(name, number, plan.seed)
     if name in plan.looks:
         body = plan.looks[name].of(body, number)
@@ -236,11 +284,21 @@ def _try(plan: BenchPlan, name: str, number: int, rigs: Mapping[RigName, RigCali
             f"{name}: {trial.method}, rig: {trial.rig};"
             f" mean {trial.distances.mean_mm:.3f} mm, max {trial.distances.max_mm:.3f} mm"
         )
-        file = f"{name}-{trial.rig}-{trial.method}.png".replace(" ", "-").replace("'", "")
         image_rgb = distance_picture(measured.mesh, distances_mm, title)
-        cv2.imwrite(str(plan.pictures / file), image_rgb[..., ::-1])
+        cv2.imwrite(str(plan.pictures / picture_name(name, trial.rig, trial.method)), image_rgb[..., ::-1])
 
     measured_with: dict[str, tuple[RigCalibration, Sequence[Method]]] = {
         name: (rig, plan.methods[name]) for name, rig in rigs.items()
     }
-    return try_body(body, number, _scene(plan.seed, plan.lens), measured_with, picture)
+    stages_ms: dict[tuple[str, str], float] = {}
+    last_s = time.process_time()
+
+    def on_stage(method: str, stage: str) -> None:
+        nonlocal last_s
+        now_s = time.process_time()
+        stages_ms.setdefault((method, stage), 1000 * (now_s - last_s))  # of the first rig
+        last_s = time.process_time()
+
+    masks = None if plan.model is None else _masks(plan.model)
+    trials = try_body(body, number, _scene(plan.seed, plan.lens), measured_with, picture, masks, on_stage)
+    return trials, stages_ms

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -20,6 +20,7 @@ from pipeline.synthesis.bodies import Body, SurfaceKind, body_from_mesh
 from pipeline.synthesis.exposure import LensPreset
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
+from service.benchmarks import paper as paper_bench
 from service.benchmarks.accuracy import (
     CALIBRATIONS,
     RIGS,
@@ -30,21 +31,16 @@ from service.benchmarks.accuracy import (
     run_accuracy_bench,
     summarize,
 )
+from service.benchmarks.paper import PUBLISHED_MM, STONES
 from service.benchmarks.performance import run_performance_bench
 from service.benchmarks.scaling import run_scaling_bench
 from service.benchmarks.tables import performance_tables, scaling_tables
 from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
 from service.commands.shape import read_mesh
 from service.errors import UsageError
+from service.models.networks import load_model
 
-STONES, IRREGULAR = "stones", "irregular-bodies"
-PUBLISHED_MM = {
-    "sphere": (0.233, 0.655),
-    "cylinder": (0.268, 0.773),
-    "cube": (0.289, 0.374),
-    STONES: (0.434, None),
-}
-"""Mean and greatest distance that the paper reports for its real parts and stones."""
+IRREGULAR = "irregular-bodies"
 MAX_RADIUS_MM = 24.0
 FILE_TABLE_WIDTH = 150
 """Width in characters of a table that is not printed to a terminal."""
@@ -58,17 +54,32 @@ def command(
     accuracy: Annotated[
         bool, typer.Option("--accuracy", help="Measure distances to true surfaces instead of times.")
     ] = False,
+    paper: Annotated[
+        bool,
+        typer.Option(
+            "--paper",
+            help="Repeat the paper's Tables 1 to 3 and, with --pictures, its Figures 7, 8, 9 and 11: its method as a "
+            "whole beside ours, on the same images.",
+        ),
+    ] = False,
+    model: Annotated[
+        str,
+        typer.Option(
+            help="With --paper: U2-Net, by the name of a fetched model or the path of an ONNX file."
+        ),
+    ] = "u2netp",
     scaling: Annotated[
         bool,
         typer.Option("--scaling", help="Time one stone with several numbers of voxels, views and workers."),
     ] = False,
     bodies: Annotated[
-        str,
+        str | None,
         typer.Option(
             help=f"What to measure, separated by commas: {', '.join(STANDARDS)}, {STONES} ({', '.join(STONE_FORMS)}), "
             f"{IRREGULAR} ({', '.join(IRREGULAR_FORMS)}), single classes of these, or closed mesh files in mm."
+            f" Default: all; with --paper none of {IRREGULAR}."
         ),
-    ] = f"{','.join(STANDARDS)},{STONES},{IRREGULAR}",
+    ] = None,
     poses: Annotated[
         int,
         typer.Option(
@@ -101,10 +112,11 @@ def command(
     ] = False,
 ) -> None:
     """Time the processing on this machine; with --accuracy repeat the paper's Tables 2 and 3 on rendered images."""
-    if not accuracy:
+    if not (accuracy or paper):
         _time_stones(poses, seed, scaling=scaling, as_json=as_json)
         return
-    names, own_bodies = _bodies(bodies)
+    all_bodies = (*STANDARDS, STONES) if paper else (*STANDARDS, STONES, IRREGULAR)
+    names, own_bodies = _bodies(bodies or ",".join(all_bodies))
     if pictures is not None:
         pictures.mkdir(parents=True, exist_ok=True)
     plan = BenchPlan(
@@ -113,16 +125,27 @@ def command(
         looks=dict.fromkeys(names, looks_of(surfaces, gloss, interreflection)),
         seed=seed,
         lens=lens,
-        methods=dict.fromkeys(_rigs(rigs), METHODS),
+        methods=paper_bench.METHODS if paper else dict.fromkeys(_rigs(rigs), METHODS),
+        model=model if paper else None,
         pictures=pictures,
     )
+    if paper:
+        load_model(model)  # better known now than in every process
     result = _with_progress("measuring", lambda on_progress: run_accuracy_bench(plan, on_progress))
+    if paper and pictures is not None:
+        paper_bench.write_pictures(plan, result, pictures)
     if as_json:
-        typer.echo(json.dumps(_document(plan, result), indent=2, allow_nan=False))
+        found = paper_bench.document(plan, result) if paper else _document(plan, result)
+        typer.echo(json.dumps(without_nan(found), indent=2, allow_nan=False))
         return
     console = Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH)
     for line in _rig_lines(plan, result):
         console.print(line, highlight=False)
+    if paper:
+        console.print(paper_bench.distance_table(plan, paper_bench.compare(result)))
+        console.print(paper_bench.isolevel_table(result))
+        console.print(paper_bench.time_table(result))
+        return
     console.print(accuracy_table(plan, result))
     console.print(size_table(plan, result))
 
@@ -266,10 +289,6 @@ def _rig_lines(plan: BenchPlan, result: BenchResult) -> list[str]:
 
 def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
     """Return everything JSON-ready; an average of no trial is null."""
-
-    def without_nan(values: dict[str, Any]) -> dict[str, Any]:
-        return {key: None if value != value else value for key, value in values.items()}
-
     true_rig = as_built(nominal_rig(), plan.seed)
     return {
         "seed": plan.seed,
@@ -285,11 +304,18 @@ def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
             for error in [rig_error(report.rig, true_rig)]
         },
         "refused": dict(result.refused),
-        "summaries": [
-            without_nan(asdict(summary)) for group in _summaries(plan, result).values() for summary in group
-        ],
+        "summaries": [asdict(summary) for group in _summaries(plan, result).values() for summary in group],
         "trials": [asdict(trial) for trial in result.trials],
     }
+
+
+def without_nan(values: Any) -> Any:
+    """Return JSON-ready values, with null in the place of what is no number."""
+    if isinstance(values, Mapping):
+        return {key: without_nan(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [without_nan(value) for value in values]
+    return None if values != values else values
 
 
 def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:

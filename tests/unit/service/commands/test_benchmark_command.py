@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from support.networks import darkness_network
 from typer.testing import CliRunner, Result
 
 from pipeline.evaluation.surface_distances import SurfaceDistances
@@ -118,6 +119,44 @@ def test_errors_of_sizes_are_told_as_bias_and_rms() -> None:
     assert cells["thickness"] == ["+0.400, 0.500"]
     assert cells["max Feret"] == ["+0.300, 0.300"]
     assert cells["min Feret"] == ["-0.100, 0.100"]
+
+
+@pytest.mark.full
+def test_the_paper_beside_ours_on_the_same_images(tmp_path: Path) -> None:
+    """With a network that finds what is dark in a U2-Net's place; the true one gives the figures of the README."""
+    model, pictures = tmp_path / "darkness.onnx", tmp_path / "pictures"
+    model.write_bytes(darkness_network())
+    arguments = (
+        "--paper",
+        "--model",
+        model,
+        "--bodies",
+        "sphere,cube",
+        "--poses",
+        "1",
+        "--pictures",
+        pictures,
+        "--json",
+    )
+    result = RUNNER.invoke(build_app(["benchmark"]), ["benchmark", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    distances = {row["body"]: row for row in document["distances"]}
+    assert set(distances) == {"sphere", "cube"}
+    for row in distances.values():
+        assert 0.02 < row["paper_mm"] < 0.4
+        assert row["ratio"] == row["paper_mm"] / row["ours_mm"] > 5
+    levels = {
+        row["isolevel"]: row["mesh_volume_percent"]
+        for row in document["isolevels"]
+        if row["body"] == "sphere"
+    }
+    assert levels[15.1] > levels[15.5] > levels[15.9]
+    errors_px = document["calibration"]["paper"]
+    assert len(errors_px["after_px"]) == 16
+    assert max(errors_px["after_px"].values()) < 1 < min(errors_px["before_px"].values())
+    assert document["seconds"]["ours"]["segmentation"] < document["seconds"]["paper's method"]["segmentation"]
+    assert {"figure-7.png", "figure-8.png", "figure-9.png"} < {path.name for path in pictures.iterdir()}
 
 
 @pytest.mark.full
