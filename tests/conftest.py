@@ -11,6 +11,7 @@ import time
 from collections.abc import Generator, Iterator
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.extents import extent_of, is_beyond, use_profile
 from support.renewed import HAS_FAILED
 
@@ -66,7 +67,7 @@ def no_leaked_threads(request: pytest.FixtureRequest) -> Iterator[None]:
     yield
     if request.node.get_closest_marker("restarts_cameras") or request.node.stash.get(HAS_FAILED, False):
         return
-    deadline = time.monotonic() + 2
+    deadline = time.monotonic() + PATIENCE_S
     while leaked := [
         thread
         for thread in set(threading.enumerate()) - before

@@ -22,7 +22,7 @@ from service.store import open_store
 from service.store.store import MAX_LOST
 
 LOOP = "loop = true\nspeed = 2.0"
-N_STONES = 6
+N_STONES = MOST_WAITING = 6
 CAMERAS = tuple(CameraId(f"c{number:02d}") for number in range(1, 17))
 
 
@@ -54,7 +54,8 @@ def outcome_of(results: list[dict[str, Any]]) -> dict[tuple[int, str], dict[str,
 def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
     recording: Path, tmp_path: Path
 ) -> None:
-    with DaemonProcess(tmp_path, recording, rig=LOOP) as daemon:
+    # however long this takes, not more than these wait
+    with DaemonProcess(tmp_path, recording, rig=LOOP, max_bundles=MOST_WAITING) as daemon:
         daemon.hear("READY=1")
         daemon.wait_for("/accounting", lambda now: now["measured"] >= 1)
         daemon.signal_workers(signal.SIGSTOP)
@@ -63,7 +64,9 @@ def test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once(
     left = open_triggers(tmp_path)
     there = {name for _, name in whole_bundles(tmp_path, CAMERAS)}
     assert len(there) >= 2
-    with DaemonProcess(tmp_path, recording, rig=LOOP) as daemon:  # killed while it makes up for it
+    with DaemonProcess(
+        tmp_path, recording, rig=LOOP, max_bundles=MOST_WAITING
+    ) as daemon:  # killed while it makes up for it
         daemon.hear("WATCHDOG=1")
         daemon.wait_for("/accounting?session=1", lambda now: now["in_progress"] < len(there))
         kill(daemon)
