@@ -1,5 +1,7 @@
 import json
-from dataclasses import fields, replace
+import re
+import tomllib
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +14,20 @@ from drivers.errors import RecordingError
 from drivers.factory import build_devices
 from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
+from drivers.gates.gpio import GpioGateSettings
+from drivers.gates.modem_line import ModemLineSettings
 from drivers.gates.serial_gate import SerialGateSettings
 from pipeline.frames import Frame, FrameBundle, Trigger
 from pipeline.measuring.volume_correction import VolumeModel
 from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
 from service.api.key_file import KEYS, create_key, revoke_key
-from service.api.settings import Scope
+from service.api.settings import ApiKey, Scope
 from service.cli import build_app
-from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.rig_settings import AravisRigSettings, CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.configuration.volume_models import read_volume_model, write_volume_model
+from service.delivery.settings import FileDropSettings, WebhookEndpoint
 from service.errors import SettingsError, VolumeModelError
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
@@ -403,16 +408,70 @@ def test_another_camera_than_the_calibrated_one_is_found_before_it_measures(tmp_
     assert "was made with SIM0000" in found[0]
 
 
+def spelled_out(file: Path) -> dict[str, Any]:
+    """Return what the file would say if none of its lines were a comment."""
+    return tomllib.loads(re.sub(r"^# (?=\[|[a-z_0-9]+ = )", "", file.read_text(), flags=re.MULTILINE))
+
+
 @pytest.mark.parametrize("name", ["stonefall.toml", "demo.toml", "simulated.toml"])
-def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str, tmp_path: Path):
-    text = (DEPLOY / name).read_text()
-    settings = settings_of(tmp_path, text)
-    told = [line[2:] if line.startswith("# ") and " = " in line else line for line in text.splitlines()]
-    examples = ("density_g_cm3", "volume_model", "texture", "[[api.keys]]", "name", "sha256", "scopes")
-    examples += ("url", "secret_files", "events", "ca_file")  # of [[webhooks.endpoints]]
-    examples += ('dir = "/mnt', "formats", "language", "must_be_mounted")  # of [file_drop]
-    spelled_out = "\n".join(line for line in told if not line.startswith(examples))
-    assert settings_of(tmp_path, spelled_out) == settings
+def test_the_examples_are_valid_and_their_comments_are_the_defaults(name: str):
+    settings = load_settings(DEPLOY / name)
+
+    def without_examples(said: Any, default: Any) -> Any:
+        """Leave out values, also of tables in a list, of settings that have none."""
+        if isinstance(said, list) and isinstance(default, list) and len(said) == len(default):
+            return [without_examples(*pair) for pair in zip(said, default, strict=True)]
+        if not (isinstance(said, dict) and isinstance(default, dict)):
+            return said
+        return {
+            key: without_examples(value, default.get(key))
+            for key, value in said.items()
+            if key not in default or default[key] not in (None, [])
+        }
+
+    said = without_examples(spelled_out(DEPLOY / name), settings.model_dump(mode="json"))
+    assert Settings.model_validate(said, context={"folder": DEPLOY}) == settings
+
+
+SETTINGS_WITHIN = {
+    "rig.cameras": CameraPlace,
+    "rig.gate.modem_line": ModemLineSettings,
+    "rig.gate.gpio": GpioGateSettings,
+    "api.keys": ApiKey,
+    "webhooks.endpoints": WebhookEndpoint,
+    "file_drop": FileDropSettings,
+}
+"""What is in lists, and in sections that are not set: `check-config` prints it once it is there."""
+
+
+def test_the_example_has_every_setting_that_check_config_prints():
+    file = DEPLOY / "stonefall.toml"
+    settings, said = load_settings(file).model_dump(mode="json"), spelled_out(file)
+    missing: list[str] = []
+
+    def compare(printed: dict[str, Any], told: dict[str, Any], name: str) -> None:
+        for key, value in printed.items():
+            if key not in told:
+                missing.append(name + key)
+            elif isinstance(value, dict):
+                compare(value, told[key], f"{name}{key}.")
+
+    compare(settings, said, "")
+    for name, kind in SETTINGS_WITHIN.items():
+        told: Any = said
+        for key in name.split("."):
+            told = told.get(key, {})
+        first = told[0] if isinstance(told, list) else told
+        missing += [f"{name}.{each.name}" for each in fields(kind) if each.name not in first]
+        if not isinstance(told, list):
+            defaults = {each.name: each.default for each in fields(kind)}
+            wrong = {
+                key: value
+                for key, value in first.items()
+                if defaults[key] not in (MISSING, None) and value != json.loads(json.dumps(defaults[key]))
+            }
+            assert wrong == {}, name
+    assert missing == []
 
 
 def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
