@@ -4,6 +4,7 @@ Settings are an ordered list of features, written in that order, read back and c
 have other names for some features; the first name that the camera has is used.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 
@@ -123,6 +124,17 @@ def exposure_features(*, exposure_us: float, gain_db: float = 0.0) -> tuple[Feat
 def strobe_features(*, line: str) -> tuple[Feature, ...]:
     """Return the features that make `line` an output, high while the sensor is exposed."""
     return (("LineSelector", line), ("LineMode", "Output"), ("LineSource", "ExposureActive"))
+
+
+def strobe_line(settings: Sequence[Feature]) -> str | None:
+    """Return the output line that these features have follow the exposure, None without one."""
+    line = None
+    for name, value in settings:
+        if name == "LineSelector":
+            line = str(value)
+        elif (name, value) == ("LineSource", "ExposureActive"):
+            return line
+    return None
 
 
 def action_features(*, device_key: int, group_key: int, group_mask: int) -> tuple[Feature, ...]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from drivers.cameras.feature_access import FeatureAccess
-from drivers.cameras.genicam import Feature
+from drivers.cameras.genicam import Feature, strobe_line
 from drivers.errors import CameraUnavailableError
 from pipeline.frames import CameraId
 
@@ -57,14 +57,3 @@ class Lamp:
         return next(
             (entry for entry in self._features.entries("LineSource") if entry.startswith(USER_OUTPUT)), None
         )
-
-
-def strobe_line(settings: Sequence[Feature]) -> str | None:
-    """Return the output line that these features have follow the exposure, None without one."""
-    line = None
-    for name, value in settings:
-        if name == "LineSelector":
-            line = str(value)
-        elif (name, value) == ("LineSource", "ExposureActive"):
-            return line
-    return None

@@ -8,32 +8,40 @@ from typing import Annotated, Any
 import tomli_w
 import typer
 
-from service.configuration.settings import load_settings, problems, shortcomings
+from service.configuration.settings import load_settings, problems, shortcomings, warnings
 from service.errors import SettingsError
 
 
 def command(
     file: Annotated[Path, typer.Argument(help="Configuration file, see deploy/stonefall.toml.")],
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print settings, problems, and the URL here as JSON.")
+        bool, typer.Option("--json", help="Print settings, problems, warnings, and the URL here as JSON.")
     ] = False,
 ) -> None:
-    """Print all settings of a configuration file, defaults included, and what is wrong; exit 0 if nothing is."""
+    """Print all settings of a configuration file, defaults included, and what is wrong; exit 0 if nothing is.
+
+    A warning is of what is allowed but rarely meant, and nothing wrong.
+    """
     try:
         settings = load_settings(file)
     except SettingsError as err:
         if as_json:
-            typer.echo(json.dumps({"settings": None, "problems": [str(err)]}, indent=2))
+            typer.echo(json.dumps({"settings": None, "problems": [str(err)], "warnings": []}, indent=2))
         raise
     document = settings.model_dump(mode="json")
     wrong = [*problems(settings), *shortcomings(settings)]
+    doubtful = list(warnings(settings))
     if as_json:
-        typer.echo(
-            json.dumps({"url": settings.api.local_url, "settings": document, "problems": wrong}, indent=2)
-        )
+        said = {
+            "url": settings.api.local_url,
+            "settings": document,
+            "problems": wrong,
+            "warnings": doubtful,
+        }
+        typer.echo(json.dumps(said, indent=2))
     else:
         typer.echo("\n".join(_sections(document)))
-        for problem in wrong:
+        for problem in [*wrong, *(f"warning: {each}" for each in doubtful)]:
             typer.echo(f"stonefall: {file}: {problem}", err=True)
     if wrong:
         raise typer.Exit(1)

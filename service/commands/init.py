@@ -49,6 +49,16 @@ def command(
         ),
     ] = None,
     gate: Annotated[str | None, typer.Option(help="Port of a light gate with a serial line.")] = None,
+    strobe_line: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINE", help="Output of the cameras that fires the light panels, such as Line2."
+        ),
+    ] = None,
+    flash_us: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Light of one flash, if shorter than the exposure of 20 us."),
+    ] = None,
     store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall"),
     spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall"),
     product: Annotated[
@@ -76,11 +86,16 @@ def command(
         raise UsageError(f"{', '.join(unknown)}: no place of the rig, which has {', '.join(rig.camera_ids)}")
     if not named:
         named = _placed(rig.camera_ids, _answering(interfaces), is_asked=is_asked)
+    gate = gate or _found_gate(is_asked=is_asked)
+    if is_asked and strobe_line is None and flash_us is None:
+        strobe_line, flash_us = _asked_light()
     answers = Answers(
         interfaces=interfaces,
         cameras=named,
         places=rig.camera_ids,
-        gate=gate or _found_gate(is_asked=is_asked),
+        gate=gate,
+        strobe_line=strobe_line,
+        flash_us=flash_us,
         calibration=rig_file,
         spool=spool.resolve(),
         store=store.resolve(),
@@ -184,6 +199,17 @@ def _found_gate(*, is_asked: bool) -> str | None:
     return None if said == "-" else said
 
 
+def _asked_light() -> tuple[str | None, float | None]:
+    said = typer.prompt(
+        "output of the cameras that fires the light panels, such as Line2 (- if they are always on)",
+        default="-",
+    )
+    if said == "-":
+        return None, None
+    flash_us = typer.prompt("light of one flash, us (0 if as long as the exposure)", type=float, default=0.0)
+    return said, flash_us or None
+
+
 def _asked_density() -> float | None:
     return (
         typer.prompt("particle density of the product, g/cm3 (0 if it is not known)", type=float, default=0.0)
@@ -213,7 +239,7 @@ def _next_steps(file: Path, product: str | None, density_g_cm3: float | None) ->
     return f"""
 Next:
   1. stonefall check-config {file}
-  2. stonefall doctor --config {file} --pulse       host, cameras, gate and one exposure, each fault with its remedy
+  2. stonefall doctor --config {file} --pulse       host, cameras, gate, exposure and light, each fault with its remedy
   3. systemctl enable --now stonefall               or: stonefall serve --config {file}
   4. which camera is where: open /setup#places on a tablet at the rig, or compare the pictures of /cameras
   5. calibrate; it takes a quarter of an hour, with a matte ball whose diameter you know:

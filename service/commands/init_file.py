@@ -20,6 +20,8 @@ class Answers:
     cameras: Mapping[str, CameraPlace]  # by place; those that are missing are absent
     places: tuple[str, ...]
     gate: str | None
+    strobe_line: str | None  # None: the light is not fired by the cameras
+    flash_us: float | None
     calibration: Path
     spool: Path
     store: Path
@@ -41,6 +43,15 @@ def configuration_text(answers: Answers) -> str:
                 "calibration", str(answers.calibration), "rig file; the design until the rig is calibrated"
             ),
             _line("interfaces", answers.interfaces, "this machine's addresses towards the cameras; []: all"),
+            _line_or_example(
+                "strobe_line",
+                answers.strobe_line,
+                "Line2",
+                "output of the cameras that fires the light panels; not set: they are always on",
+            ),
+            _line_or_example(
+                "flash_us", answers.flash_us, 15.0, "light of one flash, if shorter than the exposure"
+            ),
             "",
             *_gate(answers.gate),
             "",
@@ -53,9 +64,12 @@ def configuration_text(answers: Answers) -> str:
             _line("dir", str(answers.store), "results, meshes, silhouettes, recordings"),
             "",
             "[measuring]",
-            "# density_g_cm3 = 2.70  # particle density (EN 1097-6); without it no mass is reported"
-            if answers.density_g_cm3 is None
-            else _line("density_g_cm3", answers.density_g_cm3, "particle density (EN 1097-6)"),
+            _line_or_example(
+                "density_g_cm3",
+                answers.density_g_cm3,
+                2.7,
+                "particle density (EN 1097-6); without it no mass is reported",
+            ),
             "",
         ]
     )
@@ -88,6 +102,10 @@ def _camera(place: str, camera: CameraPlace | None) -> Sequence[str]:
         "[[rig.cameras]]",
         tomli_w.dumps({name: value for name, value in named.items() if value is not None}),
     ]
+
+
+def _line_or_example(name: str, value: Any, example: Any, comment: str) -> str:
+    return f"# {_line(name, example, comment)}" if value is None else _line(name, value, comment)
 
 
 def _line(name: str, value: Any, comment: str) -> str:

@@ -69,6 +69,16 @@ def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) ->
     yield from transfer_problems(settings, calibration, bundling)
 
 
+def rig_warnings(settings: RigSettings) -> Iterator[str]:
+    """Yield what is allowed in the rig but rarely meant, each with its field."""
+    if isinstance(settings, AravisRigSettings) and not (settings.has_flash or settings.is_simulated):
+        yield (
+            "rig.strobe_line: no output of the cameras fires the light panels, so they must be on all the time: that is"
+            " allowed, but they get hot, and shine less bright than in a flash; if they do flash, say which output"
+            ' fires them (strobe_line) and how long they shine (flash_us): see "Light" in deploy/README.md'
+        )
+
+
 def _placeholders(settings: AravisRigSettings) -> Iterator[str]:
     """Yield what was never filled in since deploy/stonefall.toml was copied."""
     copied = [camera.id for camera in settings.cameras if PLACEHOLDER.fullmatch(camera.serial or "")]

@@ -15,6 +15,7 @@ from drivers.cameras.genicam import (
     action_features,
     exposure_features,
     strobe_features,
+    strobe_line,
     trigger_features,
 )
 from drivers.cameras.host_trigger import ActionKeys
@@ -137,14 +138,16 @@ class AravisRigSettings:
     )
     delay_correction_ms: float = 0.0  # measured; negative for the latency of gate and cameras
     exposure_us: float = 20.0
-    flash_us: float | None = None  # duration of the strobe, if shorter than the exposure
+    flash_us: float | None = (
+        None  # light of one flash, if shorter than the exposure; only checked, set nowhere
+    )
     trigger_skew_us: float = 1.0  # between cameras; of a wired trigger next to none
     max_blur_px: float = 1.5
 
     trigger: str = "Line1"  # input of the cameras; "software" or "action": this machine triggers them
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
     action: ActionKeys = field(default_factory=ActionKeys)
-    strobe_line: str | None = None  # output of the cameras that fires the strobe
+    strobe_line: str | None = None  # output of the cameras that fires the light panels
     gain_db: float = 0.0
     features: tuple[Feature, ...] = ()  # further GenICam features of all cameras, written in this order
 
@@ -177,6 +180,8 @@ class AravisRigSettings:
             raise ValueError(
                 f'trigger must be an input such as "Line1", "software" or "action", not {self.trigger!r}'
             )
+        if self.strobe_line == self.trigger:
+            raise ValueError(f"strobe_line is an output: it cannot be {self.trigger}, the input of trigger")
         if self.trigger_delay_ms <= 0:
             raise ValueError(f"delay_correction_ms leaves a trigger delay of {self.trigger_delay_ms:.1f} ms")
         for name in ("id", "serial", "address", "user_name"):
@@ -207,6 +212,13 @@ class AravisRigSettings:
     def busy_ms(self) -> float:
         """Return the time from an edge to the end of its exposure, during which cameras ignore further edges."""
         return self.trigger_delay_ms + self.exposure_us / 1e3
+
+    @property
+    def has_flash(self) -> bool:
+        """Return whether the light flashes: an output of a camera fires it, or `flash_us` says so."""
+        return self.flash_us is not None or any(
+            strobe_line(camera.features) for camera in self.sought_cameras()
+        )
 
     def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
         """Return the parameters, with a dead time of at least `busy_ms` if the gate has a clock of its own."""

@@ -24,7 +24,7 @@ from service.api.key_file import KEYS, KeyFileError, StoredKey, read_keys
 from service.api.settings import ApiSettings, WithoutKeys
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
-from service.configuration.rig_checks import rig_problems
+from service.configuration.rig_checks import rig_problems, rig_warnings
 from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
@@ -202,6 +202,11 @@ def shortcomings(settings: Settings) -> Iterator[str]:
     if trouble is not None:
         yield f"api.keys: {trouble}: no key of this file is accepted; mend it, or remove it and create them anew"
     yield from delivery_shortcomings(settings.webhooks, settings.file_drop)
+
+
+def warnings(settings: Settings) -> Iterator[str]:
+    """Yield what is allowed but rarely meant, each with its field; no reason to refuse the file."""
+    yield from rig_warnings(settings.rig)
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -63,6 +63,27 @@ def test_what_it_writes_passes_check_config_and_it_says_what_comes_next(tmp_path
         assert step in done.output
 
 
+def test_the_output_that_fires_the_light_is_entered_and_without_it_check_config_warns(
+    tmp_path: Path,
+) -> None:
+    def checked(*more: str) -> tuple[AravisRigSettings, str]:
+        assert complete(tmp_path, "--force", *more).exit_code == 0
+        file = tmp_path / "stonefall.toml"
+        done = CliRunner().invoke(build_app(["check-config"]), ["check-config", str(file)])
+        assert done.exit_code == 0  # a warning is no fault
+        rig = load_settings(file).rig
+        assert isinstance(rig, AravisRigSettings)
+        return rig, done.stderr
+
+    rig, said = checked()
+    assert (rig.strobe_line, rig.flash_us) == (None, None)
+    assert "warning: rig.strobe_line: no output of the cameras fires the light panels" in said
+    assert '\n# strobe_line = "Line2"' in (tmp_path / "stonefall.toml").read_text()
+    rig, said = checked("--strobe-line", "Line2", "--flash-us", "15")
+    assert (rig.strobe_line, rig.flash_us, said) == ("Line2", 15, "")
+    assert complete(tmp_path, "--force", "--flash-us", "25").exit_code == 1  # longer than the exposure
+
+
 def test_nothing_is_replaced_without_being_told(tmp_path: Path) -> None:
     rig = nominal_rig("2026-01-01T00:00:00Z")
     write_rig(tmp_path / "rig.json", rig)

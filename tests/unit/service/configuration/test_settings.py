@@ -25,7 +25,7 @@ from service.api.key_file import KEYS, create_key, revoke_key
 from service.api.settings import ApiKey, Scope
 from service.cli import build_app
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
-from service.configuration.settings import Settings, load_settings, problems, shortcomings
+from service.configuration.settings import Settings, load_settings, problems, shortcomings, warnings
 from service.configuration.volume_models import read_volume_model, write_volume_model
 from service.delivery.settings import FileDropSettings, WebhookEndpoint
 from service.errors import SettingsError, VolumeModelError
@@ -117,6 +117,7 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (LIVE.replace("[rig]", "[rig]\ndelay_correction_ms = -250"), ["rig: delay_correction_ms leaves a"]),
         (LIVE.replace("[rig]", '[rig]\ntrigger = "radio"'), ["rig: trigger must be an input"]),
         (LIVE.replace("[rig]", "[rig]\nflash_us = 30"), ["rig: flash_us must be in 0.1..exposure_us"]),
+        (LIVE.replace("[rig]", '[rig]\nstrobe_line = "Line1"'), ["rig: strobe_line is an output"]),
         (LIVE.replace("[rig]", "[rig]\npacket_size_bytes = 12000"), ["camera c01: packet_size_bytes"]),
         (LIVE.replace('id = "c02"', 'id = "c01"'), ["rig: cameras: id c01 is there twice"]),
         (LIVE.replace("SIM0002", "SIM0003"), ["rig: cameras: serial SIM0003 is there twice"]),
@@ -330,6 +331,30 @@ def test_a_live_rig_is_described_to_its_devices(tmp_path: Path):
     assert backend.fired_by is None
 
 
+@pytest.mark.parametrize(
+    ("more", "is_warned"),
+    [
+        ("", True),
+        ('strobe_line = "Line2"', False),
+        ("flash_us = 15", False),  # fired by something else
+        ('features = [["LineSelector", "Line3"], ["LineSource", "ExposureActive"]]', False),
+        ("is_simulated = true", False),
+    ],
+)
+def test_a_live_rig_whose_light_does_not_flash_is_a_warning_and_no_fault(
+    more: str, is_warned: bool, tmp_path: Path
+):
+    write_rig(tmp_path / "rig.json", nominal_rig())
+    settings = settings_of(tmp_path, LIVE.replace("[rig]", f"[rig]\n{more}"))
+    assert not any("strobe" in each for each in [*problems(settings), *shortcomings(settings)])
+    assert [each.partition(":")[0] for each in warnings(settings)] == ["rig.strobe_line"] * is_warned
+
+
+def test_examples_and_recordings_are_not_warned_of(tmp_path: Path):
+    for name in ("demo.toml", "simulated.toml"):
+        assert list(warnings(load_settings(DEPLOY / name))) == []
+
+
 def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: Path):
     settings = settings_of(tmp_path, LIVE.replace("[rig]", "[rig]\nstart_above_gate_mm = 5"))
     assert isinstance(settings.rig, AravisRigSettings)
@@ -498,6 +523,7 @@ def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
     assert document["url"] == "http://127.0.0.1:8080"  # where deploy/install asks the daemon
     assert document["settings"]["workers"]["slots"] == 2
     assert "rig.calibration: " in document["problems"][0]
+    assert document["warnings"] == []
 
 
 @pytest.mark.parametrize("name", ["stonefall.toml", "simulated.toml"])
