@@ -17,7 +17,7 @@ from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import Allocate, FrameReader, Memory, allocate, new_buffer
 from drivers.cameras.genicam import GigeCameraSettings, all_features
-from drivers.cameras.lamp import Lamp
+from drivers.cameras.lamp import Lamp, give_strobe_back, strobe_off
 from drivers.cameras.stream_filter import max_packet_number, stream_program
 from drivers.cameras.stream_socket import prepare_socket
 from drivers.errors import CameraUnavailableError, LossCause
@@ -167,12 +167,14 @@ class AravisCamera:
                 if self._is_there():
                     with suppress(CameraUnavailableError):
                         self._give_lamp_back()
+                    if self._settings.is_strobe_off:
+                        with suppress(CameraUnavailableError), cleared_tracebacks():
+                            give_strobe_back(self._features(), self._settings.features)
                     with suppress(CameraUnavailableError), aravis_errors(self.id, "give up control"):
                         self._camera.get_device().leave_control()
                 self._camera.get_device().disconnect(self._control_lost_signal)
-            self._reader = self._stream = (
-                None  # first: it ends the thread of Aravis that receives into the memory
-            )
+            # first: it ends the thread of Aravis that receives into the memory
+            self._reader = self._stream = None
             self._camera = None
             self._lamp = None
             self._memory = {}
@@ -217,7 +219,8 @@ class AravisCamera:
         packets = [("GevSCPD", delay_ticks)]
         if settings.packet_size_bytes is not None:
             packets.append(("GevSCPSPacketSize", settings.packet_size_bytes))
-        self._applied = features.apply([*all_features(settings), *packets])
+        wanted = [*all_features(settings), *packets]
+        self._applied = features.apply(strobe_off(features, wanted) if settings.is_strobe_off else wanted)
         features.verify(self._applied)  # a later setting may have changed an earlier one
         self._polled = {}
         for name in POLLED_FEATURES:

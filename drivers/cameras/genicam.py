@@ -75,6 +75,7 @@ class GigeCameraSettings:
     throughput_limit_bytes_s: int | None = None
     receive_buffer_bytes: int = 4 << 20  # of the stream's socket
     n_buffers: int = 8  # how many frames the reader may lag behind
+    is_strobe_off: bool = False  # until it is closed: exposures without the light that its output fires
     may_be_simulated: bool = False  # the rig is a simulated one, and its results are marked
 
     def __post_init__(self) -> None:

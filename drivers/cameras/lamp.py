@@ -1,9 +1,12 @@
-"""The lamp by which a person finds a camera: its status lamp, else what its strobe's line feeds."""
+"""Lights of a camera: the lamp by which a person finds it, and the strobe that its output line fires.
+
+The lamp is the status lamp, else what the strobe's line feeds.
+"""
 
 from collections.abc import Sequence
 
 from drivers.cameras.feature_access import FeatureAccess
-from drivers.cameras.genicam import Feature, strobe_line
+from drivers.cameras.genicam import Feature, strobe_features, strobe_line
 from drivers.errors import CameraUnavailableError
 from pipeline.frames import CameraId
 
@@ -29,7 +32,7 @@ class Lamp:
         if (own := features.own_name(STATUS_LAMP)) is not None:
             self._on, self._off = [(STATUS_LAMP, "Active")], [(STATUS_LAMP, "Inactive")]
             self._usual = [(STATUS_LAMP, features.read(own))]
-        elif line is not None and (output := self._user_output(line)) is not None:
+        elif line is not None and (output := _user_output(features, line)) is not None:
             source: list[Feature] = [
                 ("LineSelector", line),
                 ("LineSource", output),
@@ -49,11 +52,36 @@ class Lamp:
         """Let it show again what it usually shows."""
         self._features.apply(self._usual)
 
-    def _user_output(self, line: str) -> str | None:
-        """Return the source by which the host sets a line, None if the camera has none."""
-        if self._features.own_name("UserOutputValue") is None:
-            return None
-        self._features.apply([("LineSelector", line)])
-        return next(
-            (entry for entry in self._features.entries("LineSource") if entry.startswith(USER_OUTPUT)), None
-        )
+
+def strobe_off(features: FeatureAccess, settings: Sequence[Feature]) -> list[Feature]:
+    """Return the settings with the strobe's line as it is between two exposures, low also during them.
+
+    The host sets the line if the camera lets it, which an inverter of the line then inverts as well; else it is off.
+    """
+    line = strobe_line(settings)
+    if line is None:
+        return list(settings)
+    features.apply([("LineSelector", line), ("LineMode", "Output")])  # an input may have no sources
+    output = _user_output(features, line)
+    off: list[Feature] = [("LineSource", output or "Off")]
+    if output is not None:
+        off += [("UserOutputSelector", output), ("UserOutputValue", False)]
+    return [
+        each
+        for setting in settings
+        for each in (off if setting == ("LineSource", "ExposureActive") else [setting])
+    ]
+
+
+def give_strobe_back(features: FeatureAccess, settings: Sequence[Feature]) -> None:
+    """Let the strobe's line follow the exposure again."""
+    if (line := strobe_line(settings)) is not None:
+        features.apply(strobe_features(line=line))
+
+
+def _user_output(features: FeatureAccess, line: str) -> str | None:
+    """Return the source by which the host sets a line, None if the camera has none."""
+    if features.own_name("UserOutputValue") is None:
+        return None
+    features.apply([("LineSelector", line)])
+    return next((entry for entry in features.entries("LineSource") if entry.startswith(USER_OUTPUT)), None)

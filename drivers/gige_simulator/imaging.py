@@ -26,6 +26,7 @@ class Exposure:
     exposed_ns: int  # host's monotonic time of its start
     exposure_us: float
     gain_db: float
+    high_lines: tuple[str, ...] = ()  # outputs that are high while it lasts
 
 
 ImageSource = Callable[[Exposure], "GreyImage | None"]

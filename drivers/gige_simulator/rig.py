@@ -54,6 +54,7 @@ class RigDesign:
     sight_ms: float = SIGHT_MS  # a stone is seen so long before and after it passes the middle
     exposure_us: float | None = None  # at which images are as recorded; None: as recording.json says
     gain_db: float = 0.0  # at which images are as recorded
+    strobe_line: str | None = None  # output of each camera that fires its light; None: the light is always on
     uplink_bytes_s: float | None = None  # shared by all cameras behind a switch; None: unlimited
     uplink_buffer_bytes: int = 2 << 20  # of the switch
     seed: int = 0
@@ -74,6 +75,7 @@ class SimulatedRig:
             fall_ns=round(design.fall_ms * 1e6),
             exposure_us=design.exposure_us or _recorded_exposure_us(recording),
             gain_db=design.gain_db,
+            strobe_line=design.strobe_line,
             sight_ms=design.sight_ms,
             seed=design.seed,
         )

@@ -3,13 +3,14 @@
 import heapq
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.counters import SensorTally
 from drivers.gige_simulator.faults import DOUBLE_AFTER_MS, Faults
+from drivers.gige_simulator.feature_table import USER_OUTPUTS
 from drivers.gige_simulator.features import CHUNKS
 from drivers.gige_simulator.gvsp import Block, packets
 from drivers.gige_simulator.imaging import Exposure, ImageSource, Imaging
@@ -229,6 +230,7 @@ class Sensor:
                 exposed_ns=plan.exposed_ns,
                 exposure_us=plan.exposure_us,
                 gain_db=registers.quantity("Gain"),
+                high_lines=tuple(line for line, source in self._outputs() if self._is_high(source)),
             )
         )
         with self._changed:
@@ -282,12 +284,10 @@ class Sensor:
         )
 
     def _strobe(self, plan: Plan) -> None:
-        registers = self._registers
         if self._on_strobe is None:
             return
-        for line, bank in registers.features["LineSelector"].entries.items():
-            is_output = registers.choice("LineMode", bank) == "Output"
-            if is_output and registers.choice("LineSource", bank) == "ExposureActive":
+        for line, source in self._outputs():
+            if source == "ExposureActive":
                 self._on_strobe(
                     Strobe(
                         camera=self._camera,
@@ -296,3 +296,16 @@ class Sensor:
                         exposure_us=plan.exposure_us,
                     )
                 )
+
+    def _outputs(self) -> Iterator[tuple[str, str]]:
+        """Yield the name and the source of each line that is an output."""
+        registers = self._registers
+        for line, bank in registers.features["LineSelector"].entries.items():
+            if registers.choice("LineMode", bank) == "Output":
+                yield line, registers.choice("LineSource", bank)
+
+    def _is_high(self, source: str) -> bool:
+        """Return whether an output of this source is high during an exposure."""
+        if source in USER_OUTPUTS:
+            return bool(self._registers.number("UserOutputValue", USER_OUTPUTS.index(source)))
+        return source == "ExposureActive"

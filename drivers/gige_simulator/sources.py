@@ -2,7 +2,8 @@
 
 A stone is in view while the exposure is within `SIGHT_MS` of its passing the middle, and always appears where it was
 recorded: with a trigger delay that is wrong by more, nothing or another stone is seen. Brightness follows exposure
-time and gain; at the values of the recording the pixels are those of the recording.
+time and gain; at the values of the recording the pixels are those of the recording. Where an output of the cameras
+fires the light, a camera whose output is low sees black.
 """
 
 import threading
@@ -33,6 +34,7 @@ class Scene:
         fall_ns: int,
         exposure_us: float,
         gain_db: float,
+        strobe_line: str | None = None,
         sight_ms: float = SIGHT_MS,
         seed: int = 0,
     ) -> None:
@@ -41,6 +43,7 @@ class Scene:
         self._n_empty = 0
         self._fall_ns = fall_ns  # from the gate to the middle of the rig
         self._exposure_us, self._gain_db = exposure_us, gain_db  # of the recording
+        self._strobe_line = strobe_line  # output that fires the light; None: it is always on
         self._sight_ns = round(sight_ms * 1e6)
         self._lock = threading.Lock()
         self._passing: list[tuple[int, Images]] = []  # (time of passing the middle, images)
@@ -63,6 +66,8 @@ class Scene:
             images = self._seen(exposure)
             if (image := images.get(camera)) is None:
                 return None
+            if self._strobe_line is not None and self._strobe_line not in exposure.high_lines:
+                return _with_one_pixel_changed(np.zeros_like(image), self._seed + exposure.n)
             if len(self._empty) == 1 and images is self._empty[0]:
                 image = _with_one_pixel_changed(image, self._seed + exposure.n)
             return self._lit(image, exposure)

@@ -8,6 +8,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,11 +19,14 @@ from support.extents import first_quick
 from support.gige import NET, design, picture, powered, serial, settings_for
 from support.sinks import Collector
 
+from drivers.cameras import lamp
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import strobe_features
 from drivers.errors import CameraUnavailableError
-from drivers.gige_simulator.camera import SimulatedCamera
+from drivers.gige_simulator.camera import Exposure, SimulatedCamera
+from drivers.gige_simulator.features import Dialect
 from drivers.interfaces import CameraLost
+from pipeline.arrays import GreyImage
 from pipeline.frames import Frame
 
 FOUND_OUT_S = 2.5
@@ -285,6 +289,34 @@ def test_the_strobe_is_itself_again_after_a_host_that_was_killed_over_it(old: Si
     assert not old.is_lit
     camera.examine()
     camera.close()
+
+
+@pytest.mark.parametrize("dialect", ["sfnc", "legacy"])
+@pytest.mark.parametrize("has_user_output", [True, False])
+def test_exposures_without_the_strobe_until_the_camera_is_closed(
+    dialect: Dialect, has_user_output: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not has_user_output:
+        monkeypatch.setattr(lamp, "USER_OUTPUT", "NoSuchOutput")
+    exposures: list[Exposure] = []
+
+    def seen(exposure: Exposure) -> GreyImage:
+        exposures.append(exposure)
+        return picture(exposure.n)
+
+    with powered(design(dialect=dialect), seen) as device:
+        device.tamper("UserOutputValue", 1)
+        settings = settings_for(device.design, features=STROBED)
+        camera = camera_opened(AravisCamera(replace(settings, is_strobe_off=True)))
+        assert works(camera, device)
+        camera.examine()
+        assert exposures[-1].high_lines == ()
+        camera.close()
+        assert device.feature("LineSource", STROBE_BANK) == EXPOSURE_ACTIVE
+        camera = camera_opened(AravisCamera(settings))
+        assert works(camera, device)
+        assert exposures[-1].high_lines == ("Line2",)
+        camera.close()
 
 
 def test_a_camera_with_nothing_to_light_says_so(old: SimulatedCamera) -> None:

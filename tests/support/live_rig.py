@@ -65,6 +65,7 @@ def simulated_rig(
     sight_ms: float = SIGHT_MS,
     number: int = 0,
     only_stones: bool = False,
+    strobe_line: str | None = None,
 ) -> Iterator[SimulatedRig]:
     """The belt stands until it is started."""
     design = RigDesign(
@@ -74,6 +75,7 @@ def simulated_rig(
         is_looping=is_looping,
         only_stones=only_stones,
         sight_ms=sight_ms,
+        strobe_line=strobe_line,
     )
     with SimulatedRig(design, open_recording(recording)) as rig:
         yield rig

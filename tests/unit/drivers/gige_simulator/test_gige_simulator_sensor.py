@@ -171,6 +171,8 @@ def test_the_strobe_lights_with_the_exposure(camera: Session) -> None:
     edge_ns = time.monotonic_ns()
     camera.camera.line(at_ns=edge_ns)
     assert camera.receiver.frame() is not None
+    (exposure,) = camera.exposures
+    assert exposure.high_lines == ("Line2",)
     (strobe,) = camera.strobes
     assert (strobe.line, strobe.exposed_ns, strobe.exposure_us) == ("Line2", edge_ns, 100.0)
 

@@ -195,6 +195,16 @@ class TestScene:
         seen = scene.source_of(CAMERA)(replace(EXPOSURE, exposed_ns=FALL_NS))
         np.testing.assert_array_equal(seen, images(3)[CAMERA])
 
+    def test_a_light_that_an_output_fires_is_there_when_it_is_high(self) -> None:
+        scene = Scene(
+            empty=[images(1), images(2)], fall_ns=FALL_NS, exposure_us=20, gain_db=0, strobe_line="Line2"
+        )
+        see = scene.source_of(CAMERA)
+        for lines, is_lit in ((("Line2",), True), (("Line3",), False), ((), False)):
+            dark = [see(replace(EXPOSURE, n=n, high_lines=lines)) for n in (2, 4)]
+            assert all((seen is not None and seen.max() > 1) == is_lit for seen in dark)
+            assert is_lit or not np.array_equal(*dark)  # no sensor delivers the same image twice
+
     def test_a_camera_without_a_view_sends_nothing(self, scene: Scene) -> None:
         scene.enter(0, images(3))
         assert scene.source_of(CAMERAS[1])(replace(EXPOSURE, exposed_ns=FALL_NS)) is None
