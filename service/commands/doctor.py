@@ -27,7 +27,8 @@ def command(
     pulse: Annotated[
         bool,
         typer.Option(
-            "--pulse", help="Also arm the rig and fire the gate's test pulse once; no daemon may run."
+            "--pulse",
+            help="Also arm the rig and fire the gate's test pulse, with and without the flash; no daemon may run.",
         ),
     ] = False,
     root: Root = ROOT,
@@ -78,6 +79,6 @@ def _rig(settings: Settings, host: Host, url: str, key: str | None, *, is_fired:
             yield from check_cameras(rig, host)
             yield check_gate(rig)
             if is_fired:
-                yield from asyncio.run(check_pulse(settings))
+                yield from asyncio.run(check_pulse(rig, settings.bundling))
         case replay:
             yield unknown("rig", f"{replay.recording} is replayed", "cameras and a light gate")

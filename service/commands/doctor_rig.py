@@ -4,19 +4,21 @@ import asyncio
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
+from statistics import median
 
 from drivers.cameras.finding import find_camera
-from drivers.cameras.genicam import GigeCameraSettings
+from drivers.cameras.genicam import GigeCameraSettings, strobe_line
 from drivers.errors import DeviceError, DriverError, RecordingError
-from drivers.factory import build_devices, build_gate
+from drivers.factory import AravisBackend, build_devices, build_gate
 from drivers.files.rig_file import read_rig
 from drivers.gvcp import DiscoveredCamera, discover
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from service.acquisition.acquisition import Acquisition
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.acquisition.triggers import NoAccounting
+from service.bundling.parameters import BundlingParameters
 from service.configuration.rig_settings import AravisRigSettings
-from service.configuration.settings import Settings
 from service.host.finding import Finding, fault, judged, unknown
 from service.host.host import Host
 from service.status import AcquisitionTarget
@@ -25,6 +27,22 @@ PULSE_S = 30.0
 """Longest time from arming to the bundle of the test pulse: opening sixteen cameras, trigger delay, transfer."""
 DARK_GREY = 20.0
 """Mean grey level below which an exposure of the white sphere had no light."""
+MAX_UNFLASHED_SHARE = 0.2
+"""Share of a view's light that may be there without the flash, a camera's black level included.
+
+What comes and goes with daylight then stays within the change of light that `[optics] light_change` allows.
+"""
+WANTED = "an image of every camera, with light"
+WANTED_LIGHT = f"at most {MAX_UNFLASHED_SHARE:.0%} of the light of each view without the flash"
+NOT_FIRED = (
+    "where it is as dark with it, nothing is fired: check the wire from the cameras' output to the panels' driver,"
+    " rig.strobe_line, the driver's supply; of a single camera its lens cap and window"
+)
+LIGHT_WITHOUT = (
+    "where it is bright without it, the panels are always on, another output fires them, or daylight comes in: set"
+    " their driver to flash at the cameras' output only, close the rig; if they are to be always on, remove"
+    " rig.strobe_line"
+)
 
 
 def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
@@ -135,20 +153,41 @@ def check_gate(rig: AravisRigSettings) -> Finding:
     )
 
 
-async def check_pulse(settings: Settings) -> list[Finding]:
-    """Arm the rig, fire the gate's test pulse once, and return which cameras exposed, and whether there was light."""
-    wanted = "an image of every camera, with light"
+async def check_pulse(rig: AravisRigSettings, bundling: BundlingParameters) -> list[Finding]:
+    """Expose the empty rig by the gate's test pulse, and again without the flash; return what the cameras saw.
+
+    Opening the cameras sets them as configured; those that are opened without their flash get it back when they close.
+    """
     try:
-        calibration = read_rig(settings.rig.calibration_path)
-        devices = build_devices(settings.rig.backend_for(calibration))
+        backend = rig.backend_for(read_rig(rig.calibration))
     except (DriverError, KeyError) as err:
-        return [unknown("test pulse", f"not fired: {err}", wanted)]
+        return [unknown("test pulse", f"not fired: {err}", WANTED)]
+    bundling = rig.bundling_for(bundling)
+    lit = await _exposed(backend, bundling)
+    if isinstance(lit, Finding):
+        return [lit]
+    findings = list(_judged_pulse(lit))
+    if not any(strobe_line(camera.features) for camera in backend.cameras):
+        if not rig.is_simulated:
+            found = "not measured: no output of the cameras fires it (rig.strobe_line)"
+            findings.append(unknown("flash", found, WANTED_LIGHT))
+        return findings
+    off = tuple(replace(camera, is_strobe_off=True) for camera in backend.cameras)
+    unlit = await _exposed(replace(backend, cameras=off), bundling)
+    if isinstance(unlit, Finding):
+        return [*findings, unknown("flash", f"not measured: without it, {unlit.found}", WANTED_LIGHT)]
+    return [*findings, judge_flash(_greys(lit), _greys(unlit))]
+
+
+async def _exposed(backend: AravisBackend, bundling: BundlingParameters) -> FrameBundle | Finding:
+    """Arm the rig, fire one test pulse, and disarm; return its bundle, or the fault that there is none."""
+    devices = build_devices(backend)
     bundles: asyncio.Queue[FrameBundle] = asyncio.Queue()
     acquisition = Acquisition(
         devices,
         session=0,
         triggers=NoAccounting(),
-        bundling=settings.rig.bundling_for(settings.bundling),
+        bundling=bundling,
         min_cameras=1,
         empty_rig=EmptyRigParameters(at_start=1, every_s=0),
         on_bundle=bundles.put_nowait,
@@ -160,16 +199,14 @@ async def check_pulse(settings: Settings) -> list[Finding]:
         async with asyncio.timeout(PULSE_S):
             while (bundle := await bundles.get()).kind is not BundleKind.BACKGROUND:
                 pass  # a stone, which fell meanwhile
-        return list(_judged_pulse(bundle))
+        return bundle
     except TimeoutError:
-        return [
-            fault(
-                "test pulse",
-                found=f"no image of it within {PULSE_S:g} s{f': {acquisition.trouble}' if acquisition.trouble else ''}",
-                wanted=wanted,
-                remedy="check the gate's test output and the trigger line; some gates have none (drivers/README.md)",
-            )
-        ]
+        return fault(
+            "test pulse",
+            found=f"no image of it within {PULSE_S:g} s{f': {acquisition.trouble}' if acquisition.trouble else ''}",
+            wanted=WANTED,
+            remedy="check the gate's test output and the trigger line; some gates have none (drivers/README.md)",
+        )
     finally:
         acquisition.stop()
         if not (await asyncio.wait([acquiring], timeout=PULSE_S))[0]:  # a device hangs
@@ -188,9 +225,7 @@ def _judged_pulse(bundle: FrameBundle) -> Iterator[Finding]:
         wanted="all of them",
         remedy="check the trigger line of those cameras, and rig.trigger",
     )
-    dark = {
-        name: grey for name, frame in bundle.frames.items() if (grey := float(frame.image.mean())) < DARK_GREY
-    }
+    dark = {name: grey for name, grey in _greys(bundle).items() if grey < DARK_GREY}
     yield judged(
         "light",
         is_good=not dark,
@@ -199,4 +234,31 @@ def _judged_pulse(bundle: FrameBundle) -> Iterator[Finding]:
         else "all views are lit",
         wanted=f"mean grey of at least {DARK_GREY:g} in every view of the empty rig",
         remedy="check strobe, its supply and rig.strobe_line; take caps off the lenses",
+    )
+
+
+def _greys(bundle: FrameBundle) -> dict[CameraId, float]:
+    return {name: float(frame.image.mean()) for name, frame in bundle.frames.items()}
+
+
+def judge_flash(lit: Mapping[CameraId, float], unlit: Mapping[CameraId, float]) -> Finding:
+    """Return whether the light comes from the flash, from the mean greys of the views with it and without it."""
+    both = [name for name in lit if name in unlit]
+    if not both:
+        return unknown("flash", "not measured: no camera exposed with it and without it", WANTED_LIGHT)
+
+    def compared(names: Sequence[CameraId]) -> str:
+        which = f"all {len(both)} views" if len(names) == len(both) else ", ".join(names)
+        with_it, without = (median(greys[name] for name in names) for greys in (lit, unlit))
+        return f"{which}: {with_it:.0f} grey levels with it, {without:.0f} without"
+
+    dark = [name for name in both if max(lit[name], unlit[name]) < DARK_GREY]
+    bright = [name for name in both if name not in dark and unlit[name] > MAX_UNFLASHED_SHARE * lit[name]]
+    faults = {NOT_FIRED: dark, LIGHT_WITHOUT: bright}
+    return judged(
+        "flash",
+        is_good=not (dark or bright),
+        found="; ".join(compared(names) for names in faults.values() if names) or compared(both),
+        wanted=WANTED_LIGHT,
+        remedy="; ".join(remedy for remedy, names in faults.items() if names),
     )

@@ -1,15 +1,20 @@
 """`stonefall doctor` on a simulated rig: broken, whole with a test pulse, and while the daemon has it."""
 
 import json
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support import broken_host
 from support.broken_host import Tree
-from support.live_rig import live_rig, live_section, simulated_rig
+from support.daemon_process import STONEFALL
+from support.live_rig import eventually, live_rig, live_section, simulated_rig
 from support.small_recording import write_small_recording
 from support.warm_stonefall import run_stonefall
+
+LINE2 = 1
+"""Bank of Line2 among the registers of the lines."""
 
 
 def doctor(config: Path, *more: str | Path) -> tuple[int, dict[str, Any]]:
@@ -49,6 +54,49 @@ def test_a_whole_rig_exposes_at_the_test_pulse(tmp_path: Path) -> None:
         assert code == 1
         assert "it answers at 127." in found["camera c01"]["found"]
         assert found["port of 198.51.100.9"]["remedy"]
+
+
+@pytest.mark.full
+def test_the_light_is_compared_with_and_without_the_flash(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "source", n_stones=1)
+    config = tmp_path / "stonefall.toml"
+    with simulated_rig(tmp_path, tmp_path / "source", number=8, strobe_line="Line2") as rig:
+
+        def flash(line: str) -> dict[str, Any]:
+            """Return the finding when the configuration says that this line fires the light."""
+            section = live_section(rig, tmp_path, tmp_path / "source", more=f'strobe_line = "{line}"')
+            config.write_text(
+                f'{section}[spool]\ndir = "/run/stonefall"\n[store]\ndir = "state"\n[api]\nport = 1\n'
+            )
+            _, found = doctor(config, "--pulse")
+            assert found["test pulse"]["found"] == "16 of 16 cameras exposed"
+            return found["flash"]
+
+        def n_flashing() -> int:
+            """Return how many cameras fire the light with their exposures."""
+            cameras = rig.cameras.values()
+            active = [camera.features["LineSource"].entries["ExposureActive"] for camera in cameras]
+            return [camera.feature("LineSource", LINE2) for camera in cameras].count(active[0])
+
+        unwired = flash("Line3")
+        assert unwired["verdict"] == "fault"
+        assert unwired["found"] == "all 16 views: 0 grey levels with it, 0 without"
+        assert "check the wire from the cameras' output" in unwired["remedy"]
+
+        good = flash("Line2")
+        assert good["verdict"] == "good"
+        assert good["found"].endswith(" grey levels with it, 0 without")
+        assert "all 16 views" in good["found"]
+        assert n_flashing() == 16
+        killed = subprocess.Popen([STONEFALL, "doctor", "--config", config, "--pulse"])
+        eventually(lambda: n_flashing() == 0, "exposures without the flash")
+        killed.kill()
+        killed.wait()
+        eventually(lambda: n_flashing() == 16, "the process of the cameras gives the flash back")
+
+        other = flash("Line3")  # the cameras still fire it at Line2, as the last configuration said
+        assert other["verdict"] == "fault"
+        assert "another output fires them" in other["remedy"]
 
 
 @pytest.mark.full
