@@ -1,5 +1,7 @@
 """Health, acquisition, cameras and accounting over REST."""
 
+from importlib.metadata import version
+
 import cv2
 import httpx
 import numpy as np
@@ -8,6 +10,8 @@ from support.outcomes import add, measured, rejected, trigger
 from support.rest import SICK_HEALTH, FakeControl
 
 from service.api.routes.health import HealthDocument
+from service.api.version import API_VERSION
+from service.results.version import ALGORITHM_VERSION
 from service.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
 from service.store import Store
 
@@ -41,6 +45,13 @@ async def test_health_in_detail(client: httpx.AsyncClient, control: FakeControl,
     sick = HealthDocument.model_validate(answer.json())
     assert (answer.status_code, sick.status, sick.ready, sick.ne107) == (200, "fail", False, "failure")
     assert sick.checks["camera:c02"].detail == "does not answer"
+
+
+async def test_health_names_release_interface_and_algorithm_apart(client: httpx.AsyncClient) -> None:
+    health = (await client.get("/health")).json()
+    named = [health[name] for name in ("release", "api_version", "algorithm_version")]
+    assert named == [version("stonefall"), API_VERSION, ALGORITHM_VERSION]
+    assert health["version"] == API_VERSION  # of clients that know no other
 
 
 async def test_arm_and_disarm(client: httpx.AsyncClient, control: FakeControl) -> None:

@@ -1,5 +1,6 @@
 """Liveness, readiness for stones, and every check in detail."""
 
+from importlib.metadata import version
 from typing import Any, Literal
 
 from fastapi import APIRouter, Depends
@@ -10,6 +11,7 @@ from service.api.context import Context
 from service.api.problems import Problem, problem_responses
 from service.api.settings import Scope
 from service.api.version import API_VERSION
+from service.results.version import ALGORITHM_VERSION
 from service.status import CheckStatus, HealthCheck, Ne107
 
 router = APIRouter(prefix="/health", tags=["health"])
@@ -29,7 +31,12 @@ class HealthDocument(BaseModel):
     rig_ne107: Ne107 = Field(description="Geometry and optics of the rig: is all as it was calibrated")
     ready: bool = Field(description="Whether the next stone will be measured")
     reasons: list[str] = Field(description="Why it is not ready, or not `good`; empty when it is both")
-    version: str = Field(description="Version of this interface")
+    version: str = Field(description="As `api_version`, which says of what")
+    release: str = Field(description="Version of the installed package")
+    api_version: str = Field(description="Version of this interface, by semver")
+    algorithm_version: str = Field(
+        description="Version of the algorithm, as new results name it; raised whenever results may change"
+    )
     instance_id: str = Field(description="Identity of the history of results, as in `/results`")
     checks: dict[str, HealthCheck] = Field(
         description="By name, such as `gate`, `cameras`, `camera:c01`, `calibration`, `disk`"
@@ -83,6 +90,9 @@ async def health(context: Context) -> dict[str, Any]:
         "ready": state.ready,
         "reasons": state.reasons,
         "version": API_VERSION,
+        "release": version("stonefall"),
+        "api_version": API_VERSION,
+        "algorithm_version": ALGORITHM_VERSION,
         "instance_id": context.store.instance_id,
         "checks": state.checks,
     }
