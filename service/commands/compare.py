@@ -23,6 +23,7 @@ from service.lots.evaluation import figures_of
 from service.lots.stone_changes import Group, Records, StoneChanges, beyond_limits, stone_changes
 from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
+from service.results.version import CHANGES
 
 NAMED = 10
 """Stones whose outcome or quality is another one that are named for people; `--json` names all."""
@@ -55,7 +56,10 @@ def command(
     key: Key = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False,
 ) -> None:
-    """Compare stones as measured twice: volume, sieve size, axes, shape, quality, and the lot's curve."""
+    """Compare stones as measured twice: volume, sieve size, axes, shape, quality, and the lot's curve.
+
+    What each version of the algorithm changed in results: service/remeasuring/README.md.
+    """
     if lot is None:
         before, after = (_by_bundle(Path(path)) for path in (old, new))
     else:
@@ -84,6 +88,8 @@ def command(
         typer.echo(json.dumps({"stones": asdict(changes), "lot": lots, "beyond": beyond}))
     else:
         _print(changes, figures, beyond)
+        if changes.n_changed:
+            typer.echo(_versions_line(before, after))
     if beyond:
         raise typer.Exit(1)
 
@@ -150,6 +156,15 @@ def _print(changes: StoneChanges, figures: Sequence[ComparedFigure], beyond: Seq
         typer.echo("all of these are equal, bit for bit")
     for each_beyond in beyond:
         typer.echo(each_beyond, err=True)
+
+
+def _versions_line(before: Records, after: Records) -> str:
+    """Return the algorithm versions of both sides, and where stands what each changed."""
+    old, new = (
+        ", ".join(sorted({str(record.get("algorithm_version")) for record in side.values()}))
+        for side in (before, after)
+    )
+    return f"algorithm {old} -> {new}; what each version changed: {CHANGES}"
 
 
 def _lot_table(figures: Sequence[ComparedFigure]) -> Table:

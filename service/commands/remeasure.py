@@ -41,7 +41,10 @@ def command(
     key: Key = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what came of each stone as JSON.")] = False,
 ) -> None:
-    """Measure stones again from their archived frames, with today's algorithm; the results become revisions."""
+    """Measure stones again from their archived frames, with today's algorithm; the results become revisions.
+
+    What each version of the algorithm changed in results: service/remeasuring/README.md.
+    """
     settings = load_settings(config)
     url = settings.api.local_url
     query = {"kind": "particle", "lot": lot, "since": since, "until": until, "fields": "algorithm_version"}

@@ -1,4 +1,6 @@
 """The version of the algorithm, which every result names."""
 
 ALGORITHM_VERSION = "17"
-"""Version of the algorithm, raised by every change that may change a result."""
+"""Version of the algorithm, raised by every change that may change a result; `CHANGES` gets a row for each."""
+CHANGES = "service/remeasuring/README.md"
+"""Guide that says what each version of the algorithm changed in results."""

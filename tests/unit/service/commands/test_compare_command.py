@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 from service.cli import build_app
 from service.commands import daemon_client, revised_stones
 from service.errors import ServiceError, UsageError
+from service.results.version import CHANGES
 
 N_STONES = 4
 
@@ -52,6 +53,7 @@ def test_equal_results_are_said_to_be_equal(old: Path, tmp_path: Path) -> None:
     )
     assert done.exit_code == 0, done.output
     assert "equal, bit for bit" in done.output
+    assert CHANGES not in done.output
 
 
 def test_the_largest_differences_are_named_and_limits_decide(old: Path, tmp_path: Path) -> None:
@@ -76,6 +78,18 @@ def test_the_largest_differences_are_named_and_limits_decide(old: Path, tmp_path
     assert "volume_mm3 of s3 differs by -3 %, more than 2.9" in told.output
     assert "sieve_size_mm of s1 differs by +0.25 mm, more than 0.2" in told.output
     assert compare(old, new, "--max-passing-percent", 0.01).exit_code == 1
+
+
+def test_what_changed_names_both_algorithms_and_the_guide_to_them(tmp_path: Path) -> None:
+    sides = [
+        write(
+            tmp_path / version,
+            [{**stone, "quality": word, "algorithm_version": version} for stone in stones()],
+        )
+        for version, word in (("16", "good"), ("17", "reduced"))
+    ]
+    done = compare(*sides)
+    assert f"algorithm 16 -> 17; what each version changed: {CHANGES}" in done.output
 
 
 def test_other_outcomes_and_qualities_and_missing_stones_are_named(old: Path, tmp_path: Path) -> None:
