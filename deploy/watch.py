@@ -117,6 +117,7 @@ def main() -> int:
     print(f"pages     {base}/\n")
     print(HEAD, flush=True)
     is_through, held_since = False, time.monotonic()
+    balls = set()
     reporter = Reporter(Position(), lambda text: print(text, file=sys.stderr, flush=True))
     for step in follow(client, Position(), fields=None, wait_s=WAIT_S):
         end_without(process)
@@ -124,12 +125,14 @@ def main() -> int:
             reporter.note(step)
         for item in step.items:
             print(row(item, truth.get(number_of(item["bundle"]))), flush=True)
+            if item["kind"] == "ball":
+                balls.add(item["id"])
         if arguments.once and not step.items and step.trouble is None:
             counts, acquisition = ask(client, "/accounting", process), ask(client, "/acquisition", process)
             if counts is None or acquisition is None:
                 continue
             if is_through:
-                return summary(counts)
+                return summary(counts, len(balls))
             if acquisition["state"] != "held":
                 held_since = time.monotonic()
             elif time.monotonic() - held_since > PATIENCE_S:
@@ -144,10 +147,16 @@ def main() -> int:
     raise AssertionError("it is followed without end")
 
 
-def summary(counts: dict[str, Any]) -> int:
+def summary(counts: dict[str, Any], n_balls: int) -> int:
+    """Print what became of all triggers, and which of them a lot leaves out; return the exit code."""
     parts = {name: counts[name] for name in ("measured", "rejected", "lost")}
     holds = counts["triggers"] == sum(parts.values())
     print(f"\n{counts['triggers']} triggers = " + " + ".join(f"{n} {name}" for name, n in parts.items()))
+    if n_balls:
+        balls = "1 is a ball" if n_balls == 1 else f"{n_balls} are balls"
+        print(
+            f"{counts['triggers'] - n_balls} of them are stones; {balls} as calibrations use, which no lot counts"
+        )
     return 0 if holds and parts["measured"] > 0 else 1
 
 

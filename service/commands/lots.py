@@ -160,6 +160,8 @@ def show(
             f"{figures['specification']}: [bold]{figures['verdict'].replace('_', ' ')}[/bold]{partly}"
         )
         console.print(figures["countdown"])
+        if why := why_open(figures):
+            typer.echo(why)
 
 
 @command.command()
@@ -177,6 +179,30 @@ def report(
     content = fetch(url, f"/lots/{quote(lot)}/report.{kind}?{urlencode({'language': language})}", key)
     write_file(out, content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
+
+
+def why_open(figures: dict[str, Any]) -> str | None:
+    """Return in one line why there is no verdict yet and what would close it; None when it is decided."""
+    if figures["verdict"] not in ("insufficient", "undecided"):
+        return None
+    indices = [("FI", figures["flakiness_decision"]), ("SI", figures["shape_decision"])]
+    judged = [(f"{step['sieve_mm']:g} mm", step["decision"]) for step in figures["curve"]] + indices
+    still_open = [
+        (name, decision["more_stones"])
+        for name, decision in judged
+        if decision and decision["verdict"] in ("insufficient", "undecided")
+    ]
+    n_stones = figures["measured"]
+    few = (
+        f"{n_stones} stones are too few for a verdict"
+        if figures["verdict"] == "insufficient"
+        else (f"with {n_stones} stones the 95 % interval reaches over a limit")
+    )
+    never = [name for name, more in still_open if more is None]
+    if never:
+        return f"open, as {few}; no number of stones would decide {', '.join(never)}"
+    last, more = max(still_open, key=lambda each: each[1])
+    return f"open, as {few}; about {more} more would close it, if the curve stays ({last} takes the most)"
 
 
 def curve_table(figures: dict[str, Any]) -> Table:

@@ -52,12 +52,15 @@ class FakeFeed:
     asked: list[tuple[str, str, Mapping[str, str]]] = field(default_factory=list)  # method, path, headers
     bodies: list[Any] = field(default_factory=list)
     parked: dict[str, int] = field(default_factory=dict)
+    balls: set[int] = field(default_factory=set)  # of the items
+    documents: dict[str, dict[str, Any]] = field(default_factory=dict)  # by path, beside the feed
     url: str = ""
 
     def item(self, seq: int) -> dict[str, Any]:
         return {
             "seq": seq,
             "id": f"{self.instance_id}-{seq:08d}",
+            "kind": "ball" if seq in self.balls else "particle",
             "bundle": f"{seq:06d}",
             "outcome": "measured",
             "quality": "good",
@@ -75,7 +78,7 @@ class FakeFeed:
 
     def answer(self, path: str, query: Mapping[str, list[str]]) -> tuple[int, dict[str, Any]]:
         if path != "/results":
-            return 200, {}
+            return 200, self.documents.get(path, {})
         after = int(query["after"][0])
         ends = {"first_seq": self.first_seq, "last_seq": self.last_seq}
         if after > self.last_seq:

@@ -1,4 +1,4 @@
-"""What deploy/watch.py says of a key that is not right, and of another store."""
+"""What deploy/watch.py says of a key that is not right, of another store, and at the end."""
 
 import re
 import subprocess
@@ -39,6 +39,18 @@ def test_a_wrong_key_is_told_and_another_one_taken(tmp_path: Path) -> None:
         key.write_text("right")
         read_until(watch, "^answered again")
         read_until(watch, "^ +2  000002 ")
+
+
+def test_the_end_says_which_triggers_are_no_stones() -> None:
+    ended = {
+        "/accounting": {"triggers": 3, "measured": 3, "rejected": 0, "lost": 0, "in_progress": 0},
+        "/acquisition": {"state": "disarmed"},
+    }
+    with serving(FakeFeed(last_seq=3, balls={2}, documents=ended)) as feed, watching(feed, "--once") as watch:
+        read_until(watch, "^3 triggers = 3 measured")
+        told = read_until(watch, "stones")
+        assert watch.wait() == 0
+    assert told == "2 of them are stones; 1 is a ball as calibrations use, which no lot counts\n"
 
 
 def test_another_store_is_told_and_printed_from_its_beginning() -> None:
