@@ -1,9 +1,12 @@
-"""The guides: their links lead somewhere, the front door stays short."""
+"""The guides: their links lead somewhere, the front door stays short, the paper's page names what exists."""
 
 import re
 from pathlib import Path
 
 import pytest
+import typer
+
+from service.cli import COMMANDS, build_app
 
 ROOT = Path(__file__).parents[2]
 GUIDES = sorted(
@@ -31,3 +34,29 @@ def test_tests_that_are_named_exist() -> None:
     sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
     assert len(named) > 50
     assert {name for name in named if f"def {name}(" not in sources} == set()
+
+
+def papers_page() -> str:
+    guide = (ROOT / "pipeline" / "README.md").read_text(encoding="utf-8")
+    return guide.split("\n## The paper, sentence by sentence\n")[1].split("\n## ")[0]
+
+
+def test_files_of_the_papers_page_exist() -> None:
+    named = set(re.findall(r"`((?:\w+/)*\w+\.py)`", papers_page()))
+    assert len(named) > 10
+    assert [
+        name for name in named if not (ROOT / name).exists() and not (ROOT / "pipeline" / name).exists()
+    ] == []
+
+
+def test_commands_of_the_papers_page_take_the_options_that_it_gives_them() -> None:
+    lines = re.findall(r"(?:`|^    )stonefall ([^`\n#]+)", papers_page(), re.MULTILINE)
+    assert len(lines) > 10
+    for line in lines:
+        name, *words = line.split()
+        assert name in COMMANDS, line
+        command = typer.main.get_command(build_app([name])).commands[name]  # type: ignore[attr-defined]
+        if name == "models":
+            command = command.commands[words[0]]
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert {word for word in words if word.startswith("--")} <= known, line
