@@ -159,11 +159,13 @@ def _print(changes: StoneChanges, figures: Sequence[ComparedFigure], beyond: Seq
 
 
 def _versions_line(before: Records, after: Records) -> str:
-    """Return the algorithm versions of both sides, and where stands what each changed."""
+    """Return the algorithm versions of both sides, and if they differ where stands what each changed."""
     old, new = (
         ", ".join(sorted({str(record.get("algorithm_version")) for record in side.values()}))
         for side in (before, after)
     )
+    if old == new:
+        return f"both of algorithm {old}: images, parameters, calibration or background differ"
     return f"algorithm {old} -> {new}; what each version changed: {CHANGES}"
 
 

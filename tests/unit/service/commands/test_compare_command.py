@@ -90,6 +90,8 @@ def test_what_changed_names_both_algorithms_and_the_guide_to_them(tmp_path: Path
     ]
     done = compare(*sides)
     assert f"algorithm 16 -> 17; what each version changed: {CHANGES}" in done.output
+    twice = [{**stone, "quality": "reduced", "algorithm_version": "16"} for stone in stones()]
+    assert "both of algorithm 16" in compare(sides[0], write(tmp_path / "again", twice)).output
 
 
 def test_other_outcomes_and_qualities_and_missing_stones_are_named(old: Path, tmp_path: Path) -> None:
