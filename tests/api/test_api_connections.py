@@ -77,7 +77,7 @@ async def test_a_request_that_does_not_come_ends_the_connection(
         client.send(b"x")  # an idle connection has time, one with a begun request has not
         (connection,) = served.connections
         await served.until(lambda: connection.timeout_keep_alive_task is None)
-    served.pass_time(0.9 * REQUEST_S)
+    served.pass_time_since_start(0.9 * REQUEST_S)
     assert len(served.connections) == 1
     served.pass_time(1.1 * REQUEST_S)
     assert not served.connections
@@ -105,7 +105,7 @@ async def test_a_reader_that_does_not_read_ends_its_connection(served: Served) -
     assert (await reading.reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 200")
     assert len(await reading.reader.readexactly(N_LARGE)) == N_LARGE
     await served.until(lambda: sum(each.n_unread > 0 for each in served.connections) == 1)
-    served.pass_time(0.9 * READING_S)
+    served.pass_time_since_start(0.9 * READING_S)
     assert len(served.connections) == 2
     served.pass_time(1.1 * READING_S)
     assert len(served.connections) == 1

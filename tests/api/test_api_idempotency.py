@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from support.eventually import PATIENCE_S
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from service.api import idempotency
@@ -171,7 +172,7 @@ async def test_a_disk_that_refuses_the_answer_does_not_keep_it_from_the_client(
         assert waiting.status_code in (409, 503)  # in progress; or the store is known to be held already
         assert "Retry-After" in waiting.headers
         database.execute("ROLLBACK")
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         while "Idempotent-Replayed" not in waiting.headers:
             waiting = await client.post("/recordings/a/stop", headers=keyed())
     assert waiting.content == stopped.content

@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, rejected, trigger
 from support.rest import FakeControl, app_of, client_of, particle_files
 from support.sent_events import Stream, opened
@@ -198,7 +199,7 @@ async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
 
 async def figures_when(client: httpx.AsyncClient, is_so: Any) -> dict[str, Any]:
     """Return the figures as soon as they are so."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         while not is_so(figures := (await overview_of(client))["figures"]):
             pass
     found: dict[str, Any] = figures

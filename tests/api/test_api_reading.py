@@ -191,7 +191,7 @@ async def test_long_polls_for_the_same_share_one_page(
 
     monkeypatch.setattr(store, "read", counted)
     monkeypatch.setattr(store, "wait_beyond", observed)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         polls = [asyncio.create_task(client.get("/results?wait_s=30")) for _ in range(N_POLLS)]
         await all_wait.wait()
         await add(store, session, 1, measured())

@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx
 import pytest
+from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, rejected
 from support.rest import assert_problem
 
@@ -83,7 +84,7 @@ async def test_shutdown_ends_the_long_poll(
 
 
 async def test_the_long_poll_gives_up_in_time(client: httpx.AsyncClient, waiting: asyncio.Event) -> None:
-    answer = await asyncio.wait_for(client.get("/results", params={"wait_s": 0.05}), 5)
+    answer = await asyncio.wait_for(client.get("/results", params={"wait_s": 0.05}), PATIENCE_S)
     assert waiting.is_set()
     assert answer.json()["items"] == []
 

@@ -216,7 +216,7 @@ async def test_a_stalled_reader_holds_little_and_ends(served: Served, store: Sto
     await served.until(lambda: any(each.n_unread > 0 for each in served.connections))
     (hindering,) = (each for each in served.connections if each.n_unread > 0)
     assert hindering.n_unread < 100 * 310_000
-    served.pass_time(0.9 * READING_S)
+    served.pass_time_since_start(0.9 * READING_S)
     assert len(served.connections) == 2
     served.pass_time(1.1 * READING_S)
     assert len(served.connections) == 1

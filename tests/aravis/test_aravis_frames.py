@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.gige import INTERFACE, NET, SIZE_PX, design, gige_rig, picture, powered, settings_for
 from support.recordings import CAMERAS, tagged_image
 from support.sinks import Collector
@@ -33,7 +33,7 @@ class SlowAtFirst(Collector):
         self._may_go_on = threading.Event()
 
     def deliver(self, event: DeviceEvent) -> bool:
-        self._may_go_on.wait(10)
+        self._may_go_on.wait(PATIENCE_S)
         return super().deliver(event)
 
     def go_on(self) -> None:

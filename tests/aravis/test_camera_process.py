@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.gige import GigeRig, design, gige_rig, powered, settings_for
 from support.recordings import CAMERAS, tagged_image
 from support.sinks import Collector
@@ -92,7 +92,7 @@ def test_a_call_under_way_fails_when_it_dies(rig: GigeRig, process: CameraProces
     call = threading.Thread(target=examine)
     call.start()
     os.kill(process.pid, signal.SIGKILL)
-    call.join(10.0)
+    call.join(PATIENCE_S)
     assert [error.cause for error in failed] == [LossCause.PROCESS_ENDED]
 
 

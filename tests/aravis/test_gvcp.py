@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.gige import INTERFACE, NET, design, place, powered, serial
 
 from drivers.gige_simulator.camera import SimulatedCamera
@@ -71,7 +72,7 @@ def test_a_lost_datagram_is_no_dead_camera() -> None:
     """The second question is answered, and so is what is no answer passed over."""
     with ThreadPoolExecutor(1) as executor, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf_at_first:
         deaf_at_first.bind((f"{NET}.9", GVCP_PORT))
-        deaf_at_first.settimeout(5)
+        deaf_at_first.settimeout(PATIENCE_S)
         probing = executor.submit(probe, f"{NET}.9", timeout_s=2.0)
         first, _ = deaf_at_first.recvfrom(100)
         second, peer = deaf_at_first.recvfrom(100)

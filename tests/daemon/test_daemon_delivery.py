@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from support.daemon_process import DaemonProcess
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.small_recording import write_small_recording
 from support.webhook_receiver import KEY, SECRET, Request, is_signed
 
@@ -42,7 +42,7 @@ class Mes:
                 body = self.rfile.read(int(headers["content-length"]))
                 mes.requests.append(Request(line=self.requestline, headers=headers, body=body))
                 if mes.is_hanging.is_set():
-                    mes.is_over.wait(120)
+                    mes.is_over.wait(PATIENCE_S)
                     return
                 self.send_response(204)
                 self.end_headers()

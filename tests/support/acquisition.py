@@ -4,6 +4,8 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 
+from support.eventually import PATIENCE_S
+
 from drivers.factory import Devices
 from pipeline.frames import CameraId, FrameBundle, GateCount, Trigger
 from service.acquisition.acquisition import Acquisition
@@ -68,7 +70,7 @@ class AcquisitionBench:
         self.states.append(self.acquisition.state)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while not condition():  # noqa: ASYNC110 - what is waited for happens in many places
                 await asyncio.sleep(0.005)
 

@@ -5,6 +5,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from support.eventually import PATIENCE_S
 from support.recordings import small_rig
 
 from drivers.files.durable import write_json
@@ -101,7 +102,7 @@ async def solve(desk: Calibrations, name: str) -> None:
 async def until(desk: Calibrations, is_so: Callable[[], bool]) -> None:
     """Run the task of the calibrations until a condition holds."""
     task = asyncio.create_task(desk.run())
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         while not is_so():  # noqa: ASYNC110 - nobody signals it
             await asyncio.sleep(0.001)
     task.cancel()

@@ -38,6 +38,7 @@ class Served:
     server: RestServer
     port: int
     clients: AsyncExitStack
+    began_s: float  # by the clock of the event loop
 
     @property
     def connections(self) -> set[Connection]:
@@ -58,6 +59,10 @@ class Served:
         """Look after the connections as if so much time had passed."""
         drop_hindering(self.connections, asyncio.get_running_loop().time() + seconds)
 
+    def pass_time_since_start(self, seconds: float) -> None:
+        """Look after them as if that were all since the server began: nothing has waited longer, if slowly."""
+        drop_hindering(self.connections, self.began_s + seconds)
+
 
 @asynccontextmanager
 async def served_by(app: FastAPI, settings: ApiSettings | None = None) -> AsyncIterator[Served]:
@@ -66,6 +71,6 @@ async def served_by(app: FastAPI, settings: ApiSettings | None = None) -> AsyncI
         async with AsyncExitStack() as clients:
             serving = asyncio.create_task(server.serve([listener]))
             await server.is_serving.wait()
-            yield Served(server, listener.getsockname()[1], clients)
+            yield Served(server, listener.getsockname()[1], clients, asyncio.get_running_loop().time())
         server.should_exit = True
         await serving

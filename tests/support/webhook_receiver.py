@@ -13,6 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from support.eventually import PATIENCE_S
+
 CERTIFICATE = Path(__file__).with_name("localhost.pem")
 """Certificate of `localhost`, signed by itself, with its key: for tests, and no secret."""
 KEY, OTHER_KEY = b"k" * 24, b"o" * 32
@@ -119,7 +121,7 @@ class Receiver:
 
     async def until(self, is_so: Callable[[], bool]) -> list[Request]:
         """Return the requests once it is so."""
-        async with asyncio.timeout(30), self._changed:
+        async with asyncio.timeout(PATIENCE_S), self._changed:
             await self._changed.wait_for(is_so)
         return self.requests
 

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+from support.eventually import PATIENCE_S
 
 from drivers.cameras import host_trigger
 from drivers.cameras.host_trigger import BROADCAST, ActionKeys, ActionTrigger, SoftwareTrigger
@@ -20,7 +21,7 @@ FOREIGN = "198.51.100.7"
 def camera() -> Iterator[socket.socket]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
         listening.bind((CAMERA, GVCP_PORT))
-        listening.settimeout(5)
+        listening.settimeout(PATIENCE_S)
         yield listening
 
 
@@ -51,16 +52,16 @@ def test_a_camera_that_hangs_stops_no_other_and_gets_no_backlog() -> None:
 
     def hang() -> None:
         hung.release()
-        release.wait(20)
+        release.wait(PATIENCE_S)
 
     trigger = SoftwareTrigger([hang, lambda: fired.release()])
     try:
         for _ in range(5):
             trigger()
-            assert fired.acquire(timeout=5)
-        assert hung.acquire(timeout=5)
+            assert fired.acquire(timeout=PATIENCE_S)
+        assert hung.acquire(timeout=PATIENCE_S)
     finally:
         release.set()
     assert not hung.acquire(timeout=0.1)  # the four others were left out
     trigger()
-    assert hung.acquire(timeout=5)
+    assert hung.acquire(timeout=PATIENCE_S)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from support.eventually import PATIENCE_S
 
 from drivers.cameras.stream_filter import attach_filter, max_packet_number, stream_program
 from drivers.gige_simulator.gvsp import Block, packets
@@ -33,7 +34,7 @@ def passes() -> Iterator[Passing]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream:
         stream.bind((HOST, 0))
         attach_filter(stream, stream_program(CAMERA, LAST))
-        stream.settimeout(10)
+        stream.settimeout(PATIENCE_S)
 
         def passing(datagrams: list[bytes], sent_from: str = CAMERA) -> list[bytes]:
             end = standard(LEADER, LAST)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.eventually import PATIENCE_S
 from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
@@ -34,7 +35,7 @@ class FakeLine:
             if self.n_edges is not None:
                 self.n_edges = (self.n_edges + times) % COUNTS
             seen = self._n_looks
-            assert self._looked.wait_for(lambda: self._n_looks > seen + 1, 10)
+            assert self._looked.wait_for(lambda: self._n_looks > seen + 1, PATIENCE_S)
 
     def look(self) -> Look:
         with self._looked:

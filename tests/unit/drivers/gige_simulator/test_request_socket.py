@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.eventually import PATIENCE_S
 
 from drivers.gige_simulator.request_socket import MAX_REQUEST_BYTES, request_socket
 
@@ -17,7 +18,7 @@ def echo(request: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def connected(path: Path) -> socket.socket:
     client = socket.socket(socket.AF_UNIX)
-    client.settimeout(5)
+    client.settimeout(PATIENCE_S)
     client.connect(str(path))
     return client
 

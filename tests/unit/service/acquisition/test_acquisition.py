@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
+from support.eventually import PATIENCE_S
 
 from drivers.errors import GateUnavailableError
 from drivers.factory import ReplayBackend, build_devices
@@ -110,7 +111,7 @@ async def test_disarming_before_the_rig_has_begun_to_arm_wins(recording: Path):
     assert acquisition.request(AcquisitionTarget.DISARMED) is AcquisitionState.DISARMING
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(acquisition.run())
-        await asyncio.wait_for(acquisition.settled.wait(), 5)
+        await asyncio.wait_for(acquisition.settled.wait(), PATIENCE_S)
         assert acquisition.state is AcquisitionState.DISARMED
         acquisition.request(AcquisitionTarget.ARMED)
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from itertools import pairwise
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.sinks import Collector
 
 from drivers.errors import CameraUnavailableError, LossCause
@@ -65,7 +66,7 @@ async def kept(device: Device, lost: list[str] | None = None) -> AsyncIterator[D
     keeper = DeviceKeeper(
         "c01", device, examine=device.examine, on_lost=lambda reason, cause: told.append(reason)
     )
-    async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:
         keeper.start(Collector(), tasks)
         await keeper.tried()
         yield keeper
@@ -166,7 +167,7 @@ async def test_a_loss_while_it_is_being_armed_counts():
 
     loop = asyncio.get_running_loop()
     device.arm = arm_and_lose
-    async with asyncio.timeout(10), asyncio.TaskGroup() as tasks:
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:
         keeper.start(Collector(), tasks)
         await keeper.tried()
         assert keeper.state == "lost"
@@ -192,7 +193,7 @@ async def test_a_device_that_hangs_can_be_abandoned():
 
     keeper = DeviceKeeper("gate", Hanging())
     try:
-        async with asyncio.timeout(5), asyncio.TaskGroup() as tasks:
+        async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:
             keeper.start(Collector(), tasks)
             await asyncio.sleep(0.05)
             keeper.abandon()

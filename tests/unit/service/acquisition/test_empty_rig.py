@@ -1,6 +1,7 @@
 import asyncio
 
 import pytest
+from support.eventually import PATIENCE_S
 
 from drivers.errors import GateUnavailableError
 from service.acquisition import empty_rig
@@ -59,6 +60,6 @@ async def test_later_it_waits_for_a_starved_rig():
 
     parameters = EmptyRigParameters(at_start=1, every_s=1)
     task = asyncio.create_task(expose_empty_rig(parameters, fire, is_quiet))
-    await asyncio.wait_for(fired.wait(), 5)
+    await asyncio.wait_for(fired.wait(), PATIENCE_S)
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.acquisition import CAMERAS, AcquisitionBench
+from support.eventually import PATIENCE_S
 from support.recordings import make_bundle, write_recording
 
 from drivers.errors import CameraUnavailableError
@@ -73,7 +74,7 @@ class Bench(AcquisitionBench):
 async def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Bench]:
     monkeypatch.setattr(shown_camera, "BLINK_S", 0.01)
     bench = Bench(tmp_path)
-    async with asyncio.timeout(30), asyncio.TaskGroup() as tasks:
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:
         tasks.create_task(bench.acquisition.run())
         yield bench
         bench.acquisition.stop()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.extents import first_quick
 from support.recordings import CAMERAS, make_bundle, write_recording
 from support.warm_stonefall import start_stonefall
@@ -107,7 +107,7 @@ def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.
     class Stuck(ReplayCamera):
         def close(self) -> None:
             closing.set()
-            release.wait(10)
+            release.wait(PATIENCE_S)
             closed.set()
             super().close()
 
@@ -120,7 +120,7 @@ def test_asked_twice_it_waits_for_no_device(tmp_path: Path, monkeypatch: pytest.
     def insist() -> None:
         eventually(lambda: len(list(tmp_path.glob(".out.*.unfinished/bundles/*.tiff"))) >= 2)
         os.kill(os.getpid(), signal.SIGINT)
-        assert closing.wait(20)
+        assert closing.wait(PATIENCE_S)
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(record, "build_devices", build_stuck)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import typer
 from support.daemon_process import STONEFALL
+from support.eventually import PATIENCE_S
 from support.recordings import CAMERAS, make_bundle, write_recording
 
 from drivers import gvcp
@@ -75,7 +76,7 @@ def test_it_says_what_is_there_and_ends_when_told(tmp_path: Path, recording_path
         assert asked(ready["control"], do="state")["belt"]["is_running"] is False
         process.send_signal(signal.SIGTERM)
         assert read_line(process)["belt"]["stones"] == 0
-        assert process.wait(10) == 0
+        assert process.wait(PATIENCE_S) == 0
     assert not os.path.lexists(gate)
     assert not control.exists()
 
@@ -87,7 +88,7 @@ def test_once_through(recording_path: Path) -> None:
         ready = read_line(process)
         assert asked(ready["control"], do="start")["ok"]
         counters = read_line(process)
-        assert process.wait(10) == 0
+        assert process.wait(PATIENCE_S) == 0
     assert counters["belt"]["stones"] == 2
     assert counters["gate"]["edges"] == 2
     assert {camera: counted["edges"] for camera, counted in counters["cameras"].items()} == {
@@ -101,7 +102,7 @@ def test_a_second_one_is_refused_in_one_line(recording_path: Path) -> None:
     with simulating(recording_path, "--address", FIRST_ADDRESS, "--json") as process:
         read_line(process)
         with simulating(recording_path, "--address", FIRST_ADDRESS) as second:
-            _, complaint = second.communicate(timeout=30)
+            _, complaint = second.communicate(timeout=PATIENCE_S)
         assert second.returncode == 1
         assert FIRST_ADDRESS in complaint
         assert len(complaint.splitlines()) == 1

@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
+from support.eventually import PATIENCE_S
 
 from service.daemon import loop_watch
 from service.daemon.loop_watch import STEP_REMEMBERED_S, LoopWatch
@@ -31,7 +32,7 @@ class Clocks:
     async def looked_at(self) -> None:
         """Return when the watch has looked at the clocks as they are now."""
         n_asked = self.n_asked + 10
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while self.n_asked < n_asked:  # noqa: ASYNC110 - the watch knows of no one
                 await asyncio.sleep(0.001)
 

@@ -10,6 +10,7 @@ import uuid
 from pathlib import Path
 
 import pytest
+from support.eventually import PATIENCE_S
 
 from service.daemon.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
 from service.processing.left_bundles import MAX_DEATHS
@@ -22,7 +23,7 @@ def test_notifications_arrive_as_one_datagram(kind: str, tmp_path: Path):
     address = str(tmp_path / "notify") if kind == "path" else f"@stonefall-{uuid.uuid4()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(address.replace("@", "\0", 1))
-        listener.settimeout(5)
+        listener.settimeout(PATIENCE_S)
         service_manager({"NOTIFY_SOCKET": address}, pid=1).notify("READY=1", "STATUS=armed, 16 cameras")
         assert listener.recv(4096) == b"READY=1\nSTATUS=armed, 16 cameras"
 

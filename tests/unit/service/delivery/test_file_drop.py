@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
-from support.eventually import soon
+from support.eventually import PATIENCE_S, soon
 from support.outcomes import add, measured, trigger
 
 from service.alarms.rules import load_rules
@@ -85,9 +85,9 @@ def settings_of(folder: Path, *formats: DropFormat) -> FileDropSettings:
     return FileDropSettings(dir=folder, formats=formats or (DropFormat.CSV,))
 
 
-async def drop_of(store: Store, settings: FileDropSettings) -> FileDrop:
+async def drop_of(store: Store, settings: FileDropSettings, answer_s: float = PATIENCE_S) -> FileDrop:
     await open_file_drop(store, settings)
-    return FileDrop(store, settings, retry_s=0.01, answer_s=0.05)
+    return FileDrop(store, settings, retry_s=0.01, answer_s=answer_s)
 
 
 async def opened(store: Store, lot: str) -> None:
@@ -265,7 +265,7 @@ async def test_a_crash_before_the_note_writes_the_same_file_again(
 
     with monkeypatch.context() as patched:
         patched.setattr(store, "write", never)
-        async with dropping(drop, Files(store)), asyncio.timeout(30):
+        async with dropping(drop, Files(store)), asyncio.timeout(PATIENCE_S):
             await noting.wait()
     files = Files(store)
     async with dropping(await drop_of(store, settings_of(folder)), files):
@@ -297,11 +297,11 @@ async def test_a_folder_that_does_not_answer_is_told(
 
     def slow(path: Path) -> bool:
         if path == folder:
-            answered.wait(30)
+            answered.wait(PATIENCE_S)
         return is_dir(path)
 
     monkeypatch.setattr(Path, "is_dir", slow)
-    drop = await drop_of(store, settings_of(folder))
+    drop = await drop_of(store, settings_of(folder), answer_s=0.05)
     async with dropping(drop, Files(store)):
         await closed(store, session, "L1")
         await soon(lambda: drop.trouble == f"{folder} has not answered for 0.05 s")
@@ -313,7 +313,7 @@ async def test_a_stop_ends_all_waiting(store: Store, folder: Path) -> None:
     running = asyncio.create_task((await drop_of(store, settings_of(folder))).run(Files(store).make))
     await asyncio.sleep(0)
     store.release_waiters()
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         await running
     await FileDrop(store, None).run(Files(store).make)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from pydantic import SecretStr
+from support.eventually import PATIENCE_S
 from support.webhook_receiver import CERTIFICATE, NEVER, SECRET, Receiver, answer
 
 from service.delivery.posting import MAX_HEAD_BYTES, post
@@ -216,7 +217,7 @@ async def test_a_name_server_that_does_not_answer_holds_nothing_up(monkeypatch: 
     answered = threading.Event()
 
     def wait() -> list[str]:
-        answered.wait(30)
+        answered.wait(PATIENCE_S)
         return []
 
     lead_to(monkeypatch, wait)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from pydantic import SecretStr
-from support.eventually import soon
+from support.eventually import PATIENCE_S, soon
 from support.webhook_receiver import (
     KEY,
     NEVER,
@@ -174,7 +174,7 @@ async def test_fifteen_minutes_of_failures_are_told_while_it_is_still_tried(stor
         settings = WebhooksSettings(allowed_hosts=("127.0.0.1",), endpoints=(endpoint(receiver),))
         await open_webhooks(store, settings)
         webhooks = Webhooks(store, settings, now=clock.now, chance=lambda: 0.0, wait=wait)
-        async with telling(webhooks), asyncio.timeout(30):
+        async with telling(webhooks), asyncio.timeout(PATIENCE_S):
             await happen(store, EventType.LOT_OPENED)
             await pausing.wait()
             assert (sum(clock.pauses_s), webhooks.troubles) == (305, [])
@@ -211,7 +211,7 @@ async def test_a_crash_between_sending_and_noting_tells_it_again_under_the_same_
         await happen(store, EventType.LOT_OPENED, EventType.LOT_CLOSED)
         with monkeypatch.context() as patched:
             patched.setattr(store, "write", never)
-            async with telling(webhooks), asyncio.timeout(30):
+            async with telling(webhooks), asyncio.timeout(PATIENCE_S):
                 await noting.wait()
         webhooks = await webhooks_of(store, endpoint(receiver))
         async with telling(webhooks):
@@ -324,7 +324,7 @@ async def test_a_stop_ends_all_waiting(store: Store, n_endpoints: int) -> None:
         await happen(store, EventType.LOT_OPENED)
         await receiver.received(n_endpoints)
         store.release_waiters()
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE_S):
             await running
 
 

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
 from support.extents import first_quick
 from support.worker_jobs import (
     TRACEBACK,
@@ -142,7 +142,7 @@ async def test_without_memory_the_kernel_kills_a_worker_first():
 
 
 async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_job_comes(tmp_path: Path):
-    pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
+    pool = WorkerPool(slots=2, deadline_s=PATIENCE_S, prepare=share, context=tmp_path)
     await pool.start()
     before = pool.pids
     (tmp_path / "hold").touch()
@@ -163,23 +163,25 @@ async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_jo
 
 
 async def test_a_process_is_renewed_when_there_is_nothing_to_measure(tmp_path: Path):
-    pool = WorkerPool(slots=2, deadline_s=10.0, prepare=share, context=tmp_path)
+    pool = WorkerPool(slots=2, deadline_s=PATIENCE_S, prepare=share, context=tmp_path)
     await pool.start()
     before = pool.pids
-    renewing = asyncio.create_task(pool.renew(idle_s=0.5))
+    renewing = asyncio.create_task(pool.renew(idle_s=PATIENCE_S))
     (tmp_path / "go").touch()
     for _ in range(8):  # closer than calm
         await pool.run(wait_for, tmp_path / "go")
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.01)
         assert len(multiprocessing.active_children()) == 2
     assert pool.pids == before
-    await renewing
+    renewing.cancel()
+    await asyncio.wait([renewing])
+    await pool.renew(idle_s=0.1)
     assert not set(before) & set(pool.pids)
     pool.close()
 
 
 async def test_a_worker_that_cannot_be_renewed_stays(tmp_path: Path):
-    pool = WorkerPool(slots=1, deadline_s=10.0, prepare=share, context=tmp_path)
+    pool = WorkerPool(slots=1, deadline_s=PATIENCE_S, prepare=share, context=tmp_path)
     await pool.start()
     before = pool.pids
     (tmp_path / "broken").touch()
@@ -204,7 +206,7 @@ async def test_a_worker_that_cannot_start_is_fatal():
 async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
     assert (
         await run_in_new_process(
-            stumble, Stumble(tmp_path, "kill", 0), deadline_s=9.0, prepare=lower_priority
+            stumble, Stumble(tmp_path, "kill", 0), deadline_s=PATIENCE_S, prepare=lower_priority
         )
         == "done"
     )
@@ -216,7 +218,7 @@ async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
         await asyncio.sleep(0.01)
     staying.cancel()
     await asyncio.wait([staying])
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         while any(process_exists(each) for each in [pid, *(process.pid for process in started)]):  # noqa: ASYNC110 - as above
             await asyncio.sleep(0.01)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle, small_rig
 
 from drivers.files.recording import open_recording, playback_order, read_bundle
@@ -31,7 +32,7 @@ def live_recording(path: Path, **options) -> LiveRecording:
 
 
 async def closed(recording: LiveRecording) -> LiveRecording:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         await recording.closed.wait()
     return recording
 
@@ -54,7 +55,7 @@ class SlowFrames(dict[CameraId, Frame]):
 
     def values(self):
         self.has_begun.set()
-        self.may_end.wait(10)
+        self.may_end.wait(PATIENCE_S)
         return super().values()
 
 

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.extents import first_quick
 from support.outcomes import add, measured
 from support.rest import particle_files
@@ -194,7 +195,7 @@ async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
     while backing_up.trouble is None:  # noqa: ASYNC110 - it is no event
         await asyncio.sleep(0)
     assert backing_up.trouble == "no room"
-    await asyncio.wait_for(store.made.wait(), 10)
+    await asyncio.wait_for(store.made.wait(), PATIENCE_S)
     while backing_up.trouble is not None:  # noqa: ASYNC110 - as above
         await asyncio.sleep(0)
     task.cancel()
@@ -207,7 +208,7 @@ async def test_without_an_interval_none_is_made_until_there_is_one() -> None:
     await asyncio.sleep(0.05)
     assert store.n_made == 0
     backing_up.use(every_h=1e-6, keep=4)
-    await asyncio.wait_for(store.made.wait(), 10)
+    await asyncio.wait_for(store.made.wait(), PATIENCE_S)
     task.cancel()
 
 

@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.outcomes import add, measured
 
 from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_lot, void_lot
@@ -38,7 +39,7 @@ async def subjects(store: Store, after: int = 0) -> list[str]:
 
 
 async def until(is_so: Callable[[], bool]) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         while not is_so():  # noqa: ASYNC110 - another thread makes it so
             await asyncio.sleep(0.005)
 
@@ -49,7 +50,7 @@ async def test_what_is_noted_is_durable_in_its_order_and_wakes_who_waits(store: 
     for number in range(5):
         log.note(changed(str(number)))
     await log.written()
-    await asyncio.wait_for(waiting, 10)
+    await asyncio.wait_for(waiting, PATIENCE_S)
     assert await subjects(store) == ["0", "1", "2", "3", "4"]
     page = await store.read(events_after, 1, 2)
     assert [item["seq"] for item in page.items] == [2, 3]

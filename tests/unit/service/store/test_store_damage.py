@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.eventually import PATIENCE_S
 from support.extents import examples, first_quick
 from support.outcomes import add, measured, rejected, trigger
 
@@ -71,7 +72,7 @@ def state_dir(filled: Path, tmp_path: Path) -> Path:
 async def start_and_serve(state_dir: Path) -> list[str]:
     """Do with the store what the start of a daemon does, then measure a stone; return the incidents."""
     with await asyncio.to_thread(open_store, state_dir) as store:
-        async with asyncio.timeout(30):  # a store that is held waits
+        async with asyncio.timeout(PATIENCE_S):  # a store that is held waits
             session = await store.begin_session(INFO)
             await store.open_triggers([])
             await store.lose_open(LossReason.CRASH, "the daemon ended")
@@ -200,7 +201,7 @@ async def test_a_write_that_meets_a_damaged_record_holds_the_store(state_dir: Pa
         await store.begin_session(INFO)
         do("UPDATE sessions SET info = 'torn' WHERE session = 1")(state_dir / "results.sqlite")
         losing = asyncio.create_task(store.lose_open(LossReason.CRASH, ""))
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while store.trouble is None:  # noqa: ASYNC110 - another thread makes it so
                 await asyncio.sleep(0.005)
         assert store.trouble.cause is Cause.DAMAGED

@@ -8,6 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, trigger
 from support.rest import particle_files
 
@@ -19,7 +20,7 @@ from service.store.trouble import Cause
 
 
 async def until(is_so: Callable[[], bool]) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         while not is_so():  # noqa: ASYNC110 - another thread makes it so
             await asyncio.sleep(0.005)
 
@@ -136,7 +137,7 @@ async def test_a_held_store_can_be_closed(state_dir: Path) -> None:
     with locked(state_dir):
         finishing = asyncio.create_task(store.finish(session, "1", measured()))
         await until(lambda: cause(store) is Cause.LOCKED)
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             await asyncio.to_thread(store.close)
         with pytest.raises(StoreError, match="locked"):
             await finishing

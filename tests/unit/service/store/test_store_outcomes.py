@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, rejected, trigger
 from support.rest import particle_files
 from support.stores import folder_of
@@ -213,7 +214,7 @@ async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
 async def test_readers_have_threads_of_their_own(store: Store, session: int) -> None:
     answered = threading.Event()
     others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         assert (await store.accounting()).triggers == 0
     answered.set()
     await asyncio.gather(*others)
@@ -249,7 +250,7 @@ async def test_a_cancelled_caller_loses_no_outcome_and_wakes_readers(store: Stor
     finishing = asyncio.create_task(store.finish(session, "a", measured()))
     await asyncio.sleep(0)
     finishing.cancel()
-    await asyncio.wait_for(waiting, 5)
+    await asyncio.wait_for(waiting, PATIENCE_S)
     assert finishing.cancelled()
     assert await seqs(store) == [1]
 
