@@ -162,7 +162,8 @@ def _interval(
     It is as if two more stones with the property and two without it had fallen. So it has a width where all stones or
     none have the property, and covers the heavy ones that happened not to fall. A stone counts for what its absence
     would change (the jackknife), more than its weight. Where a few stones make up the variance it is less certain than
-    the effective number says: the degrees of freedom are the geometric mean of that and of Satterthwaite's.
+    the effective number says: the degrees of freedom are the geometric mean of that and of Satterthwaite's. Its centre
+    lies towards one half: of a handful of stones the share itself may lie beyond an end, which then reaches to it.
     """
     n_unseen = standard_errors_to_either_end(n_effective - 1) ** 2 / 2  # two with the property, two without
     larger = 1 + 2 * n_unseen * unseen_part
@@ -174,7 +175,7 @@ def _interval(
     satterthwaite = variance**2 / float(np.sum(seen**2) + n_unseen * np.sum(unseen**2))
     reach = standard_errors_to_either_end(sqrt(n_effective * satterthwaite))
     half = reach * hypot(sqrt(variance), systematic)
-    return max(centre - half, 0.0), min(centre + half, 1.0)
+    return min(max(centre - half, 0.0), value), max(min(centre + half, 1.0), value)
 
 
 def ratio_of_sums(sample: Sample, terms: Callable[[Lot], tuple[Values, Values]]) -> Estimate:

@@ -133,6 +133,15 @@ def test_folded_and_merged_equal_the_batch_to_the_last_digit(
     assert repr(evaluate(merged, SIEVES, scale_sd=0.001)) == repr(batch)
 
 
+@given(STONES)
+def test_a_share_lies_in_its_own_interval(stones: list[Stone | UnmeasuredStone]) -> None:
+    """Of four stones all of which passed, 32.7 to 82.1 % had."""
+    for point in evaluate(lot_of(stones), SIEVES, measured=ALL_SIZES).curve:
+        found = point.by_mass
+        if found.value is not None and found.low is not None and found.high is not None:
+            assert found.low <= found.value <= found.high
+
+
 def test_a_stone_as_large_as_the_aperture_passes() -> None:
     assert values(evaluate(lot_of_masses([8.0, 16.0], [1.0, 1.0]), (8.0, 16.0))) == [50.0, 100.0]
 
