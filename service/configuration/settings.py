@@ -38,6 +38,8 @@ from service.store import KEEP_RAW
 from service.store.retention import RetentionLimits
 
 MAX_BYTES = 1_000_000
+MAX_LINE = 20_000
+"""Longest line in characters: a key of many parts takes time by the square of their number."""
 """Largest configuration file."""
 
 
@@ -138,7 +140,10 @@ def load_settings(path: Path) -> Settings:
         The file cannot be read or has wrong fields; names the file and each of them.
     """
     try:
-        document = tomllib.loads(read_bounded(path, MAX_BYTES).decode())
+        text = read_bounded(path, MAX_BYTES).decode()
+        if any(len(line) > MAX_LINE for line in text.splitlines()):
+            raise ValueError(f"has a line of more than {MAX_LINE} characters")
+        document = tomllib.loads(text)
     except OSError as err:
         raise SettingsError(f"{path}: {err.strerror}") from err
     except ValueError as err:  # neither text nor TOML, or a number beyond all bounds

@@ -60,6 +60,7 @@ log = logging.getLogger(__name__)
 ACQUISITION_SILENCE_S = 20.0
 """Longest time without progress of an active acquisition: that of opening and closing dead cameras."""
 COMMIT_SILENCE_S = 30.0
+WORKER_RETRY_S = 1.0
 """Longest time from the end of a bundle's second attempt to its outcome."""
 
 N_LATEST = 100
@@ -136,6 +137,7 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         deadline_s=settings.workers.deadline_s,
         prepare=prepare,
         context=worker_context,
+        retry_s=WORKER_RETRY_S,
     )
     delays, latest_delays_s = result_delays(), deque[float](maxlen=N_LATEST)
 

@@ -82,11 +82,14 @@ class WorkerPool:
         prepare: Prepare,
         context: object,
         name: str = WORKER_NAME,
+        retry_s: float | None = None,
     ) -> None:
+        """`retry_s`: pause before another attempt where a process cannot be replaced; None: there is none."""
         warm_up_locks: Mapping[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._slots = [_Slot(name, prepare, context, warm_up_locks) for _ in range(slots)]
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
+        self._retry_s = retry_s
         self._n_jobs = 0
         self.n_waiting = 0  # jobs for which no slot is idle
         self.restarts = 0
@@ -182,7 +185,15 @@ class WorkerPool:
         self.restarts += 1
         self._last_failure, self._last_failure_s = str(failure), time.monotonic()
         slot.kill()
-        await slot.start()
+        while True:
+            try:
+                return await slot.start()
+            except WorkerStartError as err:
+                if self._retry_s is None:
+                    raise
+                log.error("%s: again in %g s", err, self._retry_s)
+                self._last_failure, self._last_failure_s = str(err), time.monotonic()
+                await asyncio.sleep(self._retry_s)
 
     def close(self) -> None:
         """Kill all processes; jobs that still run in them are lost."""

@@ -4,3 +4,5 @@ ALGORITHM_VERSION = "17"
 """Version of the algorithm, raised by every change that may change a result; `CHANGES` gets a row for each."""
 CHANGES = "service/remeasuring/README.md"
 """Guide that says what each version of the algorithm changed in results."""
+SAME_BY_DEFAULT = ("16", ALGORITHM_VERSION)
+"""Versions whose results by default settings are those of today, bit for bit: their measured figures hold."""

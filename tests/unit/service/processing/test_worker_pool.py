@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
-from support.eventually import PATIENCE_S, eventually
+from support.eventually import PATIENCE_S, eventually, soon
 from support.extents import first_quick
 from support.worker_jobs import (
     TRACEBACK,
@@ -201,6 +201,20 @@ async def test_a_worker_that_cannot_start_is_fatal():
     pool = WorkerPool(slots=1, deadline_s=5, prepare=prepare, context="die")
     with pytest.raises(WorkerStartError):
         await pool.start()
+
+
+async def test_a_worker_that_cannot_be_replaced_is_tried_until_it_can(tmp_path: Path):
+    """As where the kernel kills each new process for want of memory: that ended the daemon."""
+    (notes := tmp_path / "notes").mkdir()
+    pool = WorkerPool(slots=1, deadline_s=PATIENCE_S, prepare=share, context=tmp_path, retry_s=0.01)
+    await pool.start()
+    (tmp_path / "broken").touch()
+    job = asyncio.create_task(pool.run(stumble, Stumble(notes, "kill", 1)))
+    await soon(lambda: "failed to start 3 times" in (pool.trouble or ""))
+    assert not job.done()
+    (tmp_path / "broken").unlink()
+    assert await job == "done"
+    pool.close()
 
 
 async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
