@@ -27,6 +27,7 @@ def command(
     config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
 ) -> None:
     """Run the daemon: measure the stones of a rig, store the results and serve them, until SIGTERM."""
+    open_standard_files()
     allow_files()
     import_for_workers("service.processing.worker_imports")
     # imported here, while the server of worker processes does its own imports
@@ -43,6 +44,15 @@ def command(
         log.critical("fatal, the daemon ends", exc_info=True)
         _exit(1)
     _exit(0)
+
+
+def open_standard_files() -> None:
+    """Put /dev/null in the place of standard files that are closed, which sockets and the spool would get otherwise."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest that is free
 
 
 def allow_files() -> None:

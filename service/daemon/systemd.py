@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from service.daemon.log_lines import LogLines
+
 log = logging.getLogger(__name__)
 
 REPORT_S = 1.0
@@ -88,7 +90,7 @@ class JournalFormatter(logging.Formatter):
 
 def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> None:
     """Log to stderr: with the time, or with priorities if the journal reads it, which records the time itself."""
-    handler = logging.StreamHandler()
+    handler = LogLines()
     if _is_journal(environ.get("JOURNAL_STREAM", "")):
         handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
     else:

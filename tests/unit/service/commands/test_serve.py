@@ -1,6 +1,9 @@
 """What `stonefall serve` asks of the process that it runs in."""
 
+import os
 import resource
+import subprocess
+import sys
 
 import pytest
 
@@ -23,3 +26,19 @@ def test_a_host_that_allows_too_few_is_told_what_to_set(monkeypatch: pytest.Monk
     monkeypatch.setattr(resource, "getrlimit", lambda _: (64, 64))
     with pytest.raises(SettingsError, match=r"only 64 files.*LimitNOFILE=4096.*ulimit -Hn 4096"):
         allow_files()
+
+
+PROGRAM = """
+import os
+from service.commands.serve import open_standard_files
+open_standard_files()
+opened = os.open("/", os.O_RDONLY)
+os._exit(0 if opened == 3 and os.read(0, 1) == b"" and os.write(2, b"x") == 1 else 1)
+"""
+
+
+def test_closed_standard_files_are_replaced_before_anything_else_gets_their_numbers() -> None:
+    """Started with `<&- >&- 2>&-` sockets and files got the numbers 0 to 2, and the daemon did not start."""
+    shell = '"$0" -c "$1" <&- >&- 2>&-'
+    run = subprocess.run(["sh", "-c", shell, sys.executable, PROGRAM], check=False, env=dict(os.environ))
+    assert run.returncode == 0

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import uuid
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 from support.eventually import PATIENCE_S
@@ -117,6 +118,38 @@ def test_priorities_are_written_only_when_the_journal_reads_stderr():
             env=os.environ | {"PYTHONPATH": str(UNIT.parents[1])},
         )
         assert expected in run.stderr
+
+
+def test_whoever_does_not_read_the_log_holds_up_nothing():
+    """A journal that hung stopped the daemon with the line that filled its pipe; at its end it waited for ever."""
+    program = (
+        "import logging; from service.daemon.systemd import configure_logging; configure_logging({});"
+        "[logging.getLogger('x').warning('line %d', i) for i in range(40_000)];"
+        "print('written', flush=True);"
+        "input()"
+    )
+    environment = os.environ | {"PYTHONPATH": str(UNIT.parents[1])}
+    with subprocess.Popen(
+        ["python", "-c", program], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True, env=environment
+    ) as run:
+        assert run.stdin is not None and run.stdout is not None and run.stderr is not None
+        assert run.stdout.readline() == "written\n"
+        run.stdin.write("\n")
+        run.stdin.close()
+        written = run.stderr.read()
+    assert run.returncode == 0
+    assert written.splitlines()[0].endswith("line 0")
+    assert "lines of the log are lost: nobody read them" in written
+
+
+def test_the_end_does_not_wait_for_who_reads_no_log():
+    program = (
+        "import logging; from service.daemon.systemd import configure_logging; configure_logging({});"
+        "[logging.getLogger('x').warning('line %d', i) for i in range(9_000)]"
+    )
+    environment = os.environ | {"PYTHONPATH": str(UNIT.parents[1])}
+    with subprocess.Popen(["python", "-c", program], stderr=PIPE, env=environment) as run:
+        assert run.wait(PATIENCE_S) == 0
 
 
 def systemd_tool(name: str) -> str:
