@@ -96,6 +96,8 @@ def restore(source: Path, state_dir: Path, *, any_audit: bool = False) -> str:
 
 def _restore(source: Path, state_dir: Path, *, any_audit: bool) -> str:
     history.finish_restore(state_dir)  # of an earlier one that was killed
+    if not source.is_file():
+        raise StoreError(f"{source}: is no file")  # a device would fill the disk
     with replacing(history.restored_path(state_dir)) as unfinished:
         shutil.copyfile(source, unfinished)
         _require_backup(source, unfinished)

@@ -60,6 +60,8 @@ def find_damage(
     sqlite3.Error, OSError
         It cannot be read now.
     """
+    if not path.is_file():
+        return "it is no file"  # opened all the same, a pipe would wait for a writer
     try:
         with schema.connect_reader(path) as connection:
             connection.set_progress_handler(lambda: not go_on(), 10_000)

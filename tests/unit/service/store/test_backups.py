@@ -170,6 +170,13 @@ async def test_what_is_no_backup_changes_nothing(
         assert (store.instance_id, store.incidents) == (before, [])
 
 
+@pytest.mark.parametrize("source", ["/dev/zero", "/dev", "/none"])
+async def test_what_is_no_file_is_not_copied(state_dir: Path, source: str) -> None:
+    """`stonefall restore /dev/zero` filled the disk."""
+    with pytest.raises(StoreError, match=f"{source}: is no file"):
+        restore(Path(source), state_dir)
+
+
 class BackupsOfTest:
     """In the place of the store: the first backup fails."""
 

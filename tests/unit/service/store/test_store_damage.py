@@ -1,6 +1,7 @@
 """Whatever is damaged in a database that nobody has open, the next start serves, or says why not in one line."""
 
 import asyncio
+import os
 import random
 import shutil
 import sqlite3
@@ -179,6 +180,19 @@ async def test_what_sqlite_does_not_check_is_damage_too_and_the_newest_good_back
     assert f"The newest good backup is backups/{good.name}, up to result {N_RESULTS}" in incident
     assert len(list((state_dir / "aside").glob("*-damaged/results.sqlite"))) == 1
     assert len(await start_and_serve(state_dir)) == 1
+
+
+@pytest.mark.parametrize("kind", [os.mkfifo, Path.mkdir])
+async def test_what_lies_in_the_place_of_the_database_and_is_no_file_is_moved_aside(
+    state_dir: Path, kind: Callable[[Path], None]
+) -> None:
+    """A start waited for ever for somebody to write into a pipe of that name."""
+    with await asyncio.to_thread(open_store, state_dir):
+        pass
+    (state_dir / "results.sqlite").unlink()
+    kind(state_dir / "results.sqlite")
+    (incident,) = await start_and_serve(state_dir)
+    assert "The database was damaged (it is no file) and was moved here." in incident
 
 
 async def test_damage_of_an_old_record_holds_the_store_and_the_next_start_finds_it(
