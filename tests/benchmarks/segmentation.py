@@ -19,7 +19,7 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.mask_segmenters import MaskSegmenter, difference, plain_difference
+from support.mask_segmenters import difference, plain_difference
 from support.segmentation_tables import (
     AUTO,
     BACKGROUND,
@@ -44,6 +44,7 @@ from pipeline.evaluation.silhouette_errors import (
 )
 from pipeline.evaluation.silhouette_picture import silhouette_picture
 from pipeline.segmentation import Segmenter, ViewStatus
+from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.network import Network
 from pipeline.segmentation.network_segmenter import NetworkSegmenter
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
