@@ -12,14 +12,16 @@ beside its place. Printed are
 
 and the same for the paper's method on the same drops, without outliers.
 
-Run: .venv/bin/python tests/accuracy/calibration.py [--rigs 4] [--seed 1] [--lens f2] [--two-sizes]
+Run: .venv/bin/python tests/accuracy/calibration.py [--rigs 4] [--seed 1] [--lens f2] [--two-sizes] [--json]
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -134,7 +136,10 @@ class Accuracy:
     reprojection_px: float
     length_percent: float
     rigid_um: float
-    lens: tuple[str, str]  # f-number and error of the focus, in words
+    f_number: float | None = None
+    f_number_sd: float | None = None
+    focus_off_mm: float | None = None  # rms over the cameras of the planes in focus
+    lens: str = ""  # why it is not found
 
 
 def accuracy(report: CalibrationReport, true: RigCalibration, held_out: Sequence[BallDrop]) -> Accuracy:
@@ -149,7 +154,7 @@ def accuracy(report: CalibrationReport, true: RigCalibration, held_out: Sequence
         reprojection_px=reprojection_px,
         length_percent=error.length_percent,
         rigid_um=1e3 * error.rms_mm,
-        lens=lens_found(report, true),
+        **lens_found(report, true),
     )
 
 
@@ -208,19 +213,23 @@ def table_of(rows: Sequence[tuple[int, str, CalibrationReport, Accuracy]]) -> Ta
         table.add_row(
             str(seed), label, f"{before:.1f}", f"{after:.4f}", f"{found.reprojection_px:.4f}",
             f"{found.length_percent:.4f}", f"{found.rigid_um:.2f}", predicted or "", edge,
-            *found.lens, str(left_out),
+            found.lens if found.f_number is None else f"{found.f_number:.2f} +- {found.f_number_sd:.2f}",
+            "" if found.focus_off_mm is None else f"{found.focus_off_mm:.2f}", str(left_out),
         )  # fmt: skip
     return table
 
 
-def lens_found(report: CalibrationReport, true: RigCalibration) -> tuple[str, str]:
+def lens_found(report: CalibrationReport, true: RigCalibration) -> dict[str, Any]:
     """The f-number, and how far the planes in focus lie from the true ones; or why they are not seen."""
     lenses = report.lenses
     if not isinstance(lenses, FoundLenses):
-        return "" if lenses is None else lenses.value.replace("_", " "), ""
+        return {"lens": "" if lenses is None else lenses.value.replace("_", " ")}
     off_mm = focus_errors_mm(report.rig, true)
-    f_number = f"{lenses.f_number.value:.2f} +- {lenses.f_number.sd:.2f}"
-    return f_number, f"{np.sqrt(np.square(off_mm).mean()):.2f} ({len(off_mm)} cameras)"
+    return {
+        "f_number": lenses.f_number.value,
+        "f_number_sd": lenses.f_number.sd,
+        "focus_off_mm": float(np.sqrt(np.square(off_mm).mean())),
+    }
 
 
 def focus_errors_mm(rig: RigCalibration, true: RigCalibration) -> list[float]:
@@ -241,6 +250,7 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lens", type=LensPreset, choices=tuple(LensPreset), default=LensPreset.SHARP)
     parser.add_argument("--two-sizes", action="store_true", help="also with four balls of 16 mm")
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rows = [
         (seed, *row)
@@ -249,4 +259,8 @@ if __name__ == "__main__":
             photographed(seed, n_large=N_LARGE if arguments.two_sizes else 0, lens=arguments.lens), seed
         )
     ]
-    Console(width=200).print(table_of(rows))
+    if arguments.json:
+        found = [{"rig": seed, "calibration": label, **asdict(row)} for seed, label, _, row in rows]
+        sys.stdout.write(json.dumps(found, indent=1) + "\n")
+    else:
+        Console(width=200).print(table_of(rows))

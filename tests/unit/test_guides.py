@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 import typer
+from benchmarks.figures import in_guide, read_figures, tables, used_figures
 
 from service.cli import COMMANDS, build_app
+from service.results.version import SAME_BY_DEFAULT
 
 ROOT = Path(__file__).parents[2]
 GUIDES = sorted(
@@ -60,3 +62,20 @@ def test_commands_of_the_papers_page_take_the_options_that_it_gives_them() -> No
             command = command.commands[words[0]]
         known = {option for parameter in command.params for option in parameter.opts}
         assert {word for word in words if word.startswith("--")} <= known, line
+
+
+def test_measured_tables_are_those_of_the_figures_that_were_measured() -> None:
+    found = [(guide, name, text, in_guide(guide, name)) for guide, name, text in tables(read_figures())]
+    assert len(found) > 5
+    assert [(guide, name) for guide, name, text, place in found if place is None or place[1] != text] == []
+    marks = [
+        mark for guide in GUIDES for mark in re.findall("^<!-- measured: (.+) -->$", guide.read_text(), re.M)
+    ]
+    assert sorted(marks) == sorted(name for _, name, _, _ in found)
+
+
+def test_no_measured_figure_is_of_an_older_algorithm() -> None:
+    """Measure again what changed: tests/benchmarks/figures.py."""
+    figures = read_figures()
+    assert figures.keys() == used_figures()
+    assert {name for name, figure in figures.items() if figure["algorithm"] not in SAME_BY_DEFAULT} == set()

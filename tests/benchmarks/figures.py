@@ -1,0 +1,177 @@
+"""One source of measured figures: what was measured by which command, and the tables of the guides made from it.
+
+    .venv/bin/python tests/benchmarks/figures.py accuracy paper    measures these again, and writes tables and figures
+    .venv/bin/python tests/benchmarks/figures.py                   writes the tables alone
+
+`figures.json` has every figure with its command, body, lens, algorithm, date and the processor's speed; `figures.md`
+every table as a guide has it, with `{figure:format}` in the place of each figure. A test compares the guides.
+"""
+
+import argparse
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+FIGURES, TABLES = ROOT / "tests/benchmarks/figures.json", ROOT / "tests/benchmarks/figures.md"
+PLACE = re.compile(r"\{([^{}:]+):([^{}]*)\}")
+"""A figure in a table: its name, and how Python formats it; a `x1000` before the format multiplies it."""
+TABLE = re.compile(r"^## (?P<guide>\S+): (?P<name>.+)\n\n(?P<text>(?:.+\n)+)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """A command that prints JSON, and how its figures are called."""
+
+    command: str
+    figures_of: Callable[[Any], Iterator[tuple[str, float]]]
+    lens: str | None = None
+    body: str | None = None
+
+
+def of_bodies(document: Any) -> Iterator[tuple[str, float]]:
+    """Yield the figures of `stonefall benchmark --accuracy`: body, rig, method and field."""
+    for summary in document["summaries"]:
+        where = f"{summary['body']}/{summary['rig']}/{summary['method']}"
+        yield from ((f"{where}/{name}", value) for name, value in summary.items() if _is_figure(value))
+    for rig, found in document["rigs"].items():
+        yield from ((f"{rig}/{name}", value) for name, value in found.items() if _is_figure(value))
+
+
+def of_paper(document: Any) -> Iterator[tuple[str, float]]:
+    """Yield the figures of `stonefall benchmark --paper`."""
+    for row in document["distances"]:
+        yield from ((f"{row['body']}/{name}", value) for name, value in row.items() if _is_figure(value))
+    for row in document["isolevels"]:
+        yield f"{row['body']}/{row['isolevel']:g}/mean_mm", row["mean_mm"]
+        yield f"{row['body']}/{row['isolevel']:g}/volume_percent", row["mesh_volume_percent"]
+    for method, seconds in document["seconds"].items():
+        yield from ((f"{method}/{stage}_s", value) for stage, value in seconds.items())
+    for rig, found in document["calibration"].items():
+        for name, errors_px in found.items():
+            yield f"{rig}/{name}", sum(errors_px.values()) / len(errors_px)
+
+
+def of_drops(document: Any) -> Iterator[tuple[str, float]]:
+    """Yield the figures of `tests/accuracy/calibration.py`: how it was calibrated, and what of it."""
+    for row in document:
+        how = row["calibration"].split(",")
+        where = f"{how[0]}{how[1].removesuffix(' drops').replace(' ', '/')}"
+        yield from ((f"{where}/{name}", value) for name, value in row.items() if _is_figure(value))
+
+
+def of_sizes(document: Any) -> Iterator[tuple[str, float]]:
+    """Yield the times of `stonefall benchmark`: size, stage and milliseconds."""
+    for row in document:
+        where = f"{row['size_mm']:g}"
+        yield from ((f"{where}/{stage}", ms) for stage, ms in row["stages_ms"].items())
+        yield from ((f"{where}/{name}", value) for name, value in row.items() if _is_figure(value))
+
+
+RUNS: Mapping[str, Run] = {
+    "accuracy": Run(
+        command="stonefall benchmark --accuracy --rigs ours --bodies sphere,cylinder,cube,stones --json",
+        figures_of=of_bodies,
+        lens="f2",
+        body="as named",
+    ),
+    "paper": Run(command="stonefall benchmark --paper --json", figures_of=of_paper, lens="f2", body="photo"),
+    **{
+        f"drops-{lens}": Run(
+            command=f"tests/accuracy/calibration.py --rigs 1 --seed 3 --lens {lens} --json",
+            figures_of=of_drops,
+            lens=lens,
+        )
+        for lens in ("sharp", "f8", "f4", "f2")
+    },
+    "times": Run(command="stonefall benchmark --poses 5 --json", figures_of=of_sizes, body="as named"),
+}
+
+
+def measure(name: str) -> dict[str, dict[str, Any]]:
+    """Run a command, and return its figures by name with where they are from."""
+    from service.benchmarks.performance import processor_gflops
+    from service.results.version import ALGORITHM_VERSION
+
+    run = RUNS[name]
+    words = shlex.split(run.command)
+    program = [sys.executable] if words[0].endswith(".py") else [Path(sys.executable).with_name(words.pop(0))]
+    answer = subprocess.run([*program, *words], check=True, stdout=subprocess.PIPE, cwd=ROOT)
+    source = {
+        "command": run.command,
+        "body": run.body,
+        "lens": run.lens,
+        "algorithm": ALGORITHM_VERSION,
+        "date": datetime.now(UTC).date().isoformat(),
+        "gflops": round(processor_gflops(), 1),
+    }
+    return {
+        f"{name}/{figure}": {"value": value, **source}
+        for figure, value in run.figures_of(json.loads(answer.stdout))
+    }
+
+
+def read_figures() -> dict[str, dict[str, Any]]:
+    """Return all figures by name."""
+    return dict(json.loads(FIGURES.read_text(encoding="utf-8"))) if FIGURES.exists() else {}
+
+
+def used_figures() -> set[str]:
+    """Return the names of the figures that a table has."""
+    return {match[1] for match in PLACE.finditer(TABLES.read_text(encoding="utf-8"))}
+
+
+def tables(figures: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[Path, str, str]]:
+    """Yield guide, name and text of each table; `KeyError` for a figure that was never measured."""
+
+    def written(place: re.Match[str]) -> str:
+        value, form = figures[place[1]]["value"], place[2]
+        if form.startswith("x1000"):
+            value, form = 1000 * value, form.removeprefix("x1000")
+        return format(value, form)
+
+    for match in TABLE.finditer(TABLES.read_text(encoding="utf-8")):
+        yield ROOT / match["guide"], match["name"], PLACE.sub(written, match["text"])
+
+
+def in_guide(guide: Path, name: str) -> re.Match[str] | None:
+    """Find a table between its marks in a guide."""
+    begin, end = f"<!-- measured: {name} -->\n", "<!-- measured -->"
+    pattern = re.escape(begin) + "(.*?)" + re.escape(end)
+    return re.search(pattern, guide.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def _is_figure(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def main() -> None:
+    """Measure what is named, and write figures and tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("runs", nargs="*", choices=[[], *RUNS], metavar="RUN", help=", ".join(RUNS))
+    figures = read_figures()
+    for name in parser.parse_args().runs:
+        others = {figure: found for figure, found in figures.items() if not figure.startswith(f"{name}/")}
+        figures = others | measure(name)
+    used = used_figures()
+    kept = {name: figures[name] for name in sorted(figures) if name in used}
+    FIGURES.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    for guide, name, text in tables(kept):
+        found = in_guide(guide, name)
+        if found is None:
+            raise SystemExit(f"{guide.relative_to(ROOT)} has no place for the table {name!r}")
+        whole = guide.read_text(encoding="utf-8")
+        guide.write_text(whole[: found.start(1)] + text + whole[found.end(1) :], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
