@@ -76,6 +76,6 @@ def test_a_recording_when_the_daemon_ends(tmp_path: Path, asked_to_stop: bool) -
     with DaemonProcess(tmp_path, tmp_path / "source") as daemon:
         daemon.hear("READY=1")
         assert daemon.get("/recordings") == {"items": []}
-        assert "recording that the daemon's crash left unfinished" in daemon.log
+        daemon.hear_line("recording that the daemon's crash left unfinished")
         assert list(state.iterdir()) == []
         assert daemon.stop() == 0

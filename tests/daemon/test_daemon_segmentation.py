@@ -15,7 +15,7 @@ def test_a_damaged_model_is_named_and_done_without(tmp_path: Path) -> None:
         tmp_path, tmp_path / "recording", segmentation='model = "net.onnx"', slots=1
     ) as daemon:
         daemon.hear("READY=1")
-        assert f"classical mode: {tmp_path / 'net.onnx'}: expected an ONNX model" in daemon.log
+        daemon.hear_line(f"classical mode: {tmp_path / 'net.onnx'}: expected an ONNX model")
         daemon.wait_for("/accounting", lambda now: now["measured"] == 1)
         (result,) = daemon.results()
         assert (result["outcome"], result["quality"]) == ("measured", "good")

@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-from support.eventually import PATIENCE_S
+from support.eventually import PATIENCE_S, eventually
 from support.warm_stonefall import HELD, WarmStonefall
 
 from service.processing.worker_pool import WORKER_NAME
@@ -101,6 +101,7 @@ class DaemonProcess:
         self.heard: list[str] = []
 
     def __enter__(self) -> Self:
+        self._n_earlier = len(self._addresses())  # of daemons before this one, in the same log
         address = self.folder / "notify"
         address.unlink(missing_ok=True)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -161,8 +162,16 @@ class DaemonProcess:
         return self._ask(path, method="POST", body=json.dumps(body))
 
     def url(self, path: str) -> str:
-        addresses = re.findall(r"serving url=(\S+)", self.log)
-        return f"{addresses[-1]}/api/v1{path}"
+        """Return the address of a path, once the log has where this daemon serves: a thread writes it."""
+        eventually(lambda: len(self._addresses()) > self._n_earlier or self.process.poll() is not None)
+        return f"{self._addresses()[-1]}/api/v1{path}"
+
+    def hear_line(self, text: str) -> None:
+        """Return once the log has a text."""
+        eventually(lambda: text in self.log)
+
+    def _addresses(self) -> list[str]:
+        return re.findall(r"serving url=(\S+)", self.log) if self.log_path.exists() else []
 
     def _ask(self, path: str, method: str = "GET", body: str | None = None) -> dict[str, Any]:
         """Return the answer, a refusal as well."""
